@@ -1,0 +1,29 @@
+"""What can go wrong where a user can mend it. Bugs raise ordinary exceptions; these carry a sentence for people."""
+
+
+class SwarmtrackError(Exception):
+    """Base of all errors whose text is meant for the person at the keyboard."""
+
+
+class ConfigError(SwarmtrackError):
+    """One or more wrong entries of a config: `problems` holds one line each, `FILE:LINE: key: found, expected`."""
+
+    def __init__(self, problems: list[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems
+
+
+class CalibrationError(SwarmtrackError):
+    """A camera calibration that cannot be read, or contradicts itself or the stream."""
+
+
+class ModelError(SwarmtrackError):
+    """A detector model that cannot be loaded or whose outputs are not understood."""
+
+
+class SourceError(SwarmtrackError):
+    """A camera or autopilot address that can never work (wrong scheme, missing file), as opposed to one that is away."""
+
+
+class TransportError(SwarmtrackError):
+    """The network layer refused to start."""

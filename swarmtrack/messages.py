@@ -1,0 +1,245 @@
+"""What the parts of one agent say to each other: small frozen records, checked once at birth and trusted afterwards.
+
+Times are seconds on the agent's monotonic clock, angles radians, lengths metres, image quantities pixels.
+World is the team's local NED frame, body is FRD, the camera looks along z with x right and y down.
+`a_from_b` takes coordinates in b to coordinates in a.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+FOREIGN: Literal["foreign"] = "foreign"
+Identity = int | Literal["foreign"] | None
+"""A drone's ID, `FOREIGN` (not of the team), or None (unknown)."""
+
+
+def _expect(name: str, value: NDArray[Any], shape: tuple[int, ...]) -> None:
+    if value.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {value.shape}")
+    if not np.isfinite(value).all():
+        raise ValueError(f"{name}: holds NaN or infinity")
+
+
+class StampKind(enum.Enum):
+    """What a frame's time stamp stands for, before it was moved to mid-exposure."""
+
+    EXPOSURE = "exposure"  # start of exposure by the kernel or the camera
+    READOUT = "readout"  # end of frame by the kernel
+    ARRIVAL = "arrival"  # only our own clock at delivery: add the stream's latency to its uncertainty
+    MEDIA = "media"  # time inside a recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSample:
+    """One gyro sample. gyro (3,) rad/s in body FRD; accel (3,) m/s² in body FRD, NaN where not measured."""
+
+    t: float
+    gyro: Array
+    accel: Array
+
+    def __post_init__(self) -> None:
+        _expect("ImuSample.gyro", self.gyro, (3,))
+        if self.accel.shape != (3,):
+            raise ValueError(f"ImuSample.accel: expected shape (3,), got {self.accel.shape}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoPose:
+    """Where this drone is, by its own autopilot, in the frame the autopilot started in (NED).
+
+    position (3,) m; world_from_body (3, 3); sigmas are one standard deviation per axis [m], [rad].
+    """
+
+    t: float
+    position: Array
+    world_from_body: Array
+    position_sigma: float = 0.1
+    attitude_sigma: float = 0.02
+
+    def __post_init__(self) -> None:
+        _expect("EgoPose.position", self.position, (3,))
+        _expect("EgoPose.world_from_body", self.world_from_body, (3, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One image. t: middle of the exposure; image (h, w) grey or (h, w, 3) BGR, uint8, as the camera gave it.
+
+    `sequence` counts what the camera exposed, so a jump by more than one is a dropped frame.
+    """
+
+    t: float
+    t_sigma: float
+    sequence: int
+    image: Image
+    stamp: StampKind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """All detections of one frame, pixels of the image as the camera gave it (distorted).
+
+    t: time of exposure; sequence: of the frame; centre (n, 2) [u, v]; size (n, 2) [w, h]; score (n,) in 0…1;
+    covariance (n, 2, 2) px² of the centre, or None where the detector does not know.
+    """
+
+    t: float
+    sequence: int
+    centre: Array
+    size: Array
+    score: Array
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.score)
+        _expect("Detections.score", self.score, (n,))
+        _expect("Detections.centre", self.centre, (n, 2))
+        _expect("Detections.size", self.size, (n, 2))
+        if self.covariance is not None:
+            _expect("Detections.covariance", self.covariance, (n, 2, 2))
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """What the tracker is told of one exposure, in undistorted pixels.
+
+    z (m, 2) [u, v]; R (m, 2, 2) px² or None (the tracker's own `measurement_sigma`); size (m, 2) px or None;
+    score (m,) or None. Whether a measurement is usable (finite, near the image) is the tracker's to judge.
+    """
+
+    t: float
+    z: Array
+    R: Array | None = None
+    size: Array | None = None
+    score: Array | None = None
+
+    def __post_init__(self) -> None:
+        z = np.asarray(self.z, dtype=float)
+        object.__setattr__(self, "z", z.reshape(0, 2) if z.size == 0 else z)
+        m = len(self.z)
+        for name, value, shape in (
+            ("z", self.z, (m, 2)),
+            ("R", self.R, (m, 2, 2)),
+            ("size", self.size, (m, 2)),
+            ("score", self.score, (m,)),
+        ):
+            if value is not None and np.shape(value) != shape:
+                raise ValueError(f"Scan.{name}: expected shape {shape} to match z, got {np.shape(value)}")
+
+
+class TrackStatus(enum.StrEnum):
+    """The stages of a track's life."""
+
+    TENTATIVE = "tentative"
+    CONFIRMED = "confirmed"
+    LOST = "lost"  # was confirmed, carried on without detections, may still come back
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One target in the image plane. mean (4,) [u, vu, v, vv] px, px/s; cov (4, 4); size (2,) px.
+
+    `id` is local to this drone and never reused. `probability` is that of existence. `coasting_since` is the
+    time of the first scan that missed it, None while it is being detected.
+    """
+
+    id: int
+    t: float
+    mean: Array
+    cov: Array
+    status: TrackStatus
+    probability: float
+    size: Array
+    coasting_since: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentifiedTrack:
+    """A track and who it is. `identity_probability` is that of the stated identity, 0 while unknown."""
+
+    track: Track
+    identity: Identity
+    identity_probability: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackList:
+    """Everything one drone tracks at one instant; t: the instant; scan_t: exposure of the last scan in it."""
+
+    t: float
+    scan_t: float
+    tracks: tuple[IdentifiedTrack, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Announcement:
+    """The one broadcast of the method: who I am, and my initial pose in the team frame.
+
+    boot (8 hex digits) names one life of the sender's process, `sequence` counts its announcements.
+    t: when the pose held, on *our* monotonic clock (converted by the transport), t_sigma its uncertainty.
+    position (3,) m; world_from_body (3, 3); position_cov (3, 3) m².
+    """
+
+    drone_id: int
+    boot: str
+    sequence: int
+    t: float
+    t_sigma: float
+    position: Array
+    world_from_body: Array
+    position_cov: Array
+
+    def __post_init__(self) -> None:
+        _expect("Announcement.position", self.position, (3,))
+        _expect("Announcement.world_from_body", self.world_from_body, (3, 3))
+        _expect("Announcement.position_cov", self.position_cov, (3, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class PeerArrived:
+    """A teammate's process is alive (its liveliness token was seen)."""
+
+    drone_id: int
+    boot: str
+
+
+@dataclass(frozen=True, slots=True)
+class PeerDeparted:
+    """A teammate's process is gone, or its radio has been silent for the lease."""
+
+    drone_id: int
+    boot: str
+
+
+@dataclass(frozen=True, slots=True)
+class IdClash:
+    """Two live processes speak as one drone. `ours` when that drone is this one."""
+
+    drone_id: int
+    boots: tuple[str, ...]
+    ours: bool
+
+
+PeerEvent = Announcement | PeerArrived | PeerDeparted | IdClash
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatus:
+    """State of one source or link, as one line for people and numbers for the health message."""
+
+    name: str
+    ok: bool
+    text: str
+    counters: tuple[tuple[str, float], ...] = ()

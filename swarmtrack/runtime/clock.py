@@ -1,0 +1,40 @@
+"""The only place that reads a clock. Everything else is told the time."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Seconds. `now` never steps; `utc` is the wall clock, which may."""
+
+    def now(self) -> float: ...
+    def utc(self) -> float: ...
+
+
+class SystemClock:
+    """CLOCK_MONOTONIC, the clock of V4L2 buffer stamps, and the system's UTC."""
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def utc(self) -> float:
+        return time.time()
+
+
+class ManualClock:
+    """A clock that is set: for tests, and for recordings processed as fast as they go."""
+
+    def __init__(self, now: float = 0.0, utc: float = 1.7e9) -> None:
+        self._now = now
+        self._utc_offset = utc - now
+
+    def now(self) -> float:
+        return self._now
+
+    def utc(self) -> float:
+        return self._now + self._utc_offset
+
+    def set(self, now: float) -> None:
+        self._now = max(now, self._now)

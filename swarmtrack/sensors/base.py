@@ -1,0 +1,45 @@
+"""What a camera and an autopilot are, to the agent. One file implements each kind; `open_camera` and `open_link`
+pick by address. A source that is away (unplugged, not yet booted) is not an error: it says so once, waits and comes
+back. Only an address that can never work raises `SourceError`."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Protocol
+
+from swarmtrack.messages import EgoPose, Frame, ImuSample, LinkStatus
+
+
+class Camera(Protocol):
+    """A source of frames."""
+
+    def frames(self) -> AsyncIterator[Frame]:
+        """Yield the newest frame whenever asked for one; ends only where the source does (a file).
+
+        Frames that came while the consumer was busy are dropped and counted, except from a file at pace `fast`,
+        which yields every frame in order.
+        """
+        ...
+
+    def status(self) -> LinkStatus:
+        """One line and the counters (fps, dropped, stale, reconnects, age) for the health message."""
+        ...
+
+    async def close(self) -> None: ...
+
+
+class AutopilotListener(Protocol):
+    """Who is told what the autopilot says; called on the event loop, must return at once."""
+
+    def on_imu(self, sample: ImuSample) -> None: ...
+    def on_pose(self, pose: EgoPose) -> None: ...
+
+
+class Autopilot(Protocol):
+    """A source of gyro samples and ego poses."""
+
+    async def run(self, listener: AutopilotListener) -> None:
+        """Connect, reconnect and deliver until cancelled; returns only where a recording ends."""
+        ...
+
+    def status(self) -> LinkStatus: ...
