@@ -1,0 +1,352 @@
+"""A pinhole camera with lens distortion: from points to pixels and back, with Jacobians.
+
+Three planes, and names that keep them apart:
+
+    point (x, y, z) [m], camera frame  --divide by z-->  ideal ray (x/z, y/z), "normalised"
+    normalised --K-->                     *undistorted* (ideal) pixels: what the trackers work in
+    normalised --distortion--> --K-->     *distorted* pixels: the image as the camera gives it
+
+The camera looks along z, x right, y down; pixel centres are integers, origin top left. What has no
+counterpart on the other side (a point behind the camera, a pixel beyond the lens model's reach) comes back as
+a row of NaN, and from the projections also with `valid` False; it is never clamped to the image's border.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+
+Mask = NDArray[np.bool_]
+
+MAX_ANGLE = np.radians(89.0)  # rad off the axis: ideal pixels run to infinity at 90 degrees
+MIN_SLOPE = 0.01  # of the radial curve: less, and the lens folds or a pixel's error blows up a hundredfold
+NEWTON_STEPS = 20  # from the table's start, 3 to 6 are taken
+RESIDUAL = 1e-12  # in normalised units, 1e-9 px at a focal length of 1000 px
+
+
+def _reach(angle: Array, slope: Array) -> int:
+    """How many of the table's rising entries come before the radial curve flattens or folds, at least 2."""
+    flat = np.flatnonzero(~(slope > MIN_SLOPE))
+    return max(2, int(flat[0])) if flat.size else len(angle)
+
+
+@dataclass(frozen=True)
+class RadTan:
+    """Brown-Conrady: `coefficients` (k1, k2, p1, p2), optionally k3, then optionally k4, k5, k6 (rational).
+
+    Order and equations are those of OpenCV (calib3d, "Detailed description"), and of plumb_bob and
+    rational_polynomial in ROS.
+    """
+
+    coefficients: tuple[float, ...]
+    name: ClassVar[str] = "radtan"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
+        if len(self.coefficients) not in (4, 5, 8) or not np.isfinite(self.coefficients).all():
+            raise ValueError(
+                f"radtan: coefficients {list(self.coefficients)}, expected finite numbers,"
+                " 4 (k1 k2 p1 p2), 5 (… k3) or 8 (… k4 k5 k6)"
+            )
+
+    def _radial(self, s: Array) -> tuple[Array, Array]:
+        """The radial factor at squared radius s, and its derivative by s."""
+        k1, k2, _, _, k3, k4, k5, k6 = self.coefficients + (0.0,) * (8 - len(self.coefficients))
+        above = 1.0 + s * (k1 + s * (k2 + s * k3))
+        below = 1.0 + s * (k4 + s * (k5 + s * k6))
+        factor = above / below
+        slope = (k1 + s * (2 * k2 + s * 3 * k3) - factor * (k4 + s * (2 * k5 + s * 3 * k6))) / below
+        return factor, slope
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Ideal and distorted radii along the rising part of the radial curve: where Newton starts."""
+        angle = np.linspace(0.0, MAX_ANGLE, 1024)
+        radius = np.tan(angle)
+        with np.errstate(all="ignore"):
+            factor, slope = self._radial(radius**2)
+            n = _reach(angle, factor + 2 * radius**2 * slope)
+        return radius[:n], (radius * factor)[:n]
+
+    @property
+    def max_radius(self) -> float:
+        """Largest ideal radius at which the model still is one-to-one."""
+        return float(self._table[0][-1])
+
+    def apply(self, ideal: Array) -> tuple[Array, Array]:
+        """Normalised ideal (n, 2) -> normalised distorted (n, 2), and the Jacobian (n, 2, 2)."""
+        _, _, p1, p2 = self.coefficients[:4]
+        x, y = ideal[:, 0], ideal[:, 1]
+        s = x * x + y * y
+        factor, slope = self._radial(s)
+        distorted = np.stack(
+            [
+                x * factor + 2 * p1 * x * y + p2 * (s + 2 * x * x),
+                y * factor + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=1,
+        )
+        jacobian = np.empty((len(ideal), 2, 2))
+        jacobian[:, 0, 0] = factor + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        jacobian[:, 1, 1] = factor + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        jacobian[:, 0, 1] = jacobian[:, 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        return distorted, jacobian
+
+    def remove(self, distorted: Array) -> Array:
+        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN where none lies within the lens' reach.
+
+        The radial part is inverted by table, then Newton's iteration on the whole model. The fixed-point
+        iteration that is common here diverges for strong barrel distortion.
+        """
+        ideal_radii, distorted_radii = self._table
+        radius = np.linalg.norm(distorted, axis=1)
+        start = np.interp(radius, distorted_radii, ideal_radii)
+        ideal = distorted * np.where(radius > 0.0, start / np.where(radius > 0.0, radius, 1.0), 1.0)[:, None]
+        with np.errstate(all="ignore"):
+            for _ in range(NEWTON_STEPS):
+                value, jacobian = self.apply(ideal)
+                step = np.einsum("nij,nj->ni", _inverse_2x2(jacobian), distorted - value)
+                ideal = ideal + step
+                if not (np.abs(step) > 1e-15 + 1e-15 * np.abs(ideal)).any():
+                    break
+            value, _ = self.apply(ideal)
+            solved = np.abs(value - distorted).max(axis=1, initial=0.0) <= RESIDUAL * (1.0 + radius)
+            within = np.linalg.norm(ideal, axis=1) <= self.max_radius
+        return np.where((solved & within)[:, None], ideal, np.nan)
+
+
+@dataclass(frozen=True)
+class Equidistant:
+    """Kannala-Brandt fisheye: `coefficients` (k1 … k4) of theta_d = theta (1 + k1 theta² + … + k4 theta⁸).
+
+    Kannala & Brandt (2006), equation 6; OpenCV's `fisheye`, Kalibr's and ROS' `equidistant`.
+    """
+
+    coefficients: tuple[float, ...]
+    name: ClassVar[str] = "equidistant"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
+        if len(self.coefficients) != 4 or not np.isfinite(self.coefficients).all():
+            raise ValueError(
+                f"equidistant: coefficients {list(self.coefficients)}, expected 4 finite numbers (k1 … k4)"
+            )
+
+    def _radial(self, theta: Array) -> tuple[Array, Array]:
+        """theta_d at the angle theta [rad] off the axis, and its derivative."""
+        k1, k2, k3, k4 = self.coefficients
+        s = theta * theta
+        return (
+            theta * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4)))),
+            1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4))),
+        )
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Angles and distorted radii along the rising part of the curve."""
+        angle = np.linspace(0.0, MAX_ANGLE, 1024)
+        radius, slope = self._radial(angle)
+        n = _reach(angle, slope)
+        return angle[:n], radius[:n]
+
+    @property
+    def max_radius(self) -> float:
+        """Largest ideal radius at which the model still is one-to-one."""
+        return float(np.tan(self._table[0][-1]))
+
+    def apply(self, ideal: Array) -> tuple[Array, Array]:
+        """Normalised ideal (n, 2) -> normalised distorted (n, 2), and the Jacobian (n, 2, 2)."""
+        r = np.linalg.norm(ideal, axis=1)
+        theta_d, slope = self._radial(np.arctan(r))
+        tiny = r < 1e-8  # the series' first terms are exact there: theta_d / r = 1 + (k1 - 1/3) r²
+        divisor = np.where(tiny, 1.0, r)
+        scale = np.where(tiny, 1.0, theta_d / divisor)
+        bend = np.where(
+            tiny, 2 * (self.coefficients[0] - 1 / 3), (slope / (1 + r * r) - scale) / divisor**2
+        )  # (d scale / d r) / r
+        jacobian = bend[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
+        jacobian[:, [0, 1], [0, 1]] += scale[:, None]
+        return scale[:, None] * ideal, jacobian
+
+    def remove(self, distorted: Array) -> Array:
+        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN if none is within the lens' reach."""
+        angles, radii = self._table
+        radius = np.linalg.norm(distorted, axis=1)
+        theta = np.interp(radius, radii, angles)
+        for _ in range(NEWTON_STEPS):
+            value, slope = self._radial(theta)
+            step = (radius - value) / slope
+            theta = np.clip(theta + step, 0.0, angles[-1])
+            if not (np.abs(step) > 1e-15).any():
+                break
+        solved = np.abs(self._radial(theta)[0] - radius) <= RESIDUAL
+        scale = np.where(radius > 0.0, np.tan(theta) / np.where(radius > 0.0, radius, 1.0), 1.0)
+        return np.where(solved[:, None], distorted * scale[:, None], np.nan)
+
+
+Distortion = RadTan | Equidistant
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Intrinsics [px] for images of width x height pixels, and the lens' distortion (None: ideal pinhole)."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    distortion: Distortion | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("fx", "fy"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"PinholeCamera.{name}: {value}, expected a focal length in pixels above 0")
+        for name in ("cx", "cy"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(
+                    f"PinholeCamera.{name}: {getattr(self, name)}, expected a finite number of pixels"
+                )
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            if not (value > 0 and int(value) == value):
+                raise ValueError(f"PinholeCamera.{name}: {value}, expected a whole number of pixels above 0")
+            object.__setattr__(self, name, int(value))
+
+    @cached_property
+    def K(self) -> Array:
+        """The intrinsic matrix (3, 3): normalised to undistorted pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: Array) -> tuple[Array, Array, Mask]:
+        """points (n, 3) m, camera frame -> distorted pixels (n, 2), d pixel / d point (n, 2, 3), valid (n,).
+
+        Valid means in front of the camera and within the lens model's reach, not necessarily inside the image
+        (see `contains`). Rows that are not valid are NaN.
+        """
+        ideal, by_point, valid = self._normalise(points)
+        if self.distortion is not None:
+            valid &= (
+                np.linalg.norm(np.where(valid[:, None], ideal, 0.0), axis=1) <= self.distortion.max_radius
+            )
+            ideal, by_ideal = self.distortion.apply(np.where(valid[:, None], ideal, 0.0))
+            # Tangential terms can fold the image before the radial curve does.
+            valid &= np.linalg.det(by_ideal) > 0.0
+            by_point = by_ideal @ by_point
+        return self._to_pixels(ideal, by_point, valid)
+
+    def project_undistorted(self, points: Array) -> tuple[Array, Array, Mask]:
+        """As `project`, to the ideal pixels that the trackers work in."""
+        return self._to_pixels(*self._normalise(points))
+
+    def undistort(self, pixels: Array) -> Array:
+        """Distorted pixels (n, 2) -> ideal pixels (n, 2); rows beyond the lens model's reach are NaN."""
+        return self._denormalise(self._ideal(pixels))
+
+    def distort(self, pixels: Array) -> Array:
+        """Ideal pixels (n, 2) -> distorted pixels (n, 2); rows beyond the lens model's reach are NaN."""
+        ideal = self._normalised(pixels)
+        if self.distortion is None:
+            return self._denormalise(ideal)
+        within = np.linalg.norm(ideal, axis=1) <= self.distortion.max_radius
+        distorted, jacobian = self.distortion.apply(np.where(within[:, None], ideal, 0.0))
+        within &= np.linalg.det(jacobian) > 0.0
+        return self._denormalise(np.where(within[:, None], distorted, np.nan))
+
+    def undistort_jacobian(self, pixels: Array) -> Array:
+        """d ideal pixel / d distorted pixel (n, 2, 2) at distorted pixels (n, 2): it carries covariances."""
+        if self.distortion is None:
+            return np.broadcast_to(np.eye(2), (len(_pairs(pixels)), 2, 2)).copy()
+        _, by_ideal = self.distortion.apply(self._ideal(pixels))
+        focal = np.array([self.fx, self.fy])
+        jacobian: Array = focal[:, None] * _inverse_2x2(by_ideal) / focal[None, :]
+        return jacobian
+
+    def bearing(self, pixels: Array) -> Array:
+        """Distorted pixels (n, 2) -> unit vectors (n, 3) in the camera frame; NaN as in `undistort`."""
+        return _unit(self._ideal(pixels))
+
+    def bearing_undistorted(self, pixels: Array) -> Array:
+        """Ideal pixels (n, 2) -> unit vectors (n, 3) in the camera frame."""
+        return _unit(self._normalised(pixels))
+
+    def bearing_jacobian(self, pixels: Array) -> Array:
+        """d bearing / d distorted pixel (n, 3, 2) at distorted pixels (n, 2)."""
+        ideal = self._ideal(pixels)
+        bearing = _unit(ideal)
+        # b = r / |r| with r = (x, y, 1): db/dr = (I - b bᵀ) / |r|, and b_z = 1 / |r|.
+        by_ray = (np.eye(3) - bearing[:, :, None] * bearing[:, None, :]) * bearing[:, 2, None, None]
+        by_ideal_pixel = by_ray[:, :, :2] / np.array([self.fx, self.fy])
+        jacobian: Array = by_ideal_pixel @ self.undistort_jacobian(pixels)
+        return jacobian
+
+    def contains(self, pixels: Array, margin: float = 0.0) -> Mask:
+        """Which pixels (n, 2) lie in the image, its border moved out by `margin` px (in, if negative)."""
+        pixels = _pairs(pixels)
+        limit = np.array([self.width, self.height]) - 0.5 + margin  # pixel centres are integers
+        return np.asarray(((pixels >= -0.5 - margin) & (pixels <= limit)).all(axis=1))
+
+    def scaled(self, width: int, height: int) -> PinholeCamera:
+        """The same lens behind an image resized to width x height (not cropped)."""
+        sx, sy = width / self.width, height / self.height
+        # Pixel centres are integers, so it is the corner (-0.5, -0.5) that stays.
+        cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
+        return PinholeCamera(self.fx * sx, self.fy * sy, cx, cy, width, height, self.distortion)
+
+    def _normalise(self, points: Array) -> tuple[Array, Array, Mask]:
+        """points (n, 3) -> ideal rays (n, 2), d ray / d point (n, 2, 3), which lie in front (n,)."""
+        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        x, y, z = points.T
+        with np.errstate(invalid="ignore", over="ignore"):
+            valid = (z > 0.0) & (np.hypot(x, y) < np.tan(MAX_ANGLE) * z)  # False for NaN
+        depth = np.where(valid, z, 1.0)
+        ideal = points[:, :2] / depth[:, None]
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / depth
+        by_point[:, :, 2] = -ideal / depth[:, None]
+        return ideal, by_point, valid
+
+    def _to_pixels(self, normalised: Array, by_point: Array, valid: Mask) -> tuple[Array, Array, Mask]:
+        focal = np.array([self.fx, self.fy])
+        pixels = np.where(valid[:, None], self._denormalise(normalised), np.nan)
+        jacobian = np.where(valid[:, None, None], focal[:, None] * by_point, np.nan)
+        return pixels, jacobian, valid
+
+    def _ideal(self, pixels: Array) -> Array:
+        """Distorted pixels (n, 2) -> ideal rays (n, 2)."""
+        normalised = self._normalised(pixels)
+        return normalised if self.distortion is None else self.distortion.remove(normalised)
+
+    def _normalised(self, pixels: Array) -> Array:
+        return (_pairs(pixels) - [self.cx, self.cy]) / [self.fx, self.fy]
+
+    def _denormalise(self, normalised: Array) -> Array:
+        return normalised * [self.fx, self.fy] + [self.cx, self.cy]
+
+
+def _pairs(pixels: Array) -> Array:
+    """pixels as float (n, 2), n = 0 included."""
+    return np.asarray(pixels, dtype=float).reshape(-1, 2)
+
+
+def _unit(ideal: Array) -> Array:
+    rays = np.column_stack([ideal, np.ones(len(ideal))])
+    unit: Array = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return unit
+
+
+def _inverse_2x2(matrices: Array) -> Array:
+    """Inverses (n, 2, 2) in closed form: several times cheaper than the general solver at this size."""
+    a, b, c, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+        inverse: Array = adjugate / (a * d - b * c)[:, None, None]
+        return inverse

@@ -1,0 +1,142 @@
+"""Rotations as 3x3 matrices, and the ways in and out of them.
+
+A matrix `a_from_b` takes coordinates in b to coordinates in a. All functions accept leading batch axes.
+Sources: Solà, Deray & Atchuthan, "A micro Lie theory for state estimation in robotics" (2018), appendix B for
+exp and log; Diebel, "Representing attitude" (2006), for quaternions and Euler angles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from swarmtrack.messages import Array
+
+BODY_FROM_FORWARD_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Of a camera (x right, y down, z forward) that looks along the nose: body FRD = [z_cam, x_cam, y_cam]."""
+BODY_FROM_FORWARD_CAMERA.setflags(write=False)
+
+
+def hat(v: ArrayLike) -> Array:
+    """The matrix of the cross product: hat(v) @ w = v × w. v (…, 3) -> (…, 3, 3)."""
+    v = np.asarray(v, dtype=float)
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 2, 1] = v[..., 0]
+    matrix[..., 0, 2] = v[..., 1]
+    matrix[..., 1, 0] = v[..., 2]
+    return matrix - np.swapaxes(matrix, -1, -2)
+
+
+def exp(phi: ArrayLike) -> Array:
+    """The rotation by |phi| [rad] about phi, Rodrigues' formula. phi (…, 3) -> (…, 3, 3)."""
+    phi = np.asarray(phi, dtype=float)
+    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+    # np.sinc is sin(pi x) / (pi x), exact at zero; (1 - cos a) / a² is half a sinc² and keeps its digits too.
+    a = np.sinc(angle / np.pi)
+    b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    cross = hat(phi)
+    R: Array = np.eye(3) + a * cross + b * (cross @ cross)
+    return R
+
+
+def log(R: ArrayLike) -> Array:
+    """The rotation vector [rad] of R, of length 0…pi. R (…, 3, 3) -> (…, 3).
+
+    By way of the quaternion, which keeps its digits near zero and near half a turn alike.
+    At exactly half a turn the axis' sign is free: one of the two is returned.
+    """
+    q = to_quaternion(R)
+    w, v = q[..., :1], q[..., 1:]
+    sine = np.linalg.norm(v, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, w)
+    scale = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
+    phi: Array = scale * v
+    return phi
+
+
+def from_quaternion(q: ArrayLike) -> Array:
+    """The matrix of a quaternion (w, x, y, z), normalised first. q (…, 4) -> (…, 3, 3)."""
+    q = np.asarray(q, dtype=float)
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    if not np.all(norm > 0.0):  # NaN fails this too
+        raise ValueError("quaternion: norm is zero or NaN, expected a rotation (w, x, y, z)")
+    w, x, y, z = np.moveaxis(q / norm, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def to_quaternion(R: ArrayLike) -> Array:
+    """The unit quaternion (w, x, y, z) of R, with w >= 0. R (…, 3, 3) -> (…, 4).
+
+    R gives the outer product 4 q qᵀ; of its rows the one with the largest diagonal is the best conditioned.
+    """
+    R = np.asarray(R, dtype=float)
+    xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    wx, wy, wz = (
+        R[..., 2, 1] - R[..., 1, 2],
+        R[..., 0, 2] - R[..., 2, 0],
+        R[..., 1, 0] - R[..., 0, 1],
+    )
+    xy, xz, yz = (
+        R[..., 0, 1] + R[..., 1, 0],
+        R[..., 0, 2] + R[..., 2, 0],
+        R[..., 1, 2] + R[..., 2, 1],
+    )
+    rows = [
+        [1 + xx + yy + zz, wx, wy, wz],
+        [wx, 1 + xx - yy - zz, xy, xz],
+        [wy, xy, 1 - xx + yy - zz, yz],
+        [wz, xz, yz, 1 - xx - yy + zz],
+    ]
+    outer = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    positive: Array = np.where(q[..., :1] < 0.0, -q, q)
+    return positive
+
+
+def from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
+    """World (NED) from body (FRD), aerospace angles (…) [rad] -> Rz(yaw) Ry(pitch) Rx(roll) (…, 3, 3)."""
+    roll, pitch, yaw = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in (roll, pitch, yaw)))
+    cr, sr, cp, sp, cy, sy = (
+        np.cos(roll),
+        np.sin(roll),
+        np.cos(pitch),
+        np.sin(pitch),
+        np.cos(yaw),
+        np.sin(yaw),
+    )
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def to_euler(R: ArrayLike) -> Array:
+    """(roll, pitch, yaw) [rad] of world-from-body, pitch in -pi/2…pi/2. R (…, 3, 3) -> (…, 3).
+
+    With the nose straight up or down only yaw ∓ roll is defined; the sum is put where the noise puts it.
+    """
+    R = np.asarray(R, dtype=float)
+    roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
+    pitch = np.arctan2(-R[..., 2, 0], np.hypot(R[..., 0, 0], R[..., 1, 0]))
+    # Yaw once roll is undone: right also near the poles, where R[1, 0] and R[0, 0] are both noise.
+    cr, sr = np.cos(roll), np.sin(roll)
+    yaw = np.arctan2(sr * R[..., 0, 2] - cr * R[..., 0, 1], cr * R[..., 1, 1] - sr * R[..., 1, 2])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
+    """Whether every R (…, 3, 3) is orthonormal with determinant +1, each entry of RRᵀ within `tolerance`."""
+    R = np.asarray(R, dtype=float)
+    if R.shape[-2:] != (3, 3) or not np.isfinite(R).all():
+        return False
+    orthonormal = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0) <= tolerance
+    return bool(orthonormal and np.all(np.linalg.det(R) > 0.0))

@@ -1,0 +1,205 @@
+"""The camera against OpenCV as the independent witness, numeric derivatives, and round trips."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
+
+CAMERAS = {
+    "ideal": PinholeCamera(600.0, 610.0, 320.0, 256.0, 640, 512),
+    "euroc": PinholeCamera(
+        458.654, 457.296, 367.215, 248.375, 752, 480,
+        RadTan((-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)),
+    ),
+    "barrel": PinholeCamera(420.0, 420.0, 319.5, 239.5, 640, 480, RadTan((-0.34, 0.13, 1e-3, -2e-3, -0.022))),
+    "pincushion": PinholeCamera(700.0, 700.0, 330.0, 230.0, 640, 480, RadTan((0.3, 0.2, -2e-3, 1e-3))),
+    "rational": PinholeCamera(
+        608.2, 608.1, 638.7, 366.9, 1280, 720,
+        RadTan((0.62, -2.73, 6e-4, -2e-4, 1.61, 0.50, -2.55, 1.53)),
+    ),
+    "fisheye": PinholeCamera(
+        190.98, 190.97, 254.93, 256.90, 512, 512, Equidistant((0.0034, 7.65e-4, -8.2e-4, 1.1e-4))
+    ),
+}  # fmt: skip
+DISTORTED = [name for name in CAMERAS if name != "ideal"]
+
+
+@pytest.fixture(params=CAMERAS)
+def camera(request):
+    return CAMERAS[request.param]
+
+
+def pixels_of(camera, n=400, seed=0):
+    return np.random.default_rng(seed).uniform([0, 0], [camera.width - 1, camera.height - 1], (n, 2))
+
+
+def points_seen_by(camera, n=400, seed=1):
+    """Points [m] whose image lies within the frame."""
+    depth = np.random.default_rng(seed).uniform(0.5, 80.0, (n, 1))
+    bearing = camera.bearing(pixels_of(camera, n, seed))
+    return (depth * bearing)[np.isfinite(bearing).all(axis=1)]
+
+
+def opencv_projection(camera, points):
+    zero = np.zeros(3)
+    if isinstance(camera.distortion, Equidistant):
+        k = np.array(camera.distortion.coefficients)
+        return cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.K, k)[0][:, 0]
+    k = np.array(camera.distortion.coefficients if camera.distortion else (0.0,) * 4)
+    return cv2.projectPoints(points[:, None], zero, zero, camera.K, k)[0][:, 0]
+
+
+def numeric_jacobian(f, x, step=1e-6):
+    """d f / d x by central differences, row by row: f (n, k) -> (n, m), answer (n, m, k)."""
+    columns = []
+    for axis in range(x.shape[1]):
+        h = np.zeros(x.shape[1])
+        h[axis] = step
+        columns.append((f(x + h) - f(x - h)) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def test_projection_is_opencvs(camera):
+    points = points_seen_by(camera)
+    pixels, _, valid = camera.project(points)
+    assert len(points) > 300
+    assert valid.all()
+    assert np.allclose(pixels, opencv_projection(camera, points), atol=1e-8)
+
+
+def test_jacobians_are_the_numeric_ones(camera):
+    points = points_seen_by(camera, 50)
+    pixels, jacobian, _ = camera.project(points)
+    assert np.allclose(
+        jacobian, numeric_jacobian(lambda p: camera.project(p)[0], points), rtol=1e-5, atol=1e-4
+    )
+    _, ideal_jacobian, _ = camera.project_undistorted(points)
+    numeric = numeric_jacobian(lambda p: camera.project_undistorted(p)[0], points)
+    assert np.allclose(ideal_jacobian, numeric, rtol=1e-5, atol=1e-4)
+    for f, answer in (
+        (camera.undistort, camera.undistort_jacobian),
+        (camera.bearing, camera.bearing_jacobian),
+    ):
+        numeric = numeric_jacobian(f, pixels, step=1e-4)
+        assert np.allclose(answer(pixels), numeric, rtol=1e-5, atol=1e-7)
+
+
+def test_undistortion_and_distortion_undo_each_other_all_over_the_image(camera):
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = np.column_stack([u.ravel(), v.ravel()]).astype(float)
+    ideal = camera.undistort(pixels)
+    reached = np.isfinite(ideal).all(axis=1)
+    # Corners of a fisheye image lie outside the image circle; no other camera here may lose a pixel.
+    assert reached.all() or isinstance(camera.distortion, Equidistant)
+    assert reached.mean() > 0.75
+    assert np.abs(camera.distort(ideal[reached]) - pixels[reached]).max() < 1e-9
+
+
+@given(
+    name=st.sampled_from(list(CAMERAS)), u=st.floats(0.1, 0.9), v=st.floats(0.1, 0.9), z=st.floats(0.1, 500)
+)
+def test_a_pixel_lifted_to_any_depth_projects_onto_itself(name, u, v, z):
+    camera = CAMERAS[name]
+    pixel = np.array([[u * camera.width, v * camera.height]])
+    bearing = camera.bearing(pixel)
+    assert np.linalg.norm(bearing) == pytest.approx(1.0, abs=1e-12)
+    back, _, valid = camera.project(z * bearing)
+    assert valid.all()
+    assert np.allclose(back, pixel, atol=1e-6)
+    ideal, _, _ = camera.project_undistorted(z * bearing)
+    assert np.allclose(ideal, camera.undistort(pixel), atol=1e-6)
+    assert np.allclose(camera.bearing_undistorted(ideal), bearing, atol=1e-12)
+
+
+@given(
+    st.tuples(*(st.floats(-limit, limit) for limit in (0.5, 0.3, 0.01, 0.01, 0.1))),
+    st.floats(-1.5, 1.5),
+    st.floats(-1.5, 1.5),
+)
+def test_any_lens_is_undone_within_its_reach_and_answers_nan_beyond(coefficients, x, y):
+    camera = PinholeCamera(500.0, 500.0, 320.0, 240.0, 640, 480, RadTan(coefficients))
+    ideal = np.array([[320 + 500 * x, 240 + 500 * y]])
+    distorted = camera.distort(ideal)
+    back = camera.undistort(distorted)
+    if np.isnan(distorted).any():
+        assert np.isnan(back).all()
+    elif np.hypot(x, y) < 0.9 * camera.distortion.max_radius:
+        assert np.allclose(back, ideal, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", DISTORTED)
+def test_points_beyond_the_lens_models_fold_are_not_valid(name):
+    camera = CAMERAS[name]
+    just_within, beyond = 0.999 * camera.distortion.max_radius, 1.1 * camera.distortion.max_radius
+    points = np.array([[just_within, 0, 1], [beyond, 0, 1], [0, beyond, 1]])
+    pixels, jacobian, valid = camera.project(points)
+    assert valid.tolist() == [True, False, False]
+    assert np.isnan(pixels[1:]).all()
+    assert np.isnan(jacobian[1:]).all()
+
+
+def test_what_is_behind_the_camera_or_not_a_number_is_flagged(camera):
+    points = np.array(
+        [[0, 0, -1.0], [0, 0, 0], [1, 1, -5], [np.nan, 0, 1], [0, 0, np.inf], [1, 0, 1e-300], [0, 0, 2]]
+    )
+    for project in (camera.project, camera.project_undistorted):
+        pixels, jacobian, valid = project(points)
+        assert valid[-1]
+        assert not valid[[0, 1, 2, 3, 5]].any()
+        assert np.isfinite(pixels[valid]).all()
+        assert np.isfinite(jacobian[valid]).all()
+        assert np.isnan(pixels[~valid]).all()
+    assert np.isnan(camera.undistort(np.array([[np.nan, 3.0]]))).any()
+    assert not camera.contains(np.array([[np.nan, 3.0]])).any()
+
+
+def test_no_points_is_an_ordinary_input(camera):
+    none = np.empty((0, 2))
+    pixels, jacobian, valid = camera.project(np.empty((0, 3)))
+    assert (pixels.shape, jacobian.shape, valid.shape) == ((0, 2), (0, 2, 3), (0,))
+    assert camera.undistort(none).shape == camera.distort(none).shape == (0, 2)
+    assert camera.undistort_jacobian(none).shape == (0, 2, 2)
+    assert camera.bearing(none).shape == (0, 3)
+    assert camera.bearing_jacobian(none).shape == (0, 3, 2)
+    assert camera.contains(none).shape == (0,)
+
+
+def test_a_pixels_area_belongs_to_the_image_to_its_edge(camera):
+    w, h = camera.width, camera.height
+    edges = np.array([[-0.5, -0.5], [w - 0.5, h - 0.5], [-0.6, 0], [0, h - 0.4]])
+    assert camera.contains(edges).tolist() == [True, True, False, False]
+    assert camera.contains(edges, margin=1.0).all()
+    assert not camera.contains(edges, margin=-1.0).any()
+
+
+def test_a_scaled_camera_sees_the_same_ray_in_the_resized_pixel(camera):
+    half = camera.scaled(camera.width // 2, camera.height // 2)
+    pixels = pixels_of(camera, 20)
+    resized = (pixels + 0.5) / 2 - 0.5
+    assert np.allclose(half.bearing(resized), camera.bearing(pixels), atol=1e-12, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"fx": 0.0}, "fx: 0.0, expected a focal length"),
+        ({"fy": float("nan")}, "fy: nan, expected a focal length"),
+        ({"cx": float("inf")}, "cx: inf, expected a finite"),
+        ({"width": 0}, "width: 0, expected a whole number"),
+        ({"height": 480.5}, "height: 480.5, expected a whole number"),
+    ],
+)
+def test_wrong_intrinsics_are_refused_by_name(change, words):
+    numbers = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "width": 2, "height": 2}
+    with pytest.raises(ValueError, match=words):
+        PinholeCamera(**{**numbers, **change})
+
+
+def test_wrong_numbers_of_coefficients_are_refused():
+    with pytest.raises(ValueError, match="expected finite numbers, 4"):
+        RadTan((0.1, 0.2, 0.3))
+    with pytest.raises(ValueError, match="expected 4 finite numbers"):
+        Equidistant((0.1, 0.2, 0.3, float("nan")))
