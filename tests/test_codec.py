@@ -1,0 +1,329 @@
+"""The wire: what we write is pinned byte for byte, and no bytes at all can do more than be refused."""
+
+import math
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from swarmtrack import codec
+from swarmtrack.codec import DecodeError
+from swarmtrack.geometry import rotation
+from swarmtrack.messages import Announcement, IdentifiedTrack, LinkStatus, Track, TrackList, TrackStatus
+
+UTC_OFFSET = 1.7e9
+DECODERS = [codec.decode_announcement_message, codec.decode_tracks, codec.decode_health]
+
+ANNOUNCEMENT = Announcement(
+    drone_id=7,
+    boot="0123abcd",
+    sequence=2,
+    t=10.0,
+    t_sigma=0.25,
+    position=np.array([1.0, 2.0, -3.0]),
+    world_from_body=np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),  # q = (1, 1, 1, 1) / 2
+    position_cov=np.diag([0.5, 0.5, 2.0]),
+)
+
+TRACKS = codec.TracksMessage(
+    version=1,
+    t_utc_s=1.7e9,
+    t_sigma_s=0.5,
+    sequence=3,
+    scan_age_s=0.125,
+    tracks=(
+        codec.TrackMessage(
+            id=1,
+            identity="foreign",
+            identity_probability=0.75,
+            u_px=320.0,
+            vu_px_s=-4.0,
+            v_px=256.0,
+            vv_px_s=0.0,
+            cov_upper=(4.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 4.0, 0.0, 9.0),
+            w_px=16.0,
+            h_px=8.0,
+            status="confirmed",
+            probability=1.0,
+            coasting_s=None,
+        ),
+    ),
+)
+
+HEALTH = codec.HealthMessage(
+    version=1,
+    t_utc_s=1.7e9,
+    boot="0123abcd",
+    uptime_s=60.0,
+    cpu_percent=5.5,
+    rss_mb=96.0,
+    rates={"imu": codec.RateHealth(200.0, 199.0), "camera": codec.RateHealth(None, 30.0)},
+    latencies={"detect": codec.LatencyHealth(0.01, 0.02, 0.5)},
+    clock_offset_s=-0.5,
+    clock_offset_sigma_s=0.001,
+    links=(codec.link_health(LinkStatus("camera", True, "30 fps", (("fps", 30.0), ("age_s", math.nan)))),),
+    drops={"frames": 4},
+    events=("camera came back",),
+)
+
+
+def announced() -> bytes:
+    return codec.encode_announcement(ANNOUNCEMENT, UTC_OFFSET)
+
+
+MESSAGES = [announced(), codec.encode_tracks(TRACKS), codec.encode_health(HEALTH)]
+
+
+# --- pinned -----------------------------------------------------------------------------
+
+
+def test_the_announcement_is_these_bytes_for_ever() -> None:
+    assert announced().hex() == (
+        "9a0107a8303132336162636402cb41d954fc42800000cb3fd0000000000000"
+        "93cb3ff0000000000000cb4000000000000000cbc008000000000000"
+        "94cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000"
+        "96cb3fe0000000000000cb0000000000000000cb0000000000000000"
+        "cb3fe0000000000000cb0000000000000000cb4000000000000000c0"
+    )
+
+
+def test_tracks_are_these_bytes_for_ever() -> None:
+    assert codec.encode_tracks(TRACKS).hex() == (
+        "9601cb41d954fc40000000cb3fe000000000000003cb3fc0000000000000919d01a7666f726569676e"
+        "cb3fe8000000000000cb4074000000000000cbc010000000000000cb4070000000000000cb0000000000000000"
+        "9acb4010000000000000cb0000000000000000cb0000000000000000cb0000000000000000cb4022000000000000"
+        "cb0000000000000000cb0000000000000000cb4010000000000000cb0000000000000000cb4022000000000000"
+        "cb4030000000000000cb4020000000000000a9636f6e6669726d6564cb3ff0000000000000c0"
+    )
+
+
+def test_plain_msgpack_reads_the_announcement_by_position() -> None:
+    assert msgpack.unpackb(announced()) == [
+        *[1, 7, "0123abcd", 2, 1700000010.0, 0.25, [1.0, 2.0, -3.0], [0.5, 0.5, 0.5, 0.5]],
+        *[[0.5, 0.0, 0.0, 0.5, 0.0, 2.0], None],
+    ]
+
+
+def test_plain_msgpack_reads_health_by_position() -> None:
+    fields = msgpack.unpackb(codec.encode_health(HEALTH))
+    assert fields[:6] == [1, 1.7e9, "0123abcd", 60.0, 5.5, 96.0]
+    assert fields[6] == {"imu": [200.0, 199.0], "camera": [None, 30.0]}
+    assert fields[10] == [["camera", True, "30 fps", {"fps": 30.0}]]
+
+
+def test_an_announcement_is_under_200_bytes_whatever_it_says() -> None:
+    largest = Announcement(
+        65535, "ffffffff", 2**32 - 1, 0.1, 0.1, np.full(3, 0.1), np.eye(3), np.eye(3) * 0.1 + 0.1
+    )
+    assert len(codec.encode_announcement(largest, UTC_OFFSET)) < 200
+
+
+def test_as_many_tracks_as_are_allowed_fit_into_one_message() -> None:
+    mean, cov = np.full(4, 0.1), np.eye(4)
+    status = TrackStatus.CONFIRMED
+    crowd = tuple(
+        IdentifiedTrack(Track(2**53 - i, 5.0, mean, cov, status, i / 300, np.ones(2), 4.0), "foreign", 0.9)
+        for i in range(300)
+    )
+    message = codec.tracks_message(TrackList(5.0, 4.9, crowd), 0, UTC_OFFSET, 0.01)
+    assert len(codec.encode_tracks(message)) <= codec.MAX_BYTES
+    assert min(t.probability for t in message.tracks) == pytest.approx(45 / 300)  # the least probable go
+
+
+# --- round trip -------------------------------------------------------------------------
+
+metres = st.floats(-1e4, 1e4)
+
+
+@given(
+    drone_id=st.integers(1, 65535),
+    sequence=st.integers(0, 2**32 - 1),
+    t=st.floats(0, 1e6),
+    position=st.tuples(metres, metres, metres),
+    rotation_vector=st.tuples(*[st.floats(-3, 3)] * 3),
+    factor=st.lists(st.floats(-10, 10), min_size=9, max_size=9),
+)
+def test_an_announcement_comes_back_as_it_went(  # noqa: PLR0917
+    drone_id: int, sequence: int, t: float, position: Any, rotation_vector: Any, factor: Any
+) -> None:
+    A = np.reshape(factor, (3, 3))
+    sent = Announcement(
+        drone_id, "89abcdef", sequence, t, 0.1, np.array(position), rotation.exp(rotation_vector), A @ A.T
+    )
+    got = codec.decode_announcement(codec.encode_announcement(sent, UTC_OFFSET), UTC_OFFSET + 5.0)
+    assert (got.drone_id, got.boot, got.sequence, got.t_sigma) == (drone_id, "89abcdef", sequence, 0.1)
+    assert got.t == pytest.approx(t - 5.0, abs=1e-6)  # the receiver's clock started 5 s later
+    np.testing.assert_array_equal(got.position, sent.position)
+    np.testing.assert_allclose(got.world_from_body, sent.world_from_body, atol=1e-9)
+    np.testing.assert_allclose(got.position_cov, sent.position_cov, atol=1e-12)
+
+
+@pytest.mark.parametrize("identity", [None, "foreign", 1, 65535])
+def test_tracks_come_back_as_they_went(identity: Any) -> None:
+    A = np.arange(16.0).reshape(4, 4)
+    track = Track(9, 5.0, np.array([1.0, 2, 3, 4]), A @ A.T, TrackStatus.LOST, 0.5, np.array([7.0, 8.0]), 4.0)
+    tracks = TrackList(5.0, 4.75, (IdentifiedTrack(track, identity, 0.9),))
+    sent = codec.tracks_message(tracks, 12, UTC_OFFSET, 0.01)
+    got = codec.decode_tracks(codec.encode_tracks(sent))
+    assert got == sent
+    assert (got.t_utc_s, got.scan_age_s, got.tracks[0].coasting_s) == (UTC_OFFSET + 5.0, 0.25, 1.0)
+    assert (got.tracks[0].identity, got.tracks[0].status) == (identity, "lost")
+    np.testing.assert_array_equal(codec.track_cov(got.tracks[0]), A @ A.T)
+
+
+def test_health_comes_back_as_it_went() -> None:
+    assert codec.decode_health(codec.encode_health(HEALTH)) == HEALTH
+
+
+def test_a_record_names_every_field_with_its_unit() -> None:
+    record = codec.as_record(TRACKS)
+    assert record["tracks"][0]["vu_px_s"] == -4.0
+    assert codec.as_record(codec.decode_announcement_message(announced()))["position_m"] == [1.0, 2.0, -3.0]
+
+
+# --- refused ----------------------------------------------------------------------------
+
+
+def altered(index: int, value: object, *path: int) -> bytes:
+    """The announcement with one field replaced."""
+    fields = msgpack.unpackb(announced())
+    if path:
+        fields[index][path[0]] = value
+    else:
+        fields[index] = value
+    packed: bytes = msgpack.packb(fields)
+    return packed
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (altered(0, 2), "version 2"),
+        (altered(1, 0), "drone_id"),
+        (altered(1, True), "drone_id"),
+        (altered(1, 65536), "drone_id"),
+        (altered(2, "0123ABCD"), "boot"),
+        (altered(2, "0123abc\n"), "boot"),
+        (altered(3, -1), "sequence"),
+        (altered(4, math.nan), "t_utc_s"),
+        (altered(5, math.inf), "t_sigma_s"),
+        (altered(6, math.nan, 1), "position_m"),
+        (altered(6, 1e300, 1), "position_m"),
+        (altered(6, [1.0, 2.0]), "position_m"),
+        (altered(7, [0.0, 0.0, 0.0, 0.0]), "norm is 0"),
+        (altered(7, 0.51, 3), "unit quaternion"),
+        (altered(8, -0.5, 0), "eigenvalue"),
+        (altered(8, 0.7, 1), "eigenvalue"),
+        (altered(9, b"x" * 65), "signature"),
+        (msgpack.packb([*msgpack.unpackb(announced()), 0]), "length 10, got 11"),
+        (msgpack.packb(dict(enumerate(msgpack.unpackb(announced())))), "array"),
+        (announced() + b"\x00", "trailing"),
+        (b"\x9a\x01\x07\xa8\xff" + announced()[5:], "utf-8"),
+        (bytes(codec.MAX_BYTES + 1), "more than 65536 bytes"),
+        (b"", "truncated"),
+    ],
+)
+def test_an_announcement_that_cannot_be_is_refused_with_the_field_and_the_reason(
+    data: bytes, says: str
+) -> None:
+    with pytest.raises(DecodeError, match=says):
+        codec.decode_announcement(data, UTC_OFFSET)
+
+
+def test_a_track_whose_covariance_is_none_is_refused() -> None:
+    fields = msgpack.unpackb(codec.encode_tracks(TRACKS))
+    fields[5][0][7][1] = 6.1  # correlation above one: 6.1² > 4 x 9
+    with pytest.raises(DecodeError, match="eigenvalue"):
+        codec.decode_tracks(msgpack.packb(fields))
+
+
+def test_what_a_reader_would_refuse_is_not_sent() -> None:
+    mean = np.array([1.0, math.nan, 1.0, 1.0])
+    track = Track(1, 0.0, mean, np.eye(4), TrackStatus.CONFIRMED, 1.0, np.ones(2))
+    message = codec.tracks_message(
+        TrackList(0.0, 0.0, (IdentifiedTrack(track, None, 0.0),)), 0, UTC_OFFSET, 0.1
+    )
+    with pytest.raises(ValueError, match=r"tracks\[0\]\[4\]"):
+        codec.encode_tracks(message)
+
+
+# --- hostile bytes ----------------------------------------------------------------------
+
+
+def assert_refused_or_sound(data: bytes) -> None:
+    """The claim for any bytes at all: DecodeError, or a message whose every number is finite."""
+    for decode in DECODERS:
+        try:
+            message = decode(data)
+        except DecodeError:
+            continue
+        for number in numbers(codec.as_record(message)):
+            assert math.isfinite(number)
+
+
+def numbers(value: Any) -> list[float]:
+    if isinstance(value, dict):
+        return [n for v in value.values() for n in numbers(v)]
+    if isinstance(value, list):
+        return [n for v in value for n in numbers(v)]
+    return [value] if isinstance(value, float) else []
+
+
+@given(st.binary(max_size=400))
+def test_random_bytes_are_refused(data: bytes) -> None:
+    assert_refused_or_sound(data)
+
+
+@given(st.sampled_from(MESSAGES), st.data())
+def test_truncated_messages_are_refused(message: bytes, draw: st.DataObject) -> None:
+    cut = message[: draw.draw(st.integers(0, len(message) - 1))]
+    for decode in DECODERS:
+        with pytest.raises(DecodeError):
+            decode(cut)
+
+
+@given(
+    st.sampled_from(MESSAGES), st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=8)
+)
+def test_mutated_messages_are_refused_or_sound(message: bytes, changes: list[tuple[int, int]]) -> None:
+    mutated = bytearray(message)
+    for position, value in changes:
+        mutated[position % len(mutated)] = value
+    assert_refused_or_sound(bytes(mutated))
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
+    lambda inner: st.lists(inner, max_size=12) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=40,
+)
+
+
+@given(st.sampled_from(MESSAGES), st.integers(0, 30), anything)
+def test_a_field_replaced_by_anything_is_refused_or_sound(message: bytes, index: int, value: object) -> None:
+    fields = msgpack.unpackb(message)
+    fields[index % len(fields)] = value
+    data = msgpack.packb(fields, unicode_errors="surrogatepass")
+    assume(len(data) <= codec.MAX_BYTES)
+    assert_refused_or_sound(data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\xdd\xff\xff\xff\xff",  # an array that claims four thousand million elements
+        b"\x96\x01\x01\x01\x01\x01\xdd\xff\xff\xff\xff",  # ... of tracks
+        b"\x9d\x01\x01\xa8aaaaaaaa\x01\x01\x01\xdf\xff\xff\xff\xff",  # ... a map
+        b"\xc6\xff\xff\xff\xff",
+        b"\x91" * codec.MAX_BYTES,  # nesting as deep as it goes
+        b"\x9a\x01" + b"\x91" * 60_000,
+        b"\x81\x01" * 30_000,
+    ],
+)
+def test_claimed_sizes_and_depths_cost_nothing(data: bytes) -> None:
+    for decode in DECODERS:
+        with pytest.raises(DecodeError):
+            decode(data)
