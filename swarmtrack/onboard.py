@@ -1,0 +1,184 @@
+"""All perception state of one drone.
+
+Theory of operation. The gyro history grows by every IMU sample. The tracker stands at the exposure of the last scan;
+the next scan moves it from exposure to exposure by the gyro's rotation between the two. A scan whose exposure the
+gyro has not reached yet waits for the sample that brackets it (a few milliseconds, at most `MAX_WAIT`), so that its
+result never depends on who arrived first. What holds *now* is that state carried on by the gyro, without being committed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import Identities, IdentityParameters
+from swarmtrack.messages import (
+    Announcement,
+    Array,
+    Detections,
+    EgoPose,
+    ImuSample,
+    Scan,
+    TrackList,
+)
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
+from swarmtrack.tracking.base import Tracker
+
+MAX_WAIT = 0.05  # s: a gyro that is silent for longer is not waited for
+
+
+class ScanReport(NamedTuple):
+    """What came of one scan: its frame's sequence number, and the tracks at its exposure."""
+
+    sequence: int
+    tracks: TrackList
+
+
+@dataclass(slots=True)
+class Counters:
+    """What Onboard refused, and why; published with the health."""
+
+    late_scans: int = 0
+    """Older than the last scan, or than the gyro history."""
+    scans: int = 0
+    detections: int = 0
+    announcements_refused: int = 0
+
+
+@dataclass(slots=True)
+class Mounting:
+    """How the camera sits on the drone, and its clock: exposure on the IMU's clock = stamp + time_offset_s."""
+
+    body_from_camera: Pose
+    time_offset_s: float = 0.0
+    camera_from_body: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.camera_from_body = self.body_from_camera.rotation.T
+
+
+class Onboard:
+    """Told what happened; never asks, waits or sends."""
+
+    def __init__(
+        self,
+        drone_id: int,
+        *,
+        camera: PinholeCamera,
+        mounting: Mounting,
+        tracker: Tracker,
+        gyro: GyroHistory,
+        ego: EgoHistory,
+        identity: IdentityParameters,
+    ) -> None:
+        self.counters = Counters()
+        self.gyro = gyro
+        self._camera = camera
+        self._mounting = mounting
+        self._tracker = tracker
+        self._ego = ego
+        self._identities = Identities(
+            drone_id, camera=camera, body_from_camera=mounting.body_from_camera, parameters=identity
+        )
+        self._orientation: Orientation | None = None  # of the camera at the tracker's time
+        self._waiting: deque[Detections] = deque()
+        self._reports: list[ScanReport] = []
+
+    def on_imu(self, sample: ImuSample) -> None:
+        """One gyro sample."""
+        x, y, z = (self._mounting.camera_from_body @ sample.gyro).tolist()
+        self.gyro.append(sample.t, (x, y, z))
+        self._settle()
+
+    def on_pose(self, pose: EgoPose) -> None:
+        """Where this drone is, by its autopilot."""
+        self._ego.append(pose)
+
+    def on_detections(self, detections: Detections) -> None:
+        """What the detector saw in one frame, however long ago it was exposed."""
+        self._waiting.append(detections)
+        self._settle()
+
+    def on_announcement(self, announcement: Announcement) -> None:
+        """A teammate's ID and initial pose."""
+        if not self._identities.announce(announcement):
+            self.counters.announcements_refused += 1
+
+    def tracks(self, now: float) -> TrackList:
+        """Everything tracked, carried on to now."""
+        self._settle(now)
+        if self._tracker.t is None or self._orientation is None:
+            return TrackList(now, now, ())
+        turn = rotation_between(self._orientation, self.gyro.orientation(now))
+        carried = self._tracker.at(now, turn.matrix, turn.variance)
+        return TrackList(now, self._tracker.t, self._identities.label(carried))
+
+    def ego_pose(self, t: float) -> EgoPose | None:
+        """Where this drone itself was at t, in the team frame."""
+        return self._ego.at(t)
+
+    @property
+    def teammates(self) -> dict[int, Announcement]:
+        """The latest announcement of every teammate."""
+        return self._identities.announced
+
+    @property
+    def tracker_counters(self) -> dict[str, int]:
+        return dict(self._tracker.counters)
+
+    def take_reports(self) -> list[ScanReport]:
+        """Hand over what came of the scans since the last call."""
+        reports, self._reports = self._reports, []
+        return reports
+
+    def _settle(self, now: float | None = None) -> None:
+        """Track every waiting scan whose exposure the gyro has reached, or will not reach in time."""
+        while self._waiting:
+            exposure = self._exposure(self._waiting[0])
+            newest = self.gyro.newest
+            gyro_is_silent = newest is None or newest < exposure - MAX_WAIT
+            gave_up = now is not None and now > exposure + MAX_WAIT
+            if newest is not None and newest < exposure and not (gyro_is_silent or gave_up):
+                return
+            self._track(self._waiting.popleft(), exposure)
+
+    def _exposure(self, detections: Detections) -> float:
+        return detections.t + self._mounting.time_offset_s
+
+    def _track(self, detections: Detections, t: float) -> None:
+        newest = self.gyro.newest
+        before = self._tracker.t
+        too_old = newest is not None and t < newest - self.gyro.history_s
+        if too_old or (before is not None and t <= before):
+            self.counters.late_scans += 1
+            return
+        orientation = self.gyro.orientation(t)
+        turn = rotation_between(self._orientation or orientation, orientation)
+        self._tracker.predict(t, turn.matrix, turn.variance)
+        self._tracker.update(_scan(detections, t, self._camera))
+        self._orientation = orientation
+        self.counters.scans += 1
+        self.counters.detections += len(detections)
+        tracks = self._tracker.tracks
+        observer = self._ego.at(t)
+        if observer is not None:
+            self._identities.observe(tracks, observer)
+        labelled = self._identities.label(tracks)
+        self._reports.append(ScanReport(detections.sequence, TrackList(t, t, labelled)))
+
+
+def _scan(detections: Detections, t: float, camera: PinholeCamera) -> Scan:
+    """The detections in undistorted pixels; what the distortion cannot undo is left out."""
+    z = camera.undistort(detections.centre)
+    good = np.isfinite(z).all(axis=1)
+    R = None
+    if detections.covariance is not None:
+        J = camera.undistort_jacobian(detections.centre[good])
+        R = J @ detections.covariance[good] @ J.swapaxes(1, 2)
+    return Scan(t, z[good], R, detections.size[good], detections.score[good])

@@ -1,0 +1,34 @@
+"""Multi-target tracking in the image plane. `create_tracker` makes any of `TRACKERS` by name."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from difflib import get_close_matches
+from typing import Any
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Scan
+from swarmtrack.tracking.base import Tracker
+from swarmtrack.tracking.kalman import KalmanTracker
+
+__all__ = ["TRACKERS", "Scan", "Tracker", "create_tracker"]
+
+TRACKERS: dict[str, type[Tracker]] = {  # a visible table: add a tracker by its module and one line here
+    "kalman": KalmanTracker,
+}
+
+
+def create_tracker(name: str, *, camera: PinholeCamera, **parameters: Any) -> Tracker:
+    """A tracker by name; parameters as its `Parameters` names them.
+
+    Raises ValueError for an unknown name, an unknown parameter or a value out of range, naming what was expected.
+    """
+    if name not in TRACKERS:
+        raise ValueError(f"tracker.name: found {name!r}, expected one of {', '.join(TRACKERS)}")
+    kind = TRACKERS[name]
+    known = [field.name for field in fields(kind.Parameters)]
+    for key in parameters:
+        if key not in known:
+            nearest = get_close_matches(key, known, n=1, cutoff=0.0)[0]
+            raise ValueError(f"tracker.{key}: unknown parameter of {name}, did you mean {nearest}?")
+    return kind(camera, kind.Parameters(**parameters))

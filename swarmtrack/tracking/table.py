@@ -1,0 +1,78 @@
+"""All tracks of one tracker as arrays, a row a track: no object per track in the hot path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array, Track, TrackStatus
+
+LOST_BELOW = 0.1  # existence of a track that was confirmed: rather gone, or hidden, than there
+
+
+@dataclass(slots=True)
+class TrackTable:
+    """n tracks. mean (n, 4), cov (n, 4, 4), existence (n,), size (n, 2) px NaN while unknown, confirmed (n,): ever was;
+    last_seen (n,) s: the last scan that detected it; missed_since (n,) s: the first scan after it, NaN while detected.
+    """
+
+    id: NDArray[np.int64]
+    mean: Array
+    cov: Array
+    existence: Array
+    size: Array
+    confirmed: NDArray[np.bool_]
+    last_seen: Array
+    missed_since: Array
+
+    @classmethod
+    def empty(cls) -> TrackTable:
+        return cls(
+            np.empty(0, np.int64),
+            np.empty((0, 4)),
+            np.empty((0, 4, 4)),
+            np.empty(0),
+            np.empty((0, 2)),
+            np.empty(0, np.bool_),
+            np.empty(0),
+            np.empty(0),
+        )
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def keep(self, mask: NDArray[np.bool_]) -> None:
+        """Drop every track whose mask (n,) is False."""
+        for column in fields(self):
+            setattr(self, column.name, getattr(self, column.name)[mask])
+
+    def append(self, other: TrackTable) -> None:
+        for column in fields(self):
+            joined = np.concatenate([getattr(self, column.name), getattr(other, column.name)])
+            setattr(self, column.name, joined)
+
+    def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
+        """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
+        columns = zip(
+            self.id.tolist(),
+            mean,
+            cov,
+            self.confirmed.tolist(),
+            self.existence.tolist(),
+            self.size,
+            self.missed_since.tolist(),
+            strict=True,
+        )
+        return tuple(
+            Track(id, t, x, P, _status(confirmed, r), r, size, None if math.isnan(missed) else missed)
+            for id, x, P, confirmed, r, size, missed in columns
+        )
+
+
+def _status(confirmed: bool, existence: float) -> TrackStatus:
+    if not confirmed:
+        return TrackStatus.TENTATIVE
+    return TrackStatus.CONFIRMED if existence >= LOST_BELOW else TrackStatus.LOST

@@ -1,0 +1,206 @@
+"""Onboard as a whole: late scans, gaps, who is who. No loop, no thread, no mock."""
+
+import numpy as np
+import pytest
+
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera, RadTan
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.messages import Announcement, Detections, EgoPose, ImuSample
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.tracking import TRACKERS, create_tracker
+
+CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
+FORWARD = Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+START = Pose(np.eye(3), np.zeros(3))
+NO_ACCEL = np.full(3, np.nan)
+
+
+def onboard(tracker="kalman", camera=CAMERA, start=START, offset=0.0, **identity):
+    return Onboard(
+        1,
+        camera=camera,
+        mounting=Mounting(FORWARD, offset),
+        tracker=create_tracker(tracker, camera=camera, clutter_per_scan=0.5),
+        gyro=GyroHistory(),
+        ego=EgoHistory(start=start),
+        identity=IdentityParameters(**identity),
+    )
+
+
+def seen(t, *pixels, sequence=0):
+    n = len(pixels)
+    centre = np.array(pixels, float).reshape(n, 2)
+    return Detections(t, sequence, centre, np.full((n, 2), 30.0), np.full(n, 0.9))
+
+
+def gyro_rate(t):
+    return np.array([0.3 * np.sin(7 * t), 0.2, 1.5 * np.cos(5 * t)])
+
+
+def flight(latency, tracker="kalman", imu_hz=200.0, fps=15.0, seconds=1.5):
+    """One second and a half of a turning camera; detections reach Onboard `latency` s after their exposure."""
+    drone = onboard(tracker)
+    rng = np.random.default_rng(4)
+    scans = [
+        seen(0.003 + k / fps, *(np.array([[200.0, 200.0], [420.0, 260.0]]) + rng.normal(0, 2, (2, 2))))
+        for k in range(int((seconds - 0.1) * fps))
+    ]
+    events = [
+        (k / imu_hz, 0, ImuSample(k / imu_hz, gyro_rate(k / imu_hz), NO_ACCEL))
+        for k in range(int((seconds + latency) * imu_hz))
+    ]
+    events += [(scan.t + latency, 1, scan) for scan in scans]
+    for _, kind, event in sorted(events, key=lambda e: e[:2]):
+        if kind == 0:
+            drone.on_imu(event)
+        else:
+            drone.on_detections(event)
+    return drone, scans
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+@pytest.mark.parametrize("latency", [0.004, 0.15, 0.5, 1.9])
+def test_a_late_scan_leaves_the_state_it_would_have_left_at_once(tracker, latency):
+    at_once, scans = flight(0.0, tracker)
+    late, _ = flight(latency, tracker)
+    assert at_once.counters.scans == late.counters.scans == len(scans)
+    for a, b in zip(at_once.take_reports(), late.take_reports(), strict=True):
+        assert len(a.tracks.tracks) == len(b.tracks.tracks)
+        for x, y in zip(a.tracks.tracks, b.tracks.tracks, strict=True):
+            assert x.track.mean == pytest.approx(y.track.mean, abs=1e-9)
+            assert x.track.cov == pytest.approx(y.track.cov, abs=1e-9)
+
+
+def test_what_is_shown_now_is_the_last_scan_carried_on_by_the_gyro():
+    drone, _ = flight(0.0)
+    report = drone.take_reports()[-1].tracks
+    now = report.t + 0.04
+    turn = drone.gyro.rotation(report.t, now).matrix
+    was, shown = report.tracks[0].track, drone.tracks(now).tracks[0].track
+    bearing = CAMERA.bearing_undistorted((was.mean[::2] + 0.04 * was.mean[1::2])[None])[0]
+    assert shown.mean[::2] == pytest.approx(
+        CAMERA.project_undistorted((turn @ bearing)[None])[0][0], abs=1e-6
+    )
+
+
+def test_a_scan_older_than_the_history_or_the_last_scan_is_refused_and_counted():
+    drone, scans = flight(0.0)
+    drone.on_detections(scans[3])
+    drone.on_imu(ImuSample(9.0, np.zeros(3), NO_ACCEL))
+    drone.on_detections(seen(6.9, (100, 100)))
+    assert drone.counters.late_scans == 2
+
+
+def test_without_a_gyro_scans_are_tracked_at_once():
+    drone = onboard()
+    for k in range(6):
+        drone.on_detections(seen(k / 15, (200, 200), sequence=k))
+    assert [report.sequence for report in drone.take_reports()] == list(range(6))
+    assert drone.tracks(0.4).tracks[0].track.status == "confirmed"
+
+
+def test_a_gyro_that_fell_silent_holds_nothing_up():
+    drone, _ = flight(0.0)
+    scans = drone.counters.scans
+    drone.on_detections(seen(2.0, (200, 200)))
+    assert drone.counters.scans == scans + 1
+
+
+def test_detections_of_a_distorted_image_are_tracked_undistorted():
+    camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.0, 0.0)))
+    drone = onboard(camera=camera)
+    for k in range(5):
+        drone.on_detections(seen(k / 15, (100, 80)))
+    truth = camera.undistort(np.array([[100.0, 80.0]]))[0]
+    assert np.linalg.norm(truth - [100, 80]) > 5.0
+    assert drone.tracks(4 / 15).tracks[0].track.mean[::2] == pytest.approx(truth, abs=0.5)
+
+
+def test_the_time_offset_moves_the_exposure_onto_the_imu_s_clock():
+    drone = onboard(offset=0.030)
+    drone.on_detections(seen(1.0, (200, 200)))
+    assert drone.tracks(1.1).scan_t == pytest.approx(1.030)
+
+
+def announced(drone_id, position, t=0.0, boot="0000000a", sequence=0):
+    return Announcement(
+        drone_id, boot, sequence, t, 0.0, np.array(position, float), np.eye(3), 0.01 * np.eye(3)
+    )
+
+
+def identities(drone, t):
+    return {entry.identity for entry in drone.tracks(t).tracks if entry.track.status == "confirmed"}
+
+
+def watch(drone, pixels, *, start=0, scans=8):
+    for k in range(start, start + scans):
+        drone.on_detections(seen(k / 15, *pixels))
+    return (start + scans - 1) / 15
+
+
+def test_teammates_are_named_by_where_they_said_they_are():
+    drone = onboard()
+    drone.on_announcement(announced(2, [6.0, -1.0, 0.0]))  # left of the view: north 6 m, west 1 m
+    drone.on_announcement(announced(3, [6.0, 1.0, -0.5]))
+    left, right = (320 - 430 / 6, 240.0), (320 + 430 / 6, 240 - 430 * 0.5 / 6)
+    t = watch(drone, [right, left])
+    by_place = {round(e.track.mean[0]): e.identity for e in drone.tracks(t).tracks}
+    assert by_place == {round(left[0]): 2, round(right[0]): 3}
+
+
+def test_a_stranger_far_from_every_announced_pose_stays_unknown():
+    drone = onboard()
+    drone.on_announcement(announced(2, [6.0, -1.0, 0.0]))
+    t = watch(drone, [(320 - 430 / 6, 240.0), (600.0, 60.0)])
+    assert identities(drone, t) == {2, None}
+
+
+def test_two_drones_that_project_onto_one_spot_stay_unknown():
+    drone = onboard()
+    drone.on_announcement(announced(2, [6.0, 0.00, 0.0]))
+    drone.on_announcement(announced(3, [8.0, 0.01, 0.0]))
+    t = watch(drone, [(318.0, 240.0), (324.0, 240.0)])
+    assert identities(drone, t) == {None}
+
+
+def test_the_paper_s_profile_gives_one_id_twice_where_ours_says_unknown():
+    spots = [(318.0, 240.0), (330.0, 250.0)]
+    paper, ours = onboard(profile="paper"), onboard()
+    for drone in (paper, ours):
+        drone.on_announcement(announced(2, [6.0, 0.0, 0.0]))
+    duplicates = [e.identity for e in paper.tracks(watch(paper, spots)).tracks]
+    assert duplicates == [2, 2]
+    assert [e.identity for e in ours.tracks(watch(ours, spots)).tracks].count(2) <= 1
+
+
+def test_an_identity_stays_with_its_track_when_the_drone_flies_off():
+    drone = onboard()
+    drone.on_announcement(announced(2, [6.0, 0.0, 0.0]))
+    for k in range(60):
+        drone.on_detections(seen(k / 15, (320.0 + 4 * max(k - 10, 0), 240.0)))
+    assert identities(drone, 59 / 15) == {2}
+
+
+def test_a_new_boot_is_identified_anew_and_an_old_announcement_changes_nothing():
+    drone = onboard()
+    drone.on_announcement(announced(2, [6.0, 0.0, 0.0], sequence=1))
+    drone.on_announcement(announced(2, [6.0, 3.0, 0.0], sequence=0))
+    assert drone.counters.announcements_refused == 1
+    t = watch(drone, [(320.0, 240.0)])
+    assert identities(drone, t) == {2}
+    drone.on_announcement(announced(2, [6.0, 2.5, 0.0], boot="0000000b", t=t))
+    t = watch(drone, [(320.0, 240.0)], start=8)
+    assert identities(drone, t) == {None}
+
+
+def test_the_local_frame_of_the_autopilot_is_moved_to_where_the_drone_starts():
+    facing_east = Pose(rotation.from_euler(0.0, 0.0, np.pi / 2), np.array([10.0, 20.0, -1.5]))
+    drone = onboard(start=facing_east)
+    for t, north in ((0.0, 0.0), (1.0, 2.0)):  # its own frame: facing north, then 2 m ahead
+        drone.on_pose(EgoPose(t, np.array([north, 0.0, 0.0]), np.eye(3)))
+    assert drone.ego_pose(0.5).position == pytest.approx([10.0, 21.0, -1.5])
+    assert drone.ego_pose(1.0).world_from_body @ [1, 0, 0] == pytest.approx([0.0, 1.0, 0.0])

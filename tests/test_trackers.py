@@ -1,0 +1,195 @@
+"""What every tracker must do; each name in TRACKERS passes the same list."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.tracking import TRACKERS, Scan, create_tracker
+from swarmtrack.tracking.association import most_likely_matching
+
+CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
+every_tracker = pytest.mark.parametrize("name", TRACKERS)
+
+
+def play(tracker, truth, rng, *, hz=15.0, seconds=6.0, sigma=1.5, p_detection=0.9, clutter=2.0, rate=None):
+    """Feed scans of `truth(t) -> (n, 2)` px; returns [(t, truth, tracks)]. `rate` (3,) rad/s: the camera turns."""
+    history = []
+    for k in range(int(seconds * hz)):
+        t = k / hz
+        points = truth(t)
+        seen = points[rng.random(len(points)) < p_detection]
+        false = rng.uniform([0, 0], [640, 480], (rng.poisson(clutter), 2))
+        z = np.concatenate([seen + rng.normal(0, sigma, seen.shape), false])
+        tracker.predict(t, None if rate is None else rotation.exp(-np.asarray(rate) / hz))
+        assert tracker.update(Scan(t, rng.permutation(z)))
+        history.append((t, points, tracker.tracks))
+    return history
+
+
+def confirmed(tracks):
+    return [track for track in tracks if track.status == "confirmed"]
+
+
+def errors(points, tracks):
+    return [min(np.linalg.norm(p - track.mean[::2]) for track in tracks) for p in points]
+
+
+def crossing(t):
+    return np.array([[100.0 + 60 * t, 150.0 + 20 * t], [460.0 - 60 * t, 160.0 + 20 * t], [300.0, 400.0]])
+
+
+@every_tracker
+def test_targets_are_found_without_being_told_and_kept(name):
+    for seed in range(10):
+        tracker = create_tracker(name, camera=CAMERA, clutter_per_scan=2.0, measurement_sigma=1.5)
+        for t, points, tracks in play(tracker, crossing, np.random.default_rng(seed)):
+            if t > 1.0:
+                held = [track for track in tracks if track.status != "tentative"]
+                assert max(errors(points, held)) < 12.0, (seed, t)
+
+
+@every_tracker
+def test_clutter_alone_confirms_next_to_nothing(name):
+    ids = set()
+    for seed in range(20):
+        tracker = create_tracker(name, camera=CAMERA, clutter_per_scan=5.0)
+        for _, _, tracks in play(
+            tracker, lambda t: np.empty((0, 2)), np.random.default_rng(seed), clutter=5.0
+        ):
+            ids |= {(seed, track.id) for track in confirmed(tracks)}
+    assert len(ids) <= 2  # in two minutes
+
+
+@every_tracker
+def test_a_target_that_leaves_is_dropped_in_a_second(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    here = np.array([[200.0, 200.0]])
+    play(tracker, lambda t: here if t < 3.0 else here[:0], np.random.default_rng(1), seconds=4.2, clutter=0.0)
+    assert tracker.tracks == ()
+
+
+@every_tracker
+def test_a_camera_that_yaws_and_rolls_does_not_disturb_it(name):
+    rate = np.array([0.1, 1.5, 0.4])
+    start = rotation.exp(np.array([0.0, -0.6, 0.0])) @ np.array([0.1, 0.0, 1.0])
+
+    def still_in_the_world(t):
+        x, y, z = rotation.exp(-rate * t) @ rotation.exp(np.array([0.0, 1.2, 0.0])) @ start
+        return np.array([[430 * x / z + 320, 430 * y / z + 240]])
+
+    tracker = create_tracker(name, camera=CAMERA, measurement_sigma=0.5)
+    history = play(
+        tracker,
+        still_in_the_world,
+        np.random.default_rng(3),
+        seconds=0.8,
+        sigma=0.5,
+        clutter=0.0,
+        p_detection=1.0,
+        rate=rate,
+    )
+    _, points, tracks = history[-1]
+    (track,) = confirmed(tracks)
+    assert track.mean[::2] == pytest.approx(points[0], abs=3.0)
+    assert np.abs(track.mean[1::2]).max() < 60.0  # px/s: its own velocity is nil, the flow is 650
+
+
+@every_tracker
+def test_known_starts_are_confirmed_at_once(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    ids = tracker.initiate(0.0, np.array([[100.0, 100.0], [300.0, 200.0]]))
+    assert [track.id for track in confirmed(tracker.tracks)] == ids
+    assert tracker.tracks[1].mean == pytest.approx([300.0, 0.0, 200.0, 0.0])
+
+
+@every_tracker
+def test_looking_ahead_changes_nothing(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    play(tracker, crossing, np.random.default_rng(0), seconds=1.0)
+    before = tracker.tracks
+    ahead = tracker.at(3.0, rotation.exp(np.array([0.0, 0.2, 0.0])))
+    assert [track.t for track in ahead] == [3.0] * len(before)
+    for was, now in zip(before, tracker.tracks, strict=True):
+        assert (was.mean == now.mean).all()
+        assert (was.cov == now.cov).all()
+
+
+@every_tracker
+def test_a_late_scan_and_the_same_scan_again_are_refused_and_counted(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    tracker.update(Scan(1.0, np.array([[10.0, 10.0]])))
+    assert not tracker.update(Scan(1.0, np.array([[10.0, 10.0]])))
+    assert not tracker.update(Scan(0.5, np.array([[10.0, 10.0]])))
+    assert tracker.counters["late_scans"] == 2
+
+
+@every_tracker
+@pytest.mark.parametrize(
+    "z",
+    [
+        np.empty((0, 2)),
+        [[np.nan, 3.0]],
+        [[np.inf, 3.0]],
+        [[1e12, 3.0]],
+        [[-900.0, 9999.0]],
+        [[50.0, 50.0]] * 3,
+    ],
+)
+def test_odd_measurements_have_a_defined_outcome(name, z):
+    tracker = create_tracker(name, camera=CAMERA)
+    tracker.initiate(0.0, np.array([[50.0, 50.0]]))
+    for k in range(1, 4):
+        tracker.predict(0.1 * k)
+        assert tracker.update(Scan(0.1 * k, np.array(z)))
+    for track in tracker.tracks:
+        assert np.isfinite(track.mean).all()
+        assert 0.0 <= track.probability <= 1.0
+
+
+measurements = st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 530)), max_size=8)
+
+
+@every_tracker
+@given(scans=st.lists(st.tuples(st.floats(1e-3, 0.8), measurements), min_size=1, max_size=12))
+@settings(max_examples=40, deadline=None)
+def test_covariances_stay_symmetric_and_positive(name, scans):
+    tracker = create_tracker(name, camera=CAMERA, measurement_sigma=0.1)
+    t = 0.0
+    for dt, z in scans:
+        t += dt
+        tracker.predict(t, rotation.exp(np.array([0.05, -0.1, 0.2])), 1e-5)
+        tracker.update(Scan(t, np.array(z).reshape(-1, 2)))
+        for track in tracker.tracks:
+            assert track.cov == pytest.approx(track.cov.T, rel=1e-9)
+            assert np.linalg.eigvalsh(track.cov).min() > 0.0
+
+
+@every_tracker
+def test_wrong_parameters_are_named(name):
+    with pytest.raises(ValueError, match="did you mean clutter_per_scan"):
+        create_tracker(name, camera=CAMERA, cluter_per_scan=1.0)
+    with pytest.raises(ValueError, match=r"p_detection: found 1\.4, expected a probability"):
+        create_tracker(name, camera=CAMERA, p_detection=1.4)
+
+
+def test_an_unknown_tracker_is_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match="found 'sort', expected one of kalman"):
+        create_tracker("sort", camera=CAMERA)
+
+
+@given(st.integers(0, 4), st.integers(0, 4), st.integers(0, 10_000))
+@settings(max_examples=80, deadline=None)
+def test_the_matching_is_the_best_of_all(n, m, seed):
+    gain = np.random.default_rng(seed).normal(0.0, 2.0, (n, m))
+    best = 0.0
+    for k in range(min(n, m) + 1):
+        for rows in itertools.combinations(range(n), k):
+            for columns in itertools.permutations(range(m), k):
+                best = max(best, sum(gain[i, j] for i, j in zip(rows, columns, strict=True)))
+    rows, columns = most_likely_matching(gain)
+    assert gain[rows, columns].sum() == pytest.approx(best)
