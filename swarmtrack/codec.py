@@ -2,11 +2,11 @@
 
 Every message is an array whose first element is its version; `docs/wire.md` lists the fields. Nobody vouches
 for the bytes, so they are capped in size before anything reads them, then typed and bounded by msgspec, then
-checked for what types cannot say: finite numbers, unit quaternions, covariances that are ones. Anything else is
-a `DecodeError`, and nothing else is ever raised.
+checked for what types cannot say: finite numbers, unit quaternions, covariances that are ones. Anything else
+is a `DecodeError`, and nothing else is ever raised.
 
-On the wire times are UTC. `utc_offset` is `clock.utc() - clock.now()`, sampled by the transport as it sends and
-as it receives.
+On the wire times are UTC. `utc_offset` is `clock.utc() - clock.now()`, sampled by the transport as it sends
+and as it receives.
 """
 
 from __future__ import annotations

@@ -1,0 +1,62 @@
+"""Where things are said: `swarmtrack/<team>/v1/<kind>/<id>[/…]`, and how each kind is read."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from collections.abc import Callable
+from typing import NamedTuple
+
+from swarmtrack import codec
+from swarmtrack.transport.base import Kind
+
+ROOT = "swarmtrack"
+VERSION = "v1"
+
+ENCODINGS: dict[Kind, str] = {
+    Kind.POSE: "application/msgpack;swarmtrack.Announcement/1",
+    Kind.TRACKS: "application/msgpack;swarmtrack.Tracks/1",
+    Kind.HEALTH: "application/msgpack;swarmtrack.Health/1",
+}
+
+DECODERS: dict[Kind, Callable[[bytes], codec.Message]] = {
+    Kind.POSE: codec.decode_announcement_message,
+    Kind.TRACKS: codec.decode_tracks,
+    Kind.HEALTH: codec.decode_health,
+}
+
+_KEY = re.compile(
+    rf"{ROOT}/(?P<team>[^/]+)/{VERSION}/(?P<kind>{'|'.join(Kind)})/(?P<id>[1-9][0-9]{{0,4}})(?P<rest>(/[^/]+)*)"
+)
+_BOOT = re.compile("[0-9a-f]{8}")
+
+
+class Address(NamedTuple):
+    """A key, taken apart."""
+
+    team: str
+    kind: Kind
+    drone_id: int
+    rest: tuple[str, ...]
+
+
+def key(team: str, kind: Kind | str, *rest: int | str) -> str:
+    """`key("red", Kind.ALIVE, 3, "0123abcd")` is `swarmtrack/red/v1/alive/3/0123abcd`; `*` is a wildcard."""
+    return "/".join([ROOT, team, VERSION, str(kind), *map(str, rest)])
+
+
+def parse(text: str) -> Address | None:
+    """The key's parts, or None where it is none of ours."""
+    match = _KEY.fullmatch(text)
+    if match is None or int(match["id"]) > 65535:
+        return None
+    return Address(match["team"], Kind(match["kind"]), int(match["id"]), tuple(match["rest"].split("/")[1:]))
+
+
+def is_boot(text: str) -> bool:
+    return _BOOT.fullmatch(text) is not None
+
+
+def new_boot() -> str:
+    """A name for one life of a process: 8 hex digits, by chance, because nothing else survives every restart."""
+    return secrets.token_hex(4)

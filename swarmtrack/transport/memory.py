@@ -1,0 +1,162 @@
+"""A network inside one process, with faults that happen when told to. For tests and simulations.
+
+It carries the same bytes on the same keys as Zenoh does, and loses them by script: `hub.lose`, `hub.partition`,
+`hub.kill`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Iterable
+
+from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.peers import Outgoing, Peers
+
+PUBLISHED = (Kind.TRACKS, Kind.HEALTH)
+
+
+class MemoryHub:
+    """The air between `MemoryTransport`s.
+
+    lose(sender, receiver, key): whether this message, question or answer gets lost; tokens never do, like Zenoh's.
+    listeners: called with every (key, payload) published, as a monitor would hear it.
+    """
+
+    def __init__(self) -> None:
+        self.lose: Callable[[int, int, str], bool] = lambda sender, receiver, key: False
+        self.listeners: list[Callable[[str, bytes], None]] = []
+        self._members: list[MemoryTransport] = []
+        self._islands: list[frozenset[int]] = []
+
+    def partition(self, *islands: Iterable[int]) -> None:
+        """From now on each island of drone IDs hears only itself; who is on none hears all."""
+        self._change_links([frozenset(island) for island in islands])
+
+    def heal(self) -> None:
+        self._change_links([])
+
+    def kill(self, transport: MemoryTransport) -> None:
+        """As kill -9: no farewell, the others see the token go."""
+        self._leave(transport)
+        transport._stop()
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Anything, by anyone, heard by all."""
+        for member in self._members:
+            member._receive(key, payload)
+
+    # --- for MemoryTransport ---
+
+    def _join(self, newcomer: MemoryTransport) -> None:
+        self._members.append(newcomer)
+        for member in self._members:
+            if self._linked(member, newcomer):
+                member._receive_token(newcomer.token, True)
+                newcomer._receive_token(member.token, True)
+
+    def _leave(self, leaver: MemoryTransport) -> None:
+        if leaver in self._members:
+            self._members.remove(leaver)
+            for member in self._members:
+                if self._linked(member, leaver):
+                    member._receive_token(leaver.token, False)
+
+    def _send(self, sender: MemoryTransport, key: str, payload: bytes) -> None:
+        for listener in self.listeners:
+            listener(key, payload)
+        for member in self._members:
+            if member is not sender and self._carries(sender, member, key):
+                member._receive(key, payload)
+
+    def _ask(self, asker: MemoryTransport, drone_id: int) -> None:
+        for member in self._members:
+            answer = member._outgoing.payload
+            if member.drone_id != drone_id or member is asker or answer is None:
+                continue
+            key = member._key(Kind.POSE)
+            if self._carries(asker, member, key) and self._carries(member, asker, key):
+                asker._receive(key, answer)
+
+    def _carries(self, sender: MemoryTransport, receiver: MemoryTransport, key: str) -> bool:
+        return self._linked(sender, receiver) and not self.lose(sender.drone_id, receiver.drone_id, key)
+
+    def _linked(self, a: MemoryTransport, b: MemoryTransport) -> bool:
+        if a.team != b.team:
+            return False
+        return all((a.drone_id in island) == (b.drone_id in island) for island in self._islands)
+
+    def _change_links(self, islands: list[frozenset[int]]) -> None:
+        pairs = [(a, b) for a in self._members for b in self._members if a is not b]
+        before = [self._linked(a, b) for a, b in pairs]
+        self._islands = islands
+        for (a, b), was in zip(pairs, before, strict=True):
+            if self._linked(a, b) != was:
+                a._receive_token(b.token, not was)
+
+
+class MemoryTransport:
+    """One drone's end of a `MemoryHub`."""
+
+    def __init__(self, hub: MemoryHub, team: str, drone_id: int, boot: str, clock: Clock) -> None:
+        self.team = team
+        self.drone_id = drone_id
+        self.token = keys.key(team, Kind.ALIVE, drone_id, boot)
+        self._hub = hub
+        self._peers = Peers(team, drone_id, boot, clock)
+        self._outgoing = Outgoing(drone_id, boot, clock)
+        self._reconciliation: asyncio.Task[None] | None = None
+        self._published: Counter[str] = Counter()
+
+    async def open(self) -> None:
+        self._hub._join(self)
+        self._reconciliation = asyncio.create_task(
+            self._peers.ask_for_missing(lambda drone_id: self._hub._ask(self, drone_id)),
+            name="reconciliation",
+        )
+
+    async def announce(self, announcement: Announcement) -> None:
+        self._hub._send(self, self._key(Kind.POSE), self._outgoing.replace(announcement))
+
+    def publish(self, kind: Kind, payload: bytes) -> None:
+        if kind not in PUBLISHED:
+            raise ValueError(f"publish: found {kind}, expected one of {', '.join(PUBLISHED)}")
+        self._published[f"{kind}_sent"] += 1
+        self._hub._send(self, self._key(kind), payload)
+
+    def events(self) -> AsyncIterator[PeerEvent]:
+        return self._peers.events()
+
+    def status(self) -> LinkStatus:
+        alive, missing = self._peers.alive, self._peers.missing
+        counters = {"peers": len(alive), "missing": len(missing), **self._published, **self._peers.counters}
+        text = f"{len(alive)} peers, {len(missing)} of them unannounced"
+        return LinkStatus("memory", self._reconciliation is not None, text, tuple(counters.items()))
+
+    async def close(self) -> None:
+        self._hub._leave(self)
+        self._stop()
+        if self._reconciliation is not None:
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._reconciliation
+            self._reconciliation = None
+
+    def _stop(self) -> None:
+        if self._reconciliation is not None:
+            self._reconciliation.cancel()
+        self._peers.close()
+
+    def _key(self, kind: Kind) -> str:
+        return keys.key(self.team, kind, self.drone_id)
+
+    def _receive(self, key: str, payload: bytes) -> None:
+        address = keys.parse(key)
+        if address is not None and address.team == self.team and address.kind == Kind.POSE:
+            self._peers.on_announcement(key, payload)
+
+    def _receive_token(self, key: str, alive: bool) -> None:
+        self._peers.on_token(key, alive)

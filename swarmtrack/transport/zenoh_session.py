@@ -1,0 +1,253 @@
+"""Zenoh from asyncio: sessions that open and close in bounded time, and the bridge from Zenoh's threads to the loop.
+
+Zenoh calls back on threads of its own. A callback copies the bytes into a bounded `Bridge` and returns; decoding and
+all state live on the event loop. Opening, closing and blocking puts run on threads of ours, each with a time bound.
+
+On loopback, agents meet on well-known ports: each takes the lowest that is free and dials those below it, again and
+again, so whoever comes or comes back is met by all who are there, and no agent is special. When the ports are used
+up, agents listen anywhere, dial all of them, and learn of each other by Zenoh's gossip.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import itertools
+import json
+import logging
+import re
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final, NamedTuple, TypeVar
+
+import zenoh
+
+from swarmtrack.codec import MAX_BYTES
+from swarmtrack.errors import TransportError
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.settings import NetworkSettings
+
+log = logging.getLogger(__name__)
+
+RENDEZVOUS_PORTS: Final = range(17447, 17447 + 32)  # on loopback, below Linux's ephemeral ports
+MAX_ZENOH_BYTES: Final = 1024 * 1024  # of a fragmented message: Zenoh drops larger ones before we see them
+BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached while the loop turns
+
+OPEN_S: Final = 10.0
+CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs half open would hold us for 3
+
+_T = TypeVar("_T")
+
+
+class Sample(NamedTuple):
+    """What was heard. alive: False for a deletion, such as a token that went; payload is cut after MAX_BYTES + 1."""
+
+    key: str
+    payload: bytes
+    alive: bool
+
+
+class Bridge:
+    """Hands samples from Zenoh's threads to the event loop, in order, holding at most `capacity` of them.
+
+    When full, the oldest goes and is counted. With `newest_per_key` only the last sample of each key waits.
+    """
+
+    def __init__(
+        self, receive: Callable[[Sample], None], capacity: int = BRIDGE_CAPACITY, newest_per_key: bool = False
+    ) -> None:
+        self._receive = receive
+        self._capacity = capacity
+        self._newest_per_key = newest_per_key
+        self._loop = asyncio.get_running_loop()
+        self._lock = threading.Lock()
+        self._serial = itertools.count()
+        self._waiting: dict[str | int, Sample] = {}
+        self._scheduled = False
+        self.dropped = 0
+
+    def handler(self) -> Any:
+        """For Zenoh's `declare_*`: runs in Zenoh's thread, without a queue and a thread in between."""
+        return zenoh.handlers.Callback(self._on_sample, indirect=False)
+
+    def replies(self) -> Any:
+        """For Zenoh's `get`."""
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                self._on_sample(reply.ok)
+
+        return zenoh.handlers.Callback(on_reply, indirect=False)
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()[: MAX_BYTES + 1]  # one too many is enough to be refused
+        self.put(Sample(str(sample.key_expr), payload, sample.kind == zenoh.SampleKind.PUT))
+
+    def put(self, sample: Sample) -> None:
+        """From any thread."""
+        slot = sample.key if self._newest_per_key else next(self._serial)
+        with self._lock:
+            self._waiting.pop(slot, None)
+            self._waiting[slot] = sample
+            if len(self._waiting) > self._capacity:
+                del self._waiting[next(iter(self._waiting))]
+                self.dropped += 1
+            wake = not self._scheduled
+            self._scheduled = True
+        if wake:
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody listens any more
+                self._loop.call_soon_threadsafe(self._drain)
+
+    def _drain(self) -> None:
+        with self._lock:
+            waiting, self._waiting = self._waiting, {}
+            self._scheduled = False
+        for sample in waiting.values():
+            self._receive(sample)
+
+
+async def open_session(network: NetworkSettings, listening: bool = True) -> zenoh.Session:
+    """Raises TransportError. listening: whether others may dial us."""
+    return await bounded(partial(_open, network, listening), OPEN_S, "open", too_late=_close)
+
+
+def _open(network: NetworkSettings, listening: bool) -> zenoh.Session:
+    if not network.rendezvous:
+        listen = network.listen if listening else ()
+        return zenoh.open(zenoh_config(network, listen, network.connect))
+    meeting_points = tuple(f"tcp/127.0.0.1:{port}" for port in RENDEZVOUS_PORTS)
+    if not listening:
+        return zenoh.open(zenoh_config(network, (), meeting_points))
+    for i, free in enumerate(meeting_points):
+        try:
+            return zenoh.open(zenoh_config(network, (free,), meeting_points[:i]))
+        except zenoh.ZError as error:
+            if f"os error {errno.EADDRINUSE}" not in str(error):
+                raise
+    return zenoh.open(zenoh_config(network, ("tcp/127.0.0.1:0",), meeting_points))
+
+
+def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tuple[str, ...]) -> zenoh.Config:
+    """Zenoh's own config. Unknown entries in it are errors at `open`, so a typing mistake here cannot hide."""
+    # Of two that learn of each other by gossip one dials, else they dial twice. Who cannot be dialled must dial.
+    autoconnect = {"to_router": "always", "to_peer": "greater-zid" if listen else "always"}
+    return zenoh.Config.from_json5(
+        json.dumps(
+            {
+                "mode": "peer",
+                "listen": {"endpoints": listen, "exit_on_failure": True},
+                "connect": {
+                    "endpoints": connect,
+                    "timeout_ms": -1,  # for ever, in the background: a peer that is away may come back
+                    "exit_on_failure": False,
+                    # Loopback refuses at once, so dialling often costs nothing; half a second is our promise.
+                    "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+                },
+                # Do not wait for links: whoever comes later is no special case.
+                "open": {"return_conditions": {"connect_scouted": False, "declares": False}},
+                "scouting": {
+                    "delay": 100,
+                    "multicast": {
+                        "enabled": network.multicast,
+                        "interface": network.interface,
+                        "autoconnect_strategy": {"peer": autoconnect},
+                    },
+                    "gossip": {"enabled": True, "autoconnect_strategy": {"peer": autoconnect}},
+                },
+                "timestamping": {"enabled": True},
+                "queries_default_timeout": 2000,
+                "transport": {
+                    "unicast": {"open_timeout": 3000, "accept_timeout": 3000},
+                    "shared_memory": {
+                        "enabled": False
+                    },  # nothing to gain at our sizes, and it hides lost links
+                    "link": {
+                        "tx": {"lease": round(network.lease_s * 1000), "keep_alive": 4},
+                        "rx": {"max_message_size": MAX_ZENOH_BYTES},
+                    },
+                },
+            }
+        )
+    )
+
+
+def ask_for_announcement(session: zenoh.Session, team: str, drone_id: int, answers: Bridge) -> None:
+    """Ask every process that speaks as `drone_id`: a clone must be heard too. Returns at once."""
+    with contextlib.suppress(zenoh.ZError):  # the session is closing
+        session.get(
+            keys.key(team, Kind.POSE, drone_id),
+            answers.replies(),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.DROP,  # we ask again
+            allowed_destination=zenoh.Locality.REMOTE,
+            timeout=1.0,
+        )
+
+
+def _close(session: zenoh.Session) -> None:
+    session.close()  # type: ignore[no-untyped-call]
+
+
+async def close_session(session: zenoh.Session, declared: list[Any]) -> None:
+    """Undeclare in order, then close. Gives up after `CLOSE_S`; the process's end does the rest."""
+
+    def close() -> None:
+        for entity in declared:
+            with contextlib.suppress(zenoh.ZError):
+                entity.undeclare()
+        _close(session)
+
+    try:
+        await bounded(close, CLOSE_S, "close")
+    except TransportError as error:
+        log.info("%s", error)
+
+
+async def bounded(
+    call: Callable[[], _T],
+    seconds: float,
+    what: str,
+    too_late: Callable[[_T], None] = lambda result: None,
+) -> _T:
+    """call() on a thread of its own, for at most `seconds`; raises TransportError on ZError and timeout.
+
+    The thread is a daemon, where asyncio's own pool would hold up the process's end for a call that hangs.
+    too_late: what to do with a result that nobody waits for any more.
+    """
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[_T] = loop.create_future()
+
+    def give(result: _T | None, error: BaseException | None) -> None:
+        if answer.done():
+            if error is None:
+                threading.Thread(target=too_late, args=(result,), daemon=True).start()
+        elif error is not None:
+            answer.set_exception(error)
+        else:
+            answer.set_result(result)  # type: ignore[arg-type]
+
+    def run() -> None:
+        result, error = None, None
+        try:
+            result = call()
+        except BaseException as raised:  # goes to whoever awaits
+            error = raised
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(give, result, error)
+
+    threading.Thread(target=run, name=f"zenoh {what}", daemon=True).start()
+    try:
+        return await asyncio.wait_for(answer, seconds)
+    except zenoh.ZError as error:
+        raise TransportError(f"network: cannot {what}: {plain(error)}") from None
+    except TimeoutError:
+        raise TransportError(f"network: cannot {what}: no answer from Zenoh within {seconds:g} s") from None
+
+
+def plain(error: zenoh.ZError) -> str:
+    """Zenoh's reason without the places in its source."""
+    return re.sub(r" at /\S+?\.rs:\d+\.?", "", str(error)).strip().rstrip(".")

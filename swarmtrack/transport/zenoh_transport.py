@@ -1,0 +1,173 @@
+"""The network of one drone, as Zenoh carries it.
+
+An announcement is put once, served by a queryable to whoever asks, and asked for by whoever sees a liveliness token
+without one: a put alone is lost where it overtakes the links, and a question alone where it overtakes the
+queryable's declaration. Tokens converge by themselves, so they drive the rest.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import AsyncIterator
+from functools import partial
+from typing import Any, Final
+
+import zenoh
+
+from swarmtrack.errors import TransportError
+from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.transport import keys, settings
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.peers import Outgoing, Peers
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_session import (
+    OPEN_S,
+    Bridge,
+    ask_for_announcement,
+    bounded,
+    close_session,
+    open_session,
+)
+
+log = logging.getLogger(__name__)
+
+PUT_S: Final = 3.0
+
+PRIORITIES: Final = {Kind.TRACKS: zenoh.Priority.DATA, Kind.HEALTH: zenoh.Priority.DATA_LOW}
+
+
+class ZenohTransport:
+    """One drone's end of the network. `boot` names this life of the process (`keys.new_boot`)."""
+
+    def __init__(self, network: NetworkSettings, drone_id: int, boot: str, clock: Clock) -> None:
+        settings.check(network)
+        self._network = network
+        self._drone_id = drone_id
+        self._boot = boot
+        self._peers = Peers(network.team, drone_id, boot, clock)
+        self._outgoing = Outgoing(drone_id, boot, clock)
+        self._session: zenoh.Session | None = None
+        self._publishers: dict[Kind, zenoh.Publisher] = {}
+        self._declared: list[Any] = []
+        self._bridges: list[Bridge] = []
+        self._reconciliation: asyncio.Task[None] | None = None
+        self._counters: Counter[str] = Counter()
+
+    async def open(self) -> None:
+        # A token's key says all, so the last word on each is enough: no flood of tokens can push a departure out.
+        tokens = Bridge(lambda s: self._peers.on_token(s.key, s.alive), 65536, newest_per_key=True)
+        announcements = Bridge(lambda s: self._peers.on_announcement(s.key, s.payload))
+        self._bridges = [tokens, announcements]
+        self._session = await open_session(self._network)
+        try:
+            await bounded(partial(self._declare, self._session, tokens, announcements), OPEN_S, "declare")
+        except BaseException:
+            await self.close()
+            raise
+        self._reconciliation = asyncio.create_task(
+            self._peers.ask_for_missing(self._ask), name="reconciliation"
+        )
+
+    def _declare(self, session: zenoh.Session, tokens: Bridge, announcements: Bridge) -> None:
+        team, me = self._network.team, self._drone_id
+        for kind, priority in PRIORITIES.items():
+            self._publishers[kind] = session.declare_publisher(
+                keys.key(team, kind, me),
+                encoding=keys.ENCODINGS[kind],
+                reliability=zenoh.Reliability.BEST_EFFORT,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=priority,
+            )
+        # The token comes last: it makes others ask, and the queryable must be there to answer.
+        self._declared = [
+            *self._publishers.values(),
+            session.declare_queryable(
+                self._key(Kind.POSE), zenoh.handlers.Callback(self._answer, indirect=False)
+            ),
+            session.declare_subscriber(
+                keys.key(team, Kind.POSE, "*"), announcements.handler(), allowed_origin=zenoh.Locality.REMOTE
+            ),
+            session.liveliness().declare_subscriber(
+                keys.key(team, Kind.ALIVE, "*", "*"), tokens.handler(), history=True
+            ),
+            session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
+        ]
+        self._announcements = announcements
+
+    async def announce(self, announcement: Announcement) -> None:
+        payload = self._outgoing.replace(announcement)
+        session = self._session
+        if session is None:
+            return  # not open yet, or no more: those who come ask for it
+
+        def put(open_session: zenoh.Session) -> None:
+            open_session.put(
+                self._key(Kind.POSE),
+                payload,
+                encoding=keys.ENCODINGS[Kind.POSE],
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+            )
+
+        try:
+            await bounded(partial(put, session), PUT_S, "announce")
+        except TransportError as error:
+            self._counters["announcements_unsent"] += 1
+            log.warning("announcement not put, teammates will ask for it: %s", error)
+
+    def publish(self, kind: Kind, payload: bytes) -> None:
+        if kind not in PRIORITIES:
+            raise ValueError(f"publish: found {kind}, expected one of {', '.join(PRIORITIES)}")
+        publisher = self._publishers.get(kind)
+        if publisher is None:
+            self._counters[f"{kind}_unsent"] += 1
+            return
+        try:
+            publisher.put(payload)
+            self._counters[f"{kind}_sent"] += 1
+        except zenoh.ZError:
+            self._counters[f"{kind}_unsent"] += 1
+
+    def events(self) -> AsyncIterator[PeerEvent]:
+        return self._peers.events()
+
+    def status(self) -> LinkStatus:
+        links = [] if self._session is None else self._session.info.links()
+        alive, missing = self._peers.alive, self._peers.missing
+        counters = {
+            "peers": len(alive),
+            "missing": len(missing),
+            "links": len(links),
+            "samples_dropped": sum(bridge.dropped for bridge in self._bridges),
+            **self._counters,
+            **self._peers.counters,
+        }
+        text = f"team {self._network.team}: {len(alive)} peers, {len(missing)} of them unannounced, {len(links)} links"
+        return LinkStatus("zenoh", self._session is not None, text, tuple(counters.items()))
+
+    async def close(self) -> None:
+        if self._reconciliation is not None:
+            self._reconciliation.cancel()
+            self._reconciliation = None
+        session, self._session = self._session, None
+        declared, self._declared = self._declared[::-1], []  # the token first: it is our farewell
+        self._publishers = {}
+        if session is not None:
+            await close_session(session, declared)
+        self._peers.close()
+
+    def _key(self, kind: Kind) -> str:
+        return keys.key(self._network.team, kind, self._drone_id)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """In Zenoh's thread."""
+        payload = self._outgoing.payload
+        if payload is not None:
+            query.reply(self._key(Kind.POSE), payload, encoding=keys.ENCODINGS[Kind.POSE])
+
+    def _ask(self, drone_id: int) -> None:
+        if self._session is not None:
+            ask_for_announcement(self._session, self._network.team, drone_id, self._announcements)
