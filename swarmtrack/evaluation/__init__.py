@@ -1,0 +1,1 @@
+"""How good a flight, a clip or an experiment was: pure functions of truths and estimates."""
