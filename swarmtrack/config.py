@@ -1,0 +1,498 @@
+"""The config of one drone: TOML in, checked values out, every mistake named with its file and line.
+
+The tables and keys are DESIGN's contract 4. Relative paths of what is read (calibration, recordings, keys, models)
+start at the folder of the file that names them; those of what is written (`[output]`) at the working directory.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import math
+import re
+import typing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    TypeAdapter,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from swarmtrack.calibration import Calibration, load_calibration
+from swarmtrack.errors import ConfigError
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.toml_layers import Key, Layers, Problem, Table, read_layers
+from swarmtrack.tracking import TRACKERS
+
+# Strict: "1" is not 1, and true is not 1.0. A whole number is welcome where a number is asked for.
+Number = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0.0)]
+Probability = Annotated[Number, Field(gt=0.0, lt=1.0)]
+Count = Annotated[int, Strict(), Field(gt=0)]
+Switch = Annotated[bool, Strict()]
+Vector = tuple[Number, Number, Number]
+Text = Annotated[str, Field(min_length=1)]
+
+DISTORTIONS: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
+ORIGIN: Vector = (0.0, 0.0, 0.0)
+FRD_FROM = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
+
+
+class Section(BaseModel):
+    """A table whose keys are all known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Start(Section):
+    """Where the drone stands in the team frame when it announces itself: measured, or by its own autopilot."""
+
+    position_m: Vector = Field(
+        default=ORIGIN, description="[north, east, down] in the team frame, m; up is negative"
+    )
+    yaw_deg: Number = Field(default=0.0, description="of the nose, clockwise from the team frame's north")
+    position_sigma_m: Positive = Field(
+        default=0.1, description="standard deviation of the start's position, m per axis"
+    )
+    source: Literal["local"] | None = Field(
+        default=None, alias="from", description='"local": the pose is the autopilot\'s own, moved by offset_m'
+    )
+    offset_m: Vector = Field(
+        default=ORIGIN, description="origin of the autopilot's local frame in the team frame, m"
+    )
+
+    @field_validator("source", mode="before")
+    @classmethod
+    def _gps_is_to_come(cls, value: object) -> object:
+        if value == "gps":
+            raise ValueError(
+                '"gps" is not supported yet, expected "local", or position_m and yaw_deg instead'
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _one_way_only(self) -> Start:
+        measured = self.model_fields_set & {"position_m", "yaw_deg"}
+        if self.source is not None and measured:
+            raise ValueError(
+                f'{" and ".join(sorted(measured))} beside from = "{self.source}", expected only one way'
+            )
+        if self.source is None and "offset_m" in self.model_fields_set:
+            raise ValueError('offset_m without from = "local", expected position_m instead')
+        return self
+
+    def pose(self) -> Pose:
+        """team_from_body of a drone that stands level; its true roll and pitch are the autopilot's to say."""
+        return Pose(rotation.from_euler(0.0, 0.0, np.radians(self.yaw_deg)), np.array(self.position_m))
+
+
+class Vehicle(Section):
+    """[drone]"""
+
+    id: Annotated[int, Strict(), Field(ge=1, le=65535, description="1 … 65535, unique in the team")]
+    start: Start = Start()
+
+
+class Intrinsics(Section):
+    fx: Positive
+    fy: Positive
+    cx: Number
+    cy: Number
+    width: Count
+    height: Count
+
+
+class Lens(Section):
+    model: Literal["radtan", "equidistant"]
+    coefficients: tuple[Number, ...] = Field(
+        description="radtan: k1 k2 p1 p2 [k3 [k4 k5 k6]]; equidistant: k1 … k4"
+    )
+
+    @model_validator(mode="after")
+    def _right_number_of_coefficients(self) -> Lens:
+        self.distortion()
+        return self
+
+    def distortion(self) -> Distortion:
+        return DISTORTIONS[self.model](self.coefficients)
+
+
+class Mount(Section):
+    """Where a camera sits. Zero angles: it looks along the nose, upright."""
+
+    rpy_deg: Vector = Field(
+        default=ORIGIN, description="roll, pitch, yaw of the camera as if it were a body, degrees"
+    )
+    position_m: Vector = Field(default=ORIGIN, description="[forward, right, down] from the body's origin, m")
+
+    def pose(self) -> Pose:
+        """body_from_camera."""
+        body_from_aimed = rotation.from_euler(*np.radians(self.rpy_deg))
+        return Pose(body_from_aimed @ rotation.BODY_FROM_FORWARD_CAMERA, np.array(self.position_m))
+
+
+class CameraSection(Section):
+    """[camera]"""
+
+    source: Text = Field(description="v4l2:///dev/video0, file://, images://, rtsp://, http:// or sim://")
+    calibration: Path | None = Field(
+        default=None, description="a Kalibr, ROS camera_info, OpenCV or EuRoC file"
+    )
+    calibration_camera: Text | None = Field(
+        default=None, description="which camera of a file with several, e.g. cam1"
+    )
+    intrinsics: Intrinsics | None = Field(default=None, description="the numbers instead of a file, pixels")
+    distortion: Lens | None = Field(default=None, description="of the lens, beside intrinsics")
+    body_from_camera: Mount | None = Field(
+        default=None, description="where the camera sits; goes before the file's"
+    )
+    imu_frame: Literal["frd", "flu"] = Field(
+        default="frd", description="axes of the IMU that the calibration file was made with"
+    )
+    time_offset_s: Number | None = Field(
+        default=None, description="exposure on the IMU's clock = stamp + this; goes before the file's"
+    )
+    allow_scaling: Switch = Field(
+        default=False, description="accept frames of another size than the calibration's"
+    )
+
+    @model_validator(mode="after")
+    def _one_calibration(self) -> CameraSection:
+        if self.calibration is not None and self.intrinsics is not None:
+            raise ValueError("both calibration and intrinsics, expected one of them")
+        if self.calibration is None and self.intrinsics is None and not self.simulated:
+            raise ValueError(
+                'neither calibration nor intrinsics, expected calibration = "FILE", '
+                "or intrinsics = { fx, fy, cx, cy, width, height }"
+            )
+        if self.distortion is not None and self.intrinsics is None:
+            raise ValueError("distortion without intrinsics, expected both or a calibration file")
+        return self
+
+    @property
+    def simulated(self) -> bool:
+        return self.source.startswith("sim:")
+
+
+class AutopilotSection(Section):
+    """[autopilot]"""
+
+    link: Text = Field(
+        default="none", description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE or none"
+    )
+    imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = Field(
+        default=200.0, description="asked of the autopilot"
+    )
+    system_id: Annotated[int, Strict(), Field(ge=1, le=255)] | None = Field(
+        default=None, description="of our autopilot, 1 … 255, where several speak on one link"
+    )
+    signing_key: Path | None = Field(
+        default=None, description="a file with the 32 bytes of the key as 64 hex digits"
+    )
+
+
+class DetectorSection(Section):
+    """[detector]"""
+
+    model: Text = Field(default="default", description='"default", the one that is shipped, or an .onnx file')
+    score_threshold: Probability | None = Field(default=None, description="instead of the model's own")
+    input_scale: Annotated[Positive, Field(le=4.0)] = Field(
+        default=1.0,
+        description="size of the detector's input by the image's: below 1 faster, above 1 sees farther",
+    )
+    threads: Count = Field(default=1, description="of inference; more than one is slower on a busy machine")
+
+
+class ParameterSection(BaseModel):
+    """A table whose keys are the fields of a dataclass in the core, which says what is right."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What was given, checked; for `create_tracker`, `IdentityParameters`."""
+        return dict(self.model_extra or {})
+
+
+class TrackerSection(ParameterSection):
+    """[tracker]: a name, and that tracker's own parameters."""
+
+    name: Text = Field(default="kalman", description="which tracker")
+
+
+class IdentitySection(ParameterSection):
+    """[identity]"""
+
+
+class NetworkSection(Section):
+    """[network]"""
+
+    team: str = Field(
+        default="swarm", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="letters, digits, - and _"
+    )
+    transport: Literal["zenoh", "memory"] = Field(default="zenoh", description='"memory": within one process')
+    listen: tuple[Text, ...] = Field(
+        default=(), description='endpoints such as "tcp/192.168.1.11:7447"; none: loopback'
+    )
+    connect: tuple[Text, ...] = Field(default=(), description="endpoints of teammates to dial")
+    multicast: Switch | None = Field(
+        default=None, description="find teammates by multicast; not given: on loopback only"
+    )
+    insecure: Switch = Field(default=False, description="true: speak without TLS beyond this machine")
+    lease_s: Annotated[Number, Field(ge=0.5, le=60.0)] = Field(
+        default=2.0, description="a teammate that is silent for so long is gone"
+    )
+
+
+class OutputSection(Section):
+    """[output]"""
+
+    jsonl: Path | None = Field(default=None, description="a line for each processed frame")
+    video: Path | None = Field(default=None, description="annotated frames, .mp4")
+    tracks_hz: Annotated[Positive, Field(le=1000.0)] = Field(
+        default=50.0, description="of published tracks, at most"
+    )
+
+
+class MotionSection(Section):
+    """[motion]"""
+
+    history_s: Annotated[Number, Field(ge=0.1, le=60.0)] = Field(
+        default=2.0, description="how late a detection may come and still be placed at its exposure"
+    )
+    gyro_noise_density_rad_s_sqrt_hz: Positive = Field(
+        default=2e-3, description="white noise of the gyro, vibration included"
+    )
+    angular_acceleration_psd_rad2_s3: Positive = Field(
+        default=1.0, description="of the drone, paid for in gaps of the gyro"
+    )
+    gyro_bias_rad_s: Vector = Field(default=ORIGIN, description="what the gyro says at rest, body FRD")
+
+
+class DroneConfig(Section):
+    """Everything one agent is told at its start."""
+
+    drone: Vehicle = Field(description="a table [drone] with at least id")
+    camera: CameraSection = Field(description="a table [camera] with source and calibration")
+    autopilot: AutopilotSection = AutopilotSection()
+    detector: DetectorSection = DetectorSection()
+    tracker: TrackerSection = TrackerSection()
+    identity: IdentitySection = IdentitySection()
+    network: NetworkSection = NetworkSection()
+    output: OutputSection = OutputSection()
+    motion: MotionSection = MotionSection()
+
+
+class MountedCamera(NamedTuple):
+    """A calibrated camera on its drone. time_offset_s: exposure on the IMU's clock = frame stamp + time_offset_s."""
+
+    camera: PinholeCamera
+    body_from_camera: Pose
+    time_offset_s: float
+
+
+def load_config(path: str | Path) -> DroneConfig:
+    """Read a drone's config and all it extends. Raises ConfigError with every problem that was found."""
+    layers = read_layers(Path(path), _resolve_inputs)
+    problems = _tracker_problems(layers) + _parameter_problems(layers, "identity", IdentityParameters)
+    try:
+        config = DroneConfig.model_validate(layers.table)
+    except ValidationError as error:
+        problems += [_problem(layers, details) for details in error.errors(include_url=False)]
+    if problems:
+        raise ConfigError([str(problem) for problem in sorted(problems)])
+    return config
+
+
+def mount_camera(section: CameraSection) -> MountedCamera | None:
+    """The calibrated camera that [camera] describes; None for a simulated one that is to be asked itself.
+
+    What the config says of the mount and the time offset goes before what the file says; neither: a camera that
+    looks forward from the body's origin. Raises CalibrationError.
+    """
+    if section.calibration is not None:
+        file = load_calibration(section.calibration, section.calibration_camera)
+    elif section.intrinsics is not None:
+        numbers = section.intrinsics.model_dump()
+        lens = section.distortion.distortion() if section.distortion else None
+        file = Calibration(PinholeCamera(**numbers, distortion=lens), name="inline", source_format="config")
+    else:
+        return None
+    if section.body_from_camera is not None:
+        body_from_camera = section.body_from_camera.pose()
+    elif file.imu_from_camera is not None:
+        body_from_camera = Pose(FRD_FROM[section.imu_frame], np.zeros(3)) @ file.imu_from_camera
+    else:
+        body_from_camera = Mount().pose()
+    offsets = (section.time_offset_s, file.time_offset_s, 0.0)
+    return MountedCamera(file.camera, body_from_camera, next(s for s in offsets if s is not None))
+
+
+def config_schema() -> dict[str, Any]:
+    """JSON schema of a drone's config, for editors."""
+    schema = DroneConfig.model_json_schema(by_alias=True)
+    trackers = [kind.Parameters for kind in TRACKERS.values()]
+    for section, kinds in (("TrackerSection", trackers), ("IdentitySection", [IdentityParameters])):
+        table = schema["$defs"][section]
+        for kind in kinds:
+            table.setdefault("properties", {}).update(TypeAdapter(kind).json_schema()["properties"])
+        table["additionalProperties"] = False
+    one_or_more = [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]
+    schema["properties"]["extends"] = {"anyOf": one_or_more, "description": "files this one is layered over"}
+    return schema
+
+
+def _resolve_inputs(table: Table, folder: Path) -> None:
+    """Make the relative paths of inputs absolute, from the folder of the file that names them."""
+    rules: list[tuple[str, str, Callable[[str], str]]] = [
+        ("camera", "calibration", lambda name: str(folder / Path(name).expanduser())),
+        ("camera", "source", lambda source: _beside(source, ("file", "images"), quote(str(folder)))),
+        ("autopilot", "link", lambda link: _beside(link, ("tlog",), str(folder))),
+        ("autopilot", "signing_key", lambda name: str(folder / Path(name).expanduser())),
+        ("detector", "model", lambda name: str(folder / name) if name.endswith(".onnx") else name),
+    ]
+    for section, key, resolve in rules:
+        entries = table.get(section)
+        if isinstance(entries, dict) and isinstance(entries.get(key), str):
+            entries[key] = resolve(entries[key])
+
+
+def _beside(address: str, schemes: tuple[str, ...], folder: str) -> str:
+    """scheme://relative/path -> scheme://folder/relative/path; other addresses unchanged."""
+    scheme, _, rest = address.partition(":")
+    target = rest.removeprefix("//")
+    if scheme.lower() not in schemes or not target or target.startswith(("/", "~")):
+        return address
+    return f"{scheme}:{'//' if rest != target else ''}{folder}/{target}"
+
+
+def _tracker_problems(layers: Layers) -> list[Problem]:
+    """[tracker] holds the parameters of whichever tracker is named."""
+    section = layers.table.get("tracker", {})
+    name = section.get("name", "kalman") if isinstance(section, dict) else None
+    if not isinstance(name, str):
+        return []  # pydantic says so
+    if name not in TRACKERS:
+        text = f"tracker.name: {_found(name)}, {_one_of(name, list(TRACKERS))}"
+        return [layers.problem(("tracker", "name"), text)]
+    return _parameter_problems(layers, "tracker", TRACKERS[name].Parameters, ignore="name")
+
+
+def _parameter_problems(layers: Layers, section: str, kind: type[Any], ignore: str = "") -> list[Problem]:
+    """What the dataclass `kind`, whose fields the keys of a section are, has against them."""
+    table = layers.table.get(section, {})
+    if not isinstance(table, dict):
+        return []  # pydantic says so
+    types = typing.get_type_hints(kind)
+    known = [field.name for field in dataclasses.fields(kind)]
+    values = {key: value for key, value in table.items() if key != ignore}
+    problems = []
+    for key, value in values.items():
+        if key not in known:
+            text = f"unknown key, {_one_of(key, known)}"
+        elif not _is_a(value, types[key]):
+            text = f"{_found(value)}, expected {EXPECTED.get(types[key], 'another type')}"
+        else:
+            continue
+        problems.append(layers.problem((section, key), f"{section}.{key}: {text}"))
+    if not problems:
+        try:
+            kind(**values)
+        except ValueError as error:  # `tracker.KEY: found …, expected …`
+            key, _, sentence = str(error).partition(": ")
+            problems.append(
+                layers.problem(tuple(key.split(".")), f"{key}: {sentence.removeprefix('found ')}")
+            )
+    return problems
+
+
+EXPECTED: dict[Any, str] = {float: "a number", int: "a whole number", bool: "true or false", str: "a string"}
+
+
+def _is_a(value: object, kind: Any) -> bool:
+    """Whether a TOML value fits a field's type; types that TOML does not have are left to the dataclass."""
+    if kind is float:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, kind) if kind in EXPECTED else True
+
+
+def _problem(layers: Layers, error: ErrorDetails) -> Problem:
+    """One of pydantic's errors as `FILE:LINE: key: found, expected`."""
+    key: Key = tuple(part for part in error["loc"] if isinstance(part, str))
+    place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in error["loc"])
+    field = _field(key)
+    description = field.description if field else None
+    match error["type"]:
+        case "extra_forbidden":
+            text = _unknown(key)
+        case "missing":
+            text = f"missing, expected {description or 'a number'}"
+        case "value_error":
+            text = error["msg"].removeprefix("Value error, ")
+        case "model_type":
+            text = f"{_found(error['input'])}, expected a table"
+        case "string_pattern_mismatch":
+            text = f"{_found(error['input'])}, expected {description}"
+        case _:
+            # "Input should be greater than 0", "Tuple should have at most 3 items after validation, not 4"
+            expected = re.sub(r"^\w+ should (be|have) ", "", error["msg"])
+            text = f"{_found(error['input'])}, expected {expected}"
+            text += f" ({description})" if description else ""
+    return layers.problem(key, f"{place.removeprefix('.')}: {text}")
+
+
+def _unknown(key: Key) -> str:
+    """What to say of a key that its table does not have."""
+    known = list(_keys_of(_section(key[:-1])))
+    elsewhere = [f"[{name}]" for name in _keys_of(DroneConfig) if key[-1] in _keys_of(_section((name,)))]
+    if elsewhere:
+        return f"unknown key here, expected in {' or '.join(elsewhere)}"
+    return f"unknown key, {_one_of(key[-1], known)}"
+
+
+def _one_of(word: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(word, known, n=1)
+    return f'did you mean "{close[0]}"?' if close else f"expected one of {', '.join(known)}"
+
+
+def _keys_of(section: type[BaseModel]) -> dict[str, FieldInfo]:
+    return {field.alias or name: field for name, field in section.model_fields.items()}
+
+
+def _field(key: Key) -> FieldInfo | None:
+    return _keys_of(_section(key[:-1])).get(key[-1]) if key else None
+
+
+def _section(key: Key) -> type[BaseModel]:
+    """The model of a table; of the nearest one around it where it has none."""
+    section: type[BaseModel] = DroneConfig
+    for part in key:
+        field = _keys_of(section).get(part)
+        kinds = [field.annotation, *typing.get_args(field.annotation)] if field else []
+        inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        section = inner[0] if inner else section
+    return section
+
+
+def _found(value: object) -> str:
+    """A value as TOML would write it, shortened."""
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -1,0 +1,189 @@
+"""TOML files layered over one another, with the file and line of every entry, so that errors can point at it.
+
+    extends = "team.toml"            # or a list; relative to this file; later ones, and the file itself, win
+
+Tables are merged key by key, everything else is replaced. Paths of inputs are made absolute in the file that names
+them, so that a team file may live in another folder.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from swarmtrack.errors import ConfigError
+
+Key = tuple[str, ...]
+Table = dict[str, Any]
+
+MAX_BYTES = 256 * 1024  # a config is a page; a recording given by mistake is refused before it is parsed
+MAX_STATEMENT_LINES = (
+    200  # beyond, a value's end is not looked for: only the line in an error message is lost
+)
+
+
+class Problem(NamedTuple):
+    """One wrong entry; sorts by place."""
+
+    file: str
+    line: int
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}: {self.text}"
+
+
+@dataclass
+class Layer:
+    """One file. `lines` is filled when an error asks for it."""
+
+    path: Path
+    text: str
+    table: Table
+    _lines: dict[Key, int] = field(default_factory=dict)
+
+    def line(self, key: Key) -> int:
+        """The line of an entry, or of the nearest table around it; 1 if there is none."""
+        if not self._lines:
+            self._lines = {(): 1, **key_lines(self.text)}
+        while key not in self._lines:
+            key = key[:-1]
+        return self._lines[key]
+
+
+@dataclass
+class Layers:
+    """Files from the most general to the one that was asked for, and their union."""
+
+    files: list[Layer]
+    table: Table
+
+    def problem(self, key: Key, text: str) -> Problem:
+        """What is wrong with an entry, at the file and line that count; with one that is missing, at its table."""
+        for depth in range(len(key), 0, -1):
+            for layer in reversed(self.files):
+                if _holds(layer.table, key[:depth]):
+                    return Problem(str(layer.path), layer.line(key[:depth]), text)
+        return Problem(str(self.files[-1].path), 1, text)
+
+
+def read_layers(path: Path, prepare: Callable[[Table, Path], None]) -> Layers:
+    """Read a file and all it extends. `prepare(table, folder)` may rewrite each file's entries in place.
+
+    Raises ConfigError with all that is wrong with any of the files.
+    """
+    problems: list[Problem] = []
+    files = list(_read(path, (), problems, prepare))
+    if problems:
+        raise ConfigError([str(problem) for problem in problems])
+    merged: Table = {}
+    for layer in files:
+        merged = _merge(merged, layer.table)
+    return Layers(files, merged)
+
+
+def _read(
+    path: Path, extended_by: tuple[Path, ...], problems: list[Problem], prepare: Callable[[Table, Path], None]
+) -> Iterator[Layer]:
+    def wrong(line: int, text: str) -> None:
+        problems.append(Problem(str(path), line, text))
+
+    text = ""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+        if len(raw) > MAX_BYTES:
+            return wrong(1, f"larger than {MAX_BYTES // 1024} KiB, expected a config in TOML")
+        text = raw.decode().removeprefix("\ufeff")
+        layer = Layer(path, text, tomllib.loads(text))
+    except OSError as error:
+        return wrong(1, f"cannot be read ({error.strerror}), expected a config file")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        return wrong(line, f"byte 0x{raw[error.start]:02x} is not UTF-8, expected a config in TOML")
+    except tomllib.TOMLDecodeError as error:
+        return wrong(*_syntax_error(text, str(error)))
+    except RecursionError:
+        return wrong(1, "nested too deeply, expected a config in TOML")
+
+    line = layer.line(("extends",))
+    extends = layer.table.pop("extends", [])
+    names = [extends] if isinstance(extends, str) else extends
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        return wrong(line, f"extends: {names!r}, expected a file name or a list of them")
+    chain = (*extended_by, path.resolve())
+    for name in names:
+        base = path.parent / Path(name).expanduser()
+        if "\0" in name or not base.is_file():
+            wrong(line, f"extends: no file {str(base)!r}, expected one relative to this file")
+        elif base.resolve() in chain:
+            circle = " -> ".join(file.name for file in (*chain, base))
+            wrong(line, f"extends: goes in a circle ({circle}), expected a file that does not lead back here")
+        else:
+            yield from _read(base, chain, problems, prepare)
+    prepare(layer.table, path.parent.absolute())
+    yield layer
+
+
+def _syntax_error(text: str, message: str) -> tuple[int, str]:
+    """Line and sentence: tomllib says `… (at line 3, column 7)` or `… (at end of document)`."""
+    at = re.search(r" \(at line (\d+), column \d+\)$", message)
+    line = int(at[1]) if at else text.count("\n") + 1
+    what = message[: at.start()] if at else message.removesuffix(" (at end of document)")
+    return line, f"{what}, expected valid TOML"
+
+
+def _merge(base: Table, over: Table) -> Table:
+    merged = dict(base)
+    for key, value in over.items():
+        both_tables = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merge(base[key], value) if both_tables else value
+    return merged
+
+
+def _holds(table: Any, key: Key) -> bool:
+    for part in key:
+        if not isinstance(table, dict) or part not in table:
+            return False
+        table = table[part]
+    return True
+
+
+def key_lines(text: str) -> dict[Key, int]:
+    """The line of every table and entry of a valid TOML text.
+
+    tomllib does not tell, so the text is cut into statements: lines are added until they parse by themselves.
+    """
+    found: dict[Key, int] = {}
+    table: Key = ()
+    pending: list[str] = []
+    for number, line in enumerate(text.split("\n"), start=1):
+        pending.append(line)
+        try:
+            parsed = tomllib.loads("\n".join(pending))
+        except tomllib.TOMLDecodeError:
+            if len(pending) > MAX_STATEMENT_LINES:
+                break
+            continue
+        keys = list(_keys(parsed))
+        if pending[0].lstrip().startswith("["):
+            table = keys[-1]
+            keys = [table[: depth + 1] for depth in range(len(table))]
+            start: Key = ()
+        else:
+            start = table
+        for key in keys:
+            found.setdefault(start + key, number - len(pending) + 1)
+        pending = []
+    return found
+
+
+def _keys(table: Table) -> Iterator[Key]:
+    for name, value in table.items():
+        yield (name,)
+        if isinstance(value, dict):
+            yield from ((name, *below) for below in _keys(value))

@@ -1,0 +1,283 @@
+"""What a drone may be told, and how it complains."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from swarmtrack.config import DroneConfig, config_schema, load_config, mount_camera
+from swarmtrack.errors import ConfigError, SwarmtrackError
+from swarmtrack.geometry.camera import Equidistant, RadTan
+from swarmtrack.toml_layers import key_lines
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+CAMERA = """
+[camera]
+source = "v4l2:///dev/video0"
+intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256, width = 640, height = 512 }
+"""
+MINIMAL = f"[drone]\nid = 7\n{CAMERA}"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text, name="drone.toml"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def problems_of(path):
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    return [problem.removeprefix(f"{path.parent}/") for problem in caught.value.problems]
+
+
+def test_an_id_a_source_and_a_calibration_are_enough(write):
+    config = load_config(write(MINIMAL))
+    assert (config.drone.id, config.autopilot.link, config.tracker.name) == (7, "none", "kalman")
+    assert (config.network.insecure, config.output.tracks_hz, config.motion.history_s) == (False, 50.0, 2.0)
+    mounted = mount_camera(config.camera)
+    assert (mounted.camera.fx, mounted.camera.height, mounted.camera.distortion) == (600.0, 512, None)
+    assert mounted.time_offset_s == 0.0
+    # Not told otherwise, the camera looks along the nose.
+    assert np.allclose(mounted.body_from_camera.transform(np.array([[0, 0, 5.0]])), [[5, 0, 0]])
+
+
+@pytest.mark.parametrize("name", ["drone-1", "drone-2", "replay", "sim"])
+def test_the_examples_load(name):
+    config = load_config(CONFIGS / f"{name}.toml")
+    mounted = mount_camera(config.camera)
+    assert (mounted is None) == (name == "sim")
+    if name.startswith("drone"):
+        assert config.tracker.parameters == {"p_detection": 0.9, "clutter_per_scan": 1.0}  # of team.toml
+        assert isinstance(mounted.camera.distortion, RadTan if name == "drone-1" else Equidistant)
+
+
+def test_the_team_file_alone_is_no_drone():
+    assert [p.split(": ", 1)[1].split(",")[0] for p in problems_of(CONFIGS / "team.toml")] == [
+        "camera: missing",
+        "drone: missing",
+    ]
+
+
+def test_every_mistake_is_named_at_its_file_and_line(write):
+    write('[network]\nteam = "a/b"\n[tracker]\nmeasurement_sigma = "a"\np_detektion = 0.9\n', "team.toml")
+    path = write(
+        """extends = "team.toml"
+[drone]
+id = 0
+start = { position_m = [0.0, 0.0], from = "gps" }
+
+[camera]
+source = "v4l2:///dev/video0"
+calibrtion = "cam1.yaml"
+imu_rate_hz = 200
+time_offset_s = nan
+[detector]
+threads = true
+[identity]
+probability = 2
+[networc]
+"""
+    )
+    found = problems_of(path)
+    expected = [
+        "drone.toml:3: drone.id: 0, expected",
+        'drone.toml:4: drone.start.from: "gps" is not supported yet',
+        "drone.toml:4: drone.start.position_m[2]: missing",
+        'drone.toml:8: camera.calibrtion: unknown key, did you mean "calibration"?',
+        "drone.toml:9: camera.imu_rate_hz: unknown key here, expected in [autopilot]",
+        "drone.toml:10: camera.time_offset_s: NaN, expected a finite number",
+        "drone.toml:12: detector.threads: true, expected",
+        "drone.toml:14: identity.probability: 2, expected",
+        'drone.toml:15: networc: unknown key, did you mean "network"?',
+        'team.toml:2: network.team: "a/b", expected letters',
+        'team.toml:4: tracker.measurement_sigma: "a", expected a number',
+        'team.toml:5: tracker.p_detektion: unknown key, did you mean "p_detection"?',
+    ]
+    assert len(found) == len(expected)
+    for line, start in zip(sorted(found), sorted(expected), strict=True):
+        assert line.startswith(start)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[drone\nid = 1", ":1: "),
+        ("[drone]\nid = 1\nid = 2", ":3: Cannot overwrite a value"),
+        ("a = '\x80'".encode("latin-1"), ":1: byte 0x80 is not UTF-8"),
+        ("# " + "x" * 300_000, ":1: larger than 256 KiB"),
+        ("a = " + "[" * 5000, ":1: "),
+        (MINIMAL + '[tracker]\nname = "kallman"', 'tracker.name: "kallman", did you mean "kalman"?'),
+        (MINIMAL + "[tracker]\np_detection = 1.5", "tracker.p_detection: 1.5, expected a probability"),
+        ("tracker = 3\nidentity = 4\n" + MINIMAL, ":1: tracker: 3, expected a table"),
+        (f"[drone]\nid = true\n{CAMERA}", ":2: drone.id: true, expected a valid integer"),
+        (f'[drone]\nid = "1"\n{CAMERA}', ':2: drone.id: "1", expected a valid integer'),
+        ('[drone]\nid = 1\n[camera]\nsource = "0"', ":3: camera: neither calibration nor intrinsics"),
+        (MINIMAL + 'calibration = "a.yaml"', ":4: camera: both calibration and intrinsics"),
+        (MINIMAL + 'distortion = { model = "fov", coefficients = [1] }', ":7: camera.distortion.model"),
+        (MINIMAL + 'distortion = { model = "radtan", coefficients = [1, 2] }', "expected finite numbers, 4"),
+        (
+            '[drone]\nid = 1\nstart = { from = "local", yaw_deg = 3 }' + CAMERA,
+            ":3: drone.start: yaw_deg beside",
+        ),
+        ("extends = 3\n" + MINIMAL, ":1: extends: 3, expected a file name"),
+        ('extends = ["none.toml"]\n' + MINIMAL, ":1: extends: no file"),
+    ],
+)
+def test_each_kind_of_mistake_has_its_sentence(tmp_path, text, words):
+    path = tmp_path / "drone.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    assert any(words in problem for problem in problems_of(path)), problems_of(path)
+
+
+def test_a_file_that_is_not_there_is_said_like_any_other_mistake(tmp_path):
+    assert problems_of(tmp_path / "none.toml") == [
+        "none.toml:1: cannot be read (No such file or directory), expected a config file"
+    ]
+    assert "Is a directory" in problems_of(tmp_path)[0]
+
+
+def test_the_nearest_layer_wins_and_tables_are_merged_key_by_key(write):
+    write("[output]\ntracks_hz = 10\n[tracker]\np_detection = 0.5\np_survival = 0.8\n", "base.toml")
+    write('extends = "base.toml"\n[tracker]\np_detection = 0.6\n', "shared/../team.toml")
+    write("[detector]\nthreads = 2\n", "extra.toml")
+    path = write('extends = ["team.toml", "extra.toml"]\n' + MINIMAL + "[output]\njsonl = 'a'\n")
+    config = load_config(path)
+    assert config.tracker.parameters == {"p_detection": 0.6, "p_survival": 0.8}
+    assert (config.output.tracks_hz, config.detector.threads) == (10.0, 2)
+
+
+def test_files_that_extend_each_other_in_a_circle_are_refused(write):
+    write('extends = "drone.toml"\n', "team.toml")
+    path = write('\nextends = "team.toml"\n' + MINIMAL)
+    assert problems_of(path) == [
+        "team.toml:1: extends: goes in a circle (drone.toml -> team.toml -> drone.toml), "
+        "expected a file that does not lead back here"
+    ]
+
+
+def test_inputs_are_found_beside_the_file_that_names_them(write, tmp_path):
+    write('[camera]\ncalibration = "cal/cam.yaml"\n[detector]\nmodel = "own.onnx"\n', "team/team.toml")
+    path = write(
+        'extends = "team/team.toml"\n[drone]\nid = 1\n[camera]\nsource = "file://clips/a%20b.mp4?pace=fast"\n'
+        '[autopilot]\nlink = "tlog:a.tlog"\n[output]\njsonl = "out.jsonl"\n'
+    )
+    config = load_config(path)
+    assert config.camera.calibration == tmp_path / "team/cal/cam.yaml"
+    assert config.detector.model == str(tmp_path / "team/own.onnx")
+    assert config.camera.source == f"file://{tmp_path}/clips/a%20b.mp4?pace=fast"
+    assert config.autopilot.link == f"tlog:{tmp_path}/a.tlog"
+    assert config.output.jsonl == Path("out.jsonl")  # what is written: in the working directory
+
+
+@pytest.mark.parametrize(
+    "source", ["/dev/video0", "v4l2:///dev/video0", "rtsp://host/a", "file:///a.mp4", "0"]
+)
+def test_other_addresses_are_left_as_they_are(write, source):
+    assert load_config(write(MINIMAL.replace("v4l2:///dev/video0", source))).camera.source == source
+
+
+def test_the_mount_is_told_as_the_angles_of_a_body_that_looks_forward(write):
+    mount = "body_from_camera = { rpy_deg = [0, 20, 90], position_m = [0.1, 0, 0] }\ntime_offset_s = 0.004\n"
+    mounted = mount_camera(load_config(write(MINIMAL + mount)).camera)
+    axis = mounted.body_from_camera.rotation @ [0, 0, 1]
+    assert np.allclose(axis, [0, np.cos(np.radians(20)), -np.sin(np.radians(20))])  # right, and up
+    assert mounted.body_from_camera.position.tolist() == [0.1, 0.0, 0.0]
+    assert mounted.time_offset_s == 0.004
+
+
+def test_a_calibration_made_with_a_flu_imu_is_turned_into_frd_and_the_config_goes_before_the_file(
+    write, tmp_path
+):
+    # Camera z along IMU x (forward), camera x to IMU -y (FLU: right), camera y to IMU -z (down).
+    (tmp_path / "cam.yaml").write_text(
+        "cam0:\n  camera_model: pinhole\n  intrinsics: [400, 400, 320, 240]\n  resolution: [640, 480]\n"
+        "  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n  timeshift_cam_imu: 0.003\n"
+        "  T_cam_imu: [[0,-1,0,0], [0,0,-1,0], [1,0,0,-0.1], [0,0,0,1]]\n"
+    )
+    text = '[drone]\nid = 1\n[camera]\nsource = "0"\ncalibration = "cam.yaml"\nimu_frame = "flu"\n'
+    mounted = mount_camera(load_config(write(text)).camera)
+    assert np.allclose(mounted.body_from_camera.rotation, [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    assert np.allclose(mounted.body_from_camera.position, [0.1, 0, 0])
+    assert mounted.time_offset_s == 0.003
+    text += "time_offset_s = 0.0\nbody_from_camera = { position_m = [1, 2, 3] }\n"
+    mounted = mount_camera(load_config(write(text)).camera)
+    assert mounted.time_offset_s == 0.0
+    assert mounted.body_from_camera.position.tolist() == [1.0, 2.0, 3.0]
+
+
+def test_the_schema_knows_every_key_of_the_examples():
+    schema = config_schema()
+    json.dumps(schema)
+    for path in CONFIGS.glob("*.toml"):
+        for section, value in tomllib.loads(path.read_text()).items():
+            reference = schema["properties"][section]
+            if "$ref" in reference:
+                assert set(value) <= set(schema["$defs"][reference["$ref"].split("/")[-1]]["properties"])
+
+
+def test_lines_are_found_through_comments_strings_and_arrays_of_many_lines():
+    text = '# [x]\n[a.b]\n"c.d" = """\n[e]\n"""\nf = [\n  1, # ]\n]\ng.h = { i = 1 }\n[[j]]\nk = 1\r\n'
+    assert tomllib.loads(text)
+    lines = key_lines(text)
+    assert lines["a",] == lines["a", "b"] == 2
+    assert lines["a", "b", "c.d"] == 3
+    assert lines["a", "b", "f"] == 6
+    assert lines["a", "b", "g", "h", "i"] == 9
+    assert (lines["j",], lines["j", "k"]) == (10, 11)
+    assert ("e",) not in lines
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+def toml(value):
+    """A value as TOML; None as an empty table."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml, value))}]"
+    if isinstance(value, float):
+        return repr(value)
+    return "{}" if value is None else json.dumps(value)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    section=st.sampled_from([*DroneConfig.model_fields, "extends"]),
+    key=st.text(st.sampled_from("abmopd_"), min_size=1) | st.sampled_from(["id", "name", "source", "start"]),
+    value=values,
+)
+def test_whatever_stands_there_the_answer_is_a_config_or_sentences(write, section, key, value):
+    path = write(f"{section}.{key} = {toml(value)}\n" if len(key) % 2 else f"{section} = {toml(value)}\n")
+    for problem in problems_of(path):
+        assert "drone.toml:" in problem
+        assert ": " in problem
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=200), st.integers(0, 1000), st.booleans())
+def test_bytes_of_any_kind_are_answered_with_sentences(tmp_path, garbage, at, into_a_good_one):
+    path = tmp_path / "drone.toml"
+    good = MINIMAL.encode()
+    at %= len(good)
+    path.write_bytes(good[:at] + garbage + good[at:] if into_a_good_one else garbage)
+    message = ""
+    try:
+        mount_camera(load_config(path).camera)
+    except SwarmtrackError as error:
+        message = str(error)
+    assert message == "" or message.startswith(str(path))
