@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from swarmtrack.errors import TransportError
 
-_TEAM = re.compile("[A-Za-z0-9_-]{1,32}")
+_TEAM = re.compile("[A-Za-z0-9_-]{1,64}")
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws|unixsock-stream)/(?P<address>[^?#]+)([?#].*)?")
 
 
@@ -17,15 +17,16 @@ class NetworkSettings:
     """How one agent reaches its team.
 
     Without `listen` and `connect` the agents of one machine find each other on loopback, by themselves.
-    listen, connect: Zenoh endpoints, `tcp/192.168.1.5:7447`. multicast: also find peers by scouting on `interface`.
-    lease_s: after this long a silent link counts as lost. insecure: beyond loopback without keys.
+    listen, connect: Zenoh endpoints, `tcp/192.168.1.5:7447`; who only connects cannot be dialled. multicast: also find
+    peers by scouting on `interface`, a name or "auto" (the first that is not loopback). lease_s: after this long a
+    silent link counts as lost. insecure: beyond loopback without keys.
     """
 
-    team: str = "default"
+    team: str = "swarm"
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
     multicast: bool = False
-    interface: str = "lo"
+    interface: str = "auto"
     insecure: bool = False
     lease_s: float = 2.0
 
@@ -39,7 +40,7 @@ def check(settings: NetworkSettings) -> None:
     """Raises TransportError with what to write instead."""
     if not _TEAM.fullmatch(settings.team):
         raise TransportError(
-            f"network.team: found {settings.team!r}, expected 1 to 32 letters, digits, '-' or '_'"
+            f"network.team: found {settings.team!r}, expected 1 to 64 letters, digits, '-' or '_'"
         )
     if not 0.5 <= settings.lease_s <= 60.0:
         raise TransportError(f"network.lease_s: found {settings.lease_s:g}, expected 0.5 to 60 s")
@@ -53,13 +54,13 @@ def check(settings: NetworkSettings) -> None:
     if settings.multicast and settings.interface != "lo":
         if not settings.insecure:
             raise TransportError(
-                f"network.multicast: scouting on {settings.interface} without keys tells everyone there who flies; "
-                f'set interface = "lo", or write `insecure = true` under [network]'
+                "network.multicast: scouting without keys tells everyone in reach who flies; "
+                "leave it out to stay on loopback, or write `insecure = true` under [network]"
             )
         if not settings.listen:
             raise TransportError(
-                f"network.listen: is empty, expected this machine's address on {settings.interface} "
-                f"(tcp/ADDRESS:PORT), so that those who find us can connect"
+                "network.listen: is empty, expected this machine's address (tcp/ADDRESS:PORT), "
+                "so that those who find us by multicast can connect"
             )
 
 

@@ -1,0 +1,105 @@
+"""`swarmtrack echo KEY`: what a running swarm says, decoded, one JSON line a message."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from swarmtrack import codec
+from swarmtrack.errors import TransportError
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_listener import ZenohListener
+from swarmtrack.transport.zenoh_session import Sample
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "key",
+        metavar="KEY",
+        help="what to hear, below swarmtrack/TEAM/v1: 'tracks/*', 'pose/*', 'health/3', '**'; or a full key",
+    )
+    parser.add_argument(
+        "--team", default=NetworkSettings().team, help="the team to hear (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--connect",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="where an agent listens, such as tcp/192.168.1.5:7447; again for more (default: all on this machine)",
+    )
+    parser.add_argument("--insecure", action="store_true", help="connect beyond this machine without keys")
+    parser.add_argument("--count", type=int, metavar="N", help="end after N messages")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+
+
+def run(args: argparse.Namespace) -> int:
+    network = NetworkSettings(team=args.team, connect=tuple(args.connect), insecure=args.insecure)
+    expression = args.key if args.key.startswith(f"{keys.ROOT}/") else keys.key(args.team, args.key)
+    try:
+        listener = ZenohListener(network, expression)
+    except TransportError as error:
+        print(f"swarmtrack echo: {error}", file=sys.stderr)
+        return 2
+    try:
+        heard = asyncio.run(echo(listener, args.count, args.seconds))
+    except TransportError as error:
+        print(f"swarmtrack echo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 0
+    except BrokenPipeError:  # `swarmtrack echo … | head`: whoever read us has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    if heard < (args.count or 0):
+        print(
+            f"swarmtrack echo: heard {heard} of {args.count} messages on {expression} in {args.seconds:g} s; "
+            f"does an agent of team {args.team!r} run here, or is --connect missing?",
+            file=sys.stderr,
+        )
+        return 1
+    return 0
+
+
+async def echo(listener: ZenohListener, count: int | None, seconds: float | None) -> int:
+    """Print until enough was heard or time is up; how many were."""
+    heard = 0
+    await listener.open()
+    try:
+        async with asyncio.timeout(seconds):
+            async for sample in listener.samples():
+                print(json.dumps(line(sample), allow_nan=False), flush=True)
+                heard += 1
+                if heard == count:
+                    break
+    except TimeoutError:
+        pass
+    finally:
+        await listener.close()
+        if listener.dropped:
+            print(
+                f"swarmtrack echo: {listener.dropped} messages came too fast and were dropped",
+                file=sys.stderr,
+            )
+    return heard
+
+
+def line(sample: Sample) -> Mapping[str, Any]:
+    """One message as JSON; what cannot be read says why."""
+    address = keys.parse(sample.key)
+    if not sample.alive or (address is not None and address.kind == Kind.ALIVE):
+        return {"key": sample.key, "alive": sample.alive}
+    decode = None if address is None else keys.DECODERS.get(address.kind)
+    if decode is None:
+        return {"key": sample.key, "error": "no message of ours is on this key", "bytes": len(sample.payload)}
+    try:
+        return {"key": sample.key, **codec.as_record(decode(sample.payload))}
+    except codec.DecodeError as error:
+        return {"key": sample.key, "error": str(error), "bytes": len(sample.payload)}
