@@ -21,11 +21,14 @@ class EgoHistory:
 
     The autopilot's local frame begins wherever it was switched on. `start` says where that is for the team; both
     frames are level, so one yaw and one translation, taken from the first pose, connect them. Without an autopilot the
-    drone stays at `start`; without `start` the autopilot's own frame is taken to be the team's.
+    drone stays at `start`; without `start` the autopilot's own frame is the team's, moved to `origin` (3,) m.
     """
 
-    def __init__(self, *, start: Pose | None = None, history_s: float = 2.0) -> None:
+    def __init__(
+        self, *, start: Pose | None = None, origin: Array | None = None, history_s: float = 2.0
+    ) -> None:
         self.start = start
+        self.origin = np.zeros(3) if origin is None else origin
         self.history_s = history_s
         self.out_of_order = 0
         self._team_from_local: Pose | None = None
@@ -74,7 +77,7 @@ class EgoHistory:
 
     def _align(self, first: EgoPose) -> Pose:
         if self.start is None:
-            return Pose(np.eye(3), np.zeros(3))
+            return Pose(np.eye(3), self.origin)
         turn = _heading(self.start.rotation) - _heading(first.world_from_body)
         team_from_local = rotation.from_euler(0.0, 0.0, turn)
         return Pose(team_from_local, self.start.position - team_from_local @ first.position)

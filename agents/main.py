@@ -1,0 +1,44 @@
+"""`swarmtrack`: everything around the agents."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+
+from swarmtrack import __version__
+from swarmtrack.errors import SwarmtrackError
+
+# Imported only when called: `swarmtrack --help` answers at once.
+COMMANDS = {
+    "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
+    "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
+    words = sys.argv[1:] if argv is None else argv
+    parser = argparse.ArgumentParser(
+        prog="swarmtrack",
+        description="Relative perception for drone swarms. The agent of a drone is `swarmtrack-agent`.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (module, summary) in COMMANDS.items():
+        command = commands.add_parser(name, help=summary, description=summary.capitalize() + ".", allow_abbrev=False)
+        if name in words[:1]:
+            import_module(module).add_arguments(command)
+    arguments = parser.parse_args(words)
+    try:
+        return int(import_module(COMMANDS[arguments.command][0]).run(arguments))
+    except SwarmtrackError as error:
+        print(f"swarmtrack {arguments.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""`swarmtrack-agent`: the agent of one drone."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import os
+import signal
+import sys
+from pathlib import Path
+
+from swarmtrack import __version__
+from swarmtrack.errors import ConfigError, SwarmtrackError
+
+DONE, FAILED, WRONG_USAGE = 0, 1, 2
+
+
+def main(argv: list[str] | None = None) -> int:
+    """The console script. Exit codes: 0 done, 2 wrong usage or config, 1 anything else."""
+    arguments = _parser().parse_args(argv)
+    logging.basicConfig(
+        level=logging.getLevelNamesMapping()[arguments.log.upper()],
+        format="%(asctime)s %(levelname)-7s %(name)s: %(message)s",
+        stream=sys.stderr,
+    )
+    try:
+        return _check(arguments.config) if arguments.check else _fly(arguments)
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return WRONG_USAGE
+    except SwarmtrackError as error:
+        print(f"{arguments.config}: {error}", file=sys.stderr)
+        return WRONG_USAGE
+    except KeyboardInterrupt:
+        return DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="swarmtrack-agent",
+        description="Track the drones in this drone's camera, and learn who is who.",
+        epilog="A first look, without any hardware: swarmtrack-agent --config configs/sim.toml --seconds 20",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="the drone's config, TOML")
+    parser.add_argument("--check", action="store_true", help="validate the config and what it points at, then exit")
+    parser.add_argument("--seconds", type=_positive, metavar="S", help="stop after so long (default: never)")
+    parser.add_argument(
+        "--quiet", action="store_true", help="no line a second (the default under systemd), only the log"
+    )
+    parser.add_argument(
+        "--log",
+        default="warning",
+        choices=["debug", "info", "warning", "error"],
+        help="how much to log to stderr (default: warning)",
+    )
+    parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
+    return value
+
+
+def _check(path: Path) -> int:
+    from swarmtrack.config import load_config
+    from swarmtrack.runtime.assembly import assemble
+
+    config = load_config(path)
+    parts = assemble(config)
+    lens = parts.lens
+    print(f"drone      {config.drone.id} of team {config.network.team}")
+    print(f"camera     {config.camera.source}")
+    print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
+    print(f"autopilot  {parts.autopilot.status().text if parts.autopilot else 'none: the camera is taken to be still'}")
+    print(f"detector   {parts.detector.status().text}")
+    print(f"tracker    {config.tracker.name}")
+    print(f"{path}: ok")
+    return DONE
+
+
+def _fly(arguments: argparse.Namespace) -> int:
+    from swarmtrack.config import load_config
+    from swarmtrack.runtime.agent import Agent
+    from swarmtrack.runtime.assembly import assemble
+    from swarmtrack.runtime.console import Console
+
+    parts = assemble(load_config(arguments.config))
+
+    async def fly() -> None:
+        agent = Agent(parts, console=Console(quiet=arguments.quiet or "INVOCATION_ID" in os.environ))
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, agent.stop)
+        await agent.run(arguments.seconds)
+        agent.summarise()
+
+    try:
+        asyncio.run(fly())
+    except* SwarmtrackError as group:
+        # A source that can never work says so only when it is opened; the rest of the group are its cancelled siblings.
+        raise _first(group) from None
+    return DONE
+
+
+def _first(group: BaseExceptionGroup[SwarmtrackError]) -> SwarmtrackError:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, SwarmtrackError)
+    return error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,255 @@
+"""The agent of one drone: the tasks that feed Onboard and carry off what it says."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+
+import numpy as np
+
+from swarmtrack.codec import encode_health, encode_tracks, tracks_message
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.messages import (
+    Announcement,
+    EgoPose,
+    IdClash,
+    ImuSample,
+    PeerArrived,
+    PeerDeparted,
+    PeerEvent,
+)
+from swarmtrack.runtime.assembly import Parts
+from swarmtrack.runtime.clock import ManualClock, SystemClock
+from swarmtrack.runtime.console import Console
+from swarmtrack.runtime.health import Health
+from swarmtrack.runtime.outputs import AnnotatedVideo, JsonLines, as_seen
+from swarmtrack.runtime.systemd import Notifier
+from swarmtrack.transport.base import Kind, Transport
+
+log = logging.getLogger(__name__)
+
+UTC_SIGMA = 0.05  # s: what an NTP-kept companion knows of UTC; better is measured peer by peer, in a later release
+POSE_WAIT = 0.1  # s between looks for the first pose of the autopilot
+HEALTH_PERIOD = 1.0  # s
+CLOSE_TIMEOUT = 1.5  # s for everything together
+STUCK_DETECTOR = 10.0  # s on one frame: no longer slow but stuck, and the supervisor should know
+
+
+class Agent:
+    """Runs until stopped, or until a recording ends."""
+
+    def __init__(self, parts: Parts, *, console: Console) -> None:
+        self.health = Health(parts)
+        self._parts = parts
+        self._console = console
+        self._notifier = Notifier()
+        self._wall = SystemClock()  # of durations, also where the parts' own clock is paced by the frames
+        output = parts.config.output
+        self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
+        self._video = AnnotatedVideo(output.video, lossless=parts.paced_by_frames) if output.video else None
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
+        self._stop = asyncio.Event()
+        self._fresh = asyncio.Event()
+        self._detecting_since: float | None = None
+        self._scanned_at: float | None = None
+        self._sequence = 0
+
+    def stop(self) -> None:
+        """Ask for a clean end."""
+        self._stop.set()
+
+    async def run(self, seconds: float | None = None) -> None:
+        """Run all tasks; if a bug kills one, all stop and its exception comes out. seconds: stop after so long."""
+        parts = self._parts
+        await asyncio.get_running_loop().run_in_executor(
+            self._worker, parts.detector.warm_up, parts.lens.width, parts.lens.height
+        )
+        try:
+            await parts.transport.open()
+            async with asyncio.TaskGroup() as tasks:
+                camera = tasks.create_task(self._feed_camera(), name="camera")
+                others = [
+                    tasks.create_task(self._feed_autopilot(), name="autopilot"),
+                    tasks.create_task(self._feed_peers(), name="peers"),
+                    tasks.create_task(self._announce(), name="announce"),
+                    tasks.create_task(self._publish_tracks(), name="tracks"),
+                    tasks.create_task(self._publish_health(), name="health"),
+                ]
+                self._notifier.ready()
+                stop = tasks.create_task(self._stop.wait(), name="stop")
+                await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+                for task in (camera, stop, *others):
+                    task.cancel()
+        finally:
+            self._notifier.stopping()
+            await self._close()
+
+    async def _feed_autopilot(self) -> None:
+        if self._parts.autopilot is not None:
+            await self._parts.autopilot.run(self)
+
+    def on_imu(self, sample: ImuSample) -> None:
+        """From the autopilot, on the event loop."""
+        self.health.imu.tick()
+        self._parts.onboard.on_imu(sample)
+
+    def on_pose(self, pose: EgoPose) -> None:
+        """From the autopilot, on the event loop."""
+        self._parts.onboard.on_pose(pose)
+
+    async def _feed_camera(self) -> None:
+        """Every frame through the detector, in its thread, into Onboard; returns where a recording ends."""
+        parts, loop = self._parts, asyncio.get_running_loop()
+        async for frame in parts.camera.frames():
+            if isinstance(parts.clock, ManualClock):
+                parts.clock.set(frame.t)
+            self.health.exposure_to_detector.add(parts.clock.now() - frame.t)
+            began = self._detecting_since = self._wall.now()
+            detections = await loop.run_in_executor(self._worker, parts.detector.detect, frame)
+            self._detecting_since = None
+            self._scanned_at = self._wall.now()
+            self.health.detector.add(self._scanned_at - began)
+            if self._video:
+                self._video.keep(frame)
+            parts.onboard.on_detections(detections)
+            await self._report()
+        parts.onboard.tracks(parts.clock.now() + 1.0)  # nothing more will come: what still waits is tracked now
+        await self._report()
+
+    async def _report(self) -> None:
+        """Hand the finished scans to whoever writes or shows them, and wake the publisher."""
+        for report in self._parts.onboard.take_reports():
+            self.health.scans.tick()
+            seen = as_seen(report, self._parts.lens)
+            self._console.see(report, seen)
+            if self._jsonl:
+                self._jsonl.write(report, seen)
+                self.health.drops["jsonl_lines"] = self._jsonl.failed
+            if self._video:
+                self._video.write(report, seen)
+                self.health.drops["video_frames"] = self._video.dropped
+                await self._video.drain()
+        self._fresh.set()
+
+    async def _feed_peers(self) -> None:
+        async for event in self._parts.transport.events():
+            if isinstance(event, Announcement):
+                self._parts.onboard.on_announcement(event)
+            line = _describe(event)
+            self.health.events.append(line)
+            log.log(logging.WARNING if isinstance(event, IdClash) else logging.INFO, line)
+
+    async def _announce(self) -> None:
+        """The one broadcast, as soon as this drone knows where it is; then those of simulated teammates."""
+        parts = self._parts
+        while (pose := parts.onboard.ego_pose(parts.clock.now())) is None:
+            await asyncio.sleep(POSE_WAIT)
+        start = parts.start or Pose(pose.world_from_body, pose.position)
+        sigma = parts.config.drone.start.position_sigma_m
+        await parts.transport.announce(
+            Announcement(
+                drone_id=parts.config.drone.id,
+                boot=parts.boot,
+                sequence=1,
+                t=parts.clock.now(),
+                t_sigma=UTC_SIGMA,
+                position=start.position,
+                world_from_body=start.rotation,
+                position_cov=sigma**2 * np.eye(3),
+            )
+        )
+        for transport, announcement in parts.simulated_teammates:
+            await _speak_for(transport, announcement)
+
+    async def _publish_tracks(self) -> None:
+        """At `tracks_hz`, and at once when a scan was tracked."""
+        parts = self._parts
+        period = 1.0 / parts.config.output.tracks_hz
+        while True:
+            began = asyncio.get_running_loop().time()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(period):
+                    await self._fresh.wait()
+            waited = asyncio.get_running_loop().time() - began
+            self.health.loop_lag.add(max(waited - period, 0.0))
+            self._fresh.clear()
+            self._publish_once()
+
+    def _publish_once(self) -> None:
+        parts, now = self._parts, self._parts.clock.now()
+        tracks = parts.onboard.tracks(now)
+        self._sequence += 1
+        message = tracks_message(tracks, self._sequence, parts.clock.utc() - now, UTC_SIGMA)
+        parts.transport.publish(Kind.TRACKS, encode_tracks(message))
+        self.health.published.tick()
+        if self._scanned_at is not None:
+            self.health.detections_to_published.add(self._wall.now() - self._scanned_at)
+            self._scanned_at = None
+        if self._detecting_since is None or self._wall.now() - self._detecting_since < STUCK_DETECTOR:
+            self._notifier.alive()
+
+    async def _publish_health(self) -> None:
+        self.health.message()  # starts the meters
+        while True:
+            await asyncio.sleep(HEALTH_PERIOD)
+            message = self.health.message()
+            self._parts.transport.publish(Kind.HEALTH, encode_health(message))
+            self._console.line(self._footnotes())
+            troubles = [link for link in message.links if not link.ok]
+            self._notifier.status("; ".join(f"{link.name}: {link.text}" for link in troubles) or "all links are up")
+
+    def _footnotes(self) -> list[str]:
+        """How the agent is doing, for a line of the console."""
+        rates = self.health.rates
+        notes = [f"tracks {rates['tracks'].got_hz:.0f} Hz", f"camera {rates['detections'].got_hz:.0f} Hz"]
+        if self._parts.autopilot is not None:
+            notes.append(f"gyro {rates['imu'].got_hz:.0f} Hz")
+        return notes + [f"{link.name}: {link.text}" for link in self.health.links() if not link.ok]
+
+    def summarise(self) -> None:
+        """Print what came of it all."""
+        detector = self.health.detector.read()
+        facts = [f"{link.name}: {link.text}" for link in self.health.links()]
+        if detector:
+            facts.append(f"detector: median {1e3 * detector.p50:.1f} ms, 95 % under {1e3 * detector.p95:.1f} ms")
+        teammates = ", ".join(map(str, sorted(self._parts.onboard.teammates))) or "none"
+        facts.append(f"announced teammates: {teammates}")
+        self._console.summary(facts)
+
+    async def _close(self) -> None:
+        """Within CLOSE_TIMEOUT, whatever hangs."""
+        closing = [self._parts.transport.close(), self._parts.camera.close()]
+        closing += [transport.close() for transport, _ in self._parts.simulated_teammates]
+        with suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT):
+                for result in await asyncio.gather(*closing, return_exceptions=True):
+                    if isinstance(result, BaseException):
+                        log.warning("while closing: %s", result)
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        if self._jsonl:
+            self._jsonl.close()
+        if self._video:
+            self._video.close()
+
+
+async def _speak_for(transport: Transport, announcement: Announcement) -> None:
+    await transport.open()
+    await transport.announce(announcement)
+
+
+def _describe(event: PeerEvent) -> str:
+    match event:
+        case Announcement(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} announced itself (boot {boot})"
+        case PeerArrived(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is alive (boot {boot})"
+        case PeerDeparted(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is gone (boot {boot})"
+        case IdClash(drone_id=drone_id, boots=boots, ours=True):
+            return f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
+        case IdClash(drone_id=drone_id, boots=boots):
+            return f"two agents speak as drone {drone_id} (boots {', '.join(boots)})"
+
+

@@ -1,0 +1,173 @@
+"""From a config to the parts of an agent: the one place that knows which class serves which entry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
+from swarmtrack.detection.detector import Detector
+from swarmtrack.errors import SourceError
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.messages import Announcement
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.runtime.clock import Clock, ManualClock, SystemClock
+from swarmtrack.sensors.base import Autopilot, Camera
+from swarmtrack.sensors.camera_address import parse_address
+from swarmtrack.sensors.cameras import open_camera
+from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.simulated import Simulation, open_simulation
+from swarmtrack.tracking import create_tracker
+from swarmtrack.transport.base import Transport
+from swarmtrack.transport.keys import new_boot
+from swarmtrack.transport.memory import MemoryHub, MemoryTransport
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_transport import ZenohTransport
+
+
+@dataclass(slots=True)
+class Parts:
+    """What an agent is made of. `clock` is set by the frames where a recording is processed as fast as it goes."""
+
+    config: DroneConfig
+    clock: Clock
+    boot: str
+    lens: PinholeCamera
+    camera: Camera
+    autopilot: Autopilot | None
+    detector: Detector
+    onboard: Onboard
+    transport: Transport
+    start: Pose | None
+    """Where the drone says it starts, in the team frame; None: wherever its autopilot says it is."""
+    simulated_teammates: list[tuple[Transport, Announcement]]
+
+    @property
+    def paced_by_frames(self) -> bool:
+        return isinstance(self.clock, ManualClock)
+
+
+def assemble(config: DroneConfig) -> Parts:
+    """Make the parts; nothing is opened or connected yet.
+
+    Raises SourceError, CalibrationError, ModelError or TransportError, each with what to mend.
+    """
+    system = SystemClock()
+    clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
+    boot = new_boot()
+    simulation = open_simulation(config.camera.source, config.drone.id, clock) if config.camera.simulated else None
+    camera: Camera
+    if simulation is not None:
+        mounted, camera = _simulated_mount(config, simulation), simulation.camera
+    else:
+        mounted = mount_camera(config.camera)
+        size = (mounted.camera.width, mounted.camera.height)
+        camera = open_camera(config.camera.source, clock=clock, size=size)
+    hub = MemoryHub()
+    start = _start(config, simulation)
+    return Parts(
+        config,
+        clock,
+        boot,
+        mounted.camera,
+        camera,
+        _autopilot(config, clock, simulation),
+        Detector(
+            config.detector.model,
+            score_threshold=config.detector.score_threshold,
+            input_scale=config.detector.input_scale,
+            threads=config.detector.threads,
+        ),
+        _onboard(config, mounted, start),
+        _transport(config, boot, clock, hub),
+        start,
+        _teammates(config, simulation, hub, clock),
+    )
+
+
+def _as_fast_as_it_goes(config: DroneConfig) -> bool:
+    return ("pace", "fast") in parse_address(config.camera.source).query
+
+
+def _simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamera:
+    camera = simulation.camera
+    return MountedCamera(camera.camera, camera.body_from_camera, config.camera.time_offset_s or 0.0)
+
+
+def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
+    start = config.drone.start
+    if start.source == "local":
+        return None
+    if simulation is not None and "start" not in config.drone.model_fields_set:
+        return simulation.initial_pose
+    return start.pose()
+
+
+def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
+    motion = config.motion
+    x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
+    return Onboard(
+        config.drone.id,
+        camera=mounted.camera,
+        mounting=Mounting(mounted.body_from_camera, mounted.time_offset_s),
+        tracker=create_tracker(config.tracker.name, camera=mounted.camera, **config.tracker.parameters),
+        gyro=GyroHistory(
+            history_s=motion.history_s,
+            noise_density=motion.gyro_noise_density_rad_s_sqrt_hz,
+            angular_acceleration_psd=motion.angular_acceleration_psd_rad2_s3,
+            bias=(x, y, z),
+        ),
+        ego=EgoHistory(
+            start=start, origin=np.array(config.drone.start.offset_m), history_s=motion.history_s
+        ),
+        identity=IdentityParameters(**config.identity.parameters),
+    )
+
+
+def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None) -> Autopilot | None:
+    section = config.autopilot
+    if section.link == "none":
+        return None
+    if section.link == "sim":
+        if simulation is None:
+            raise SourceError('autopilot.link: found "sim", expected it only beside a camera.source of sim://')
+        return simulation.autopilot
+    return MavlinkAutopilot(
+        section.link,
+        clock=clock,
+        imu_rate_hz=section.imu_rate_hz,
+        system_id=section.system_id,
+        signing_key=section.signing_key,
+    )
+
+
+def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> Transport:
+    network = config.network
+    if network.transport == "memory":
+        return MemoryTransport(hub, network.team, config.drone.id, boot, clock)
+    settings = NetworkSettings(
+        team=network.team,
+        listen=network.listen,
+        connect=network.connect,
+        multicast=bool(network.multicast),
+        insecure=network.insecure,
+        lease_s=network.lease_s,
+    )
+    return ZenohTransport(settings, config.drone.id, boot, clock)
+
+
+def _teammates(
+    config: DroneConfig, simulation: Simulation | None, hub: MemoryHub, clock: Clock
+) -> list[tuple[Transport, Announcement]]:
+    """In a simulation within one process the teammates have no agents: their announcements are made for them."""
+    if simulation is None or config.network.transport != "memory":
+        return []
+    return [
+        (MemoryTransport(hub, config.network.team, a.drone_id, a.boot, clock), a)
+        for a in simulation.teammates_announcements()
+    ]

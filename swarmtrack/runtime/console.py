@@ -1,0 +1,95 @@
+"""What an agent shows to somebody who watches it: a line a second, and a summary at the end."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TextIO
+
+from swarmtrack.messages import IdentifiedTrack, Identity, TrackStatus
+from swarmtrack.onboard import ScanReport
+from swarmtrack.runtime.outputs import SeenTrack
+
+# The eight-colour codes that resemble the colours of the annotated video.
+ANSI = ["33", "36", "32", "93", "34", "31", "35"]
+
+
+@dataclass(slots=True)
+class Sighting:
+    """When someone was first and last tracked, over how many scans, under which track ids."""
+
+    first_t: float
+    last_t: float
+    scans: int
+    track_ids: set[int]
+
+
+class Console:
+    """Prints to `stream`; `quiet` counts without a word."""
+
+    def __init__(self, *, quiet: bool, stream: TextIO = sys.stdout) -> None:
+        self._quiet = quiet
+        self._stream = stream
+        self._colour = stream.isatty()
+        self._start: float | None = None
+        self._last_t = 0.0
+        self._scans = 0
+        self._sightings: dict[Identity, Sighting] = {}
+        self._now: list[SeenTrack] = []
+
+    def see(self, report: ScanReport, seen: list[SeenTrack]) -> None:
+        """Take note of a scan."""
+        t = report.tracks.t
+        self._start = t if self._start is None else self._start
+        self._last_t = t
+        self._scans += 1
+        self._now = [s for s in seen if s.entry.track.status is TrackStatus.CONFIRMED]
+        for entry in (s.entry for s in self._now):
+            sighting = self._sightings.setdefault(entry.identity, Sighting(t, t, 0, set()))
+            sighting.scans += sighting.last_t < t or sighting.scans == 0
+            sighting.last_t = t
+            sighting.track_ids.add(entry.track.id)
+
+    def line(self, footnotes: Iterable[str]) -> None:
+        """One line: who is in view, where, how surely; then how the agent is doing."""
+        who = ", ".join(self._describe(s) for s in sorted(self._now, key=lambda s: _order(s.entry))) or "nobody"
+        self._print(f"{self._elapsed:7.1f} s  sees {who}   ({', '.join(footnotes)})")
+
+    def summary(self, facts: Iterable[str]) -> None:
+        """Who was seen, for how long; then the facts, one a line."""
+        self._print("")
+        self._print(f"Summary of {self._elapsed:.1f} s, {self._scans} scans:")
+        for identity, sighting in sorted(self._sightings.items(), key=lambda item: str(item[0])):
+            began = sighting.first_t - (self._start or 0.0)
+            share = 100.0 * sighting.scans / max(self._scans, 1)
+            tracks = f"{len(sighting.track_ids)} track{'s' if len(sighting.track_ids) > 1 else ''}"
+            self._print(f"  {_name(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}")
+        if not self._sightings:
+            self._print("  nobody was seen")
+        for fact in facts:
+            self._print(f"  {fact}")
+
+    @property
+    def _elapsed(self) -> float:
+        return self._last_t - self._start if self._start is not None else 0.0
+
+    def _describe(self, seen: SeenTrack) -> str:
+        identity = seen.entry.identity
+        sigma = max(seen.cov[0, 0], seen.cov[1, 1]) ** 0.5
+        name = _name(identity) if identity is not None else f"track {seen.entry.track.id} (unknown)"
+        if self._colour and isinstance(identity, int):
+            name = f"\x1b[1;{ANSI[identity % len(ANSI)]}m{name}\x1b[0m"
+        return f"{name} at ({seen.centre[0]:.0f}, {seen.centre[1]:.0f}) ± {sigma:.1f} px"
+
+    def _print(self, text: str) -> None:
+        if not self._quiet:
+            print(text, file=self._stream, flush=True)
+
+
+def _name(identity: Identity) -> str:
+    return "unknown" if identity is None else "foreign" if identity == "foreign" else f"drone {identity}"
+
+
+def _order(entry: IdentifiedTrack) -> tuple[bool, str, int]:
+    return entry.identity is None, str(entry.identity), entry.track.id

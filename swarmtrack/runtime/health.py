@@ -1,0 +1,83 @@
+"""The agent's health: what it counts, and the message it makes of it once a second."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict
+
+from swarmtrack.codec import VERSION, HealthMessage, LatencyHealth, RateHealth, link_health
+from swarmtrack.messages import LinkStatus
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
+from swarmtrack.runtime.assembly import Parts
+
+EVENTS_KEPT = 16
+
+
+class Health:
+    """Meters that the agent's tasks tick, and the message of what they show."""
+
+    def __init__(self, parts: Parts) -> None:
+        self.imu = Rate()
+        self.scans = Rate()
+        self.published = Rate()
+        self.exposure_to_detector = Latency()
+        self.detector = Latency()
+        self.detections_to_published = Latency()
+        self.loop_lag = Latency()
+        self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
+        self.drops: dict[str, int] = {}
+        self._parts = parts
+        self._wall = SystemClock()
+        self._started = self._wall.now()
+        self._process = ProcessMeter(self._wall.now)
+        self.rates: dict[str, RateHealth] = {}
+
+    def links(self) -> list[LinkStatus]:
+        """State of everything this agent is connected to."""
+        parts = self._parts
+        sources = [parts.camera, parts.detector, parts.transport]
+        if parts.autopilot is not None:
+            sources.insert(1, parts.autopilot)
+        return [source.status() for source in sources]
+
+    def message(self) -> HealthMessage:
+        """Everything since the last call."""
+        parts, now = self._parts, self._wall.now()
+        config = parts.config
+        self.rates = {
+            "imu": RateHealth(config.autopilot.imu_rate_hz if parts.autopilot else None, self.imu.read(now)),
+            "detections": RateHealth(None, self.scans.read(now)),
+            "tracks": RateHealth(config.output.tracks_hz, self.published.read(now)),
+        }
+        meters = {
+            "exposure_to_detector": self.exposure_to_detector,
+            "detector": self.detector,
+            "detections_to_published": self.detections_to_published,
+            "loop_lag": self.loop_lag,
+        }
+        spreads = {name: meter.read() for name, meter in meters.items()}
+        links = self.links()
+        clock = {name: value for link in links if link.name == "autopilot" for name, value in link.counters}
+        onboard = parts.onboard
+        drops = {**asdict(onboard.counters), **onboard.tracker_counters, **self.drops}
+        drops |= {
+            "gyro_gaps": onboard.gyro.gaps,
+            "gyro_out_of_order": onboard.gyro.out_of_order,
+            "gyro_restarts": onboard.gyro.restarts,
+        }
+        return HealthMessage(
+            version=VERSION,
+            t_utc_s=parts.clock.utc(),
+            boot=parts.boot,
+            uptime_s=now - self._started,
+            cpu_percent=self._process.cpu_percent(),
+            rss_mb=self._process.rss_mb(),
+            rates=self.rates,
+            latencies={name: LatencyHealth(*spread) for name, spread in spreads.items() if spread},
+            clock_offset_s=clock.get("clock_offset_s"),
+            clock_offset_sigma_s=clock.get("clock_sigma_s"),
+            links=tuple(link_health(link) for link in links),
+            drops=drops,
+            events=tuple(self.events),
+        )
