@@ -9,8 +9,9 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
-import math
 import re
+import sys
+import types
 import typing
 from collections.abc import Callable
 from pathlib import Path
@@ -168,9 +169,6 @@ class CameraSection(Section):
     time_offset_s: Number | None = Field(
         default=None, description="exposure on the IMU's clock = stamp + this; goes before the file's"
     )
-    allow_scaling: Switch = Field(
-        default=False, description="accept frames of another size than the calibration's"
-    )
 
     @model_validator(mode="after")
     def _one_calibration(self) -> CameraSection:
@@ -251,9 +249,7 @@ class NetworkSection(Section):
         default=(), description='endpoints such as "tcp/192.168.1.11:7447"; none: loopback'
     )
     connect: tuple[Text, ...] = Field(default=(), description="endpoints of teammates to dial")
-    multicast: Switch | None = Field(
-        default=None, description="find teammates by multicast; not given: on loopback only"
-    )
+    multicast: Switch = Field(default=False, description="also find teammates by multicast")
     insecure: Switch = Field(default=False, description="true: speak without TLS beyond this machine")
     lease_s: Annotated[Number, Field(ge=0.5, le=60.0)] = Field(
         default=2.0, description="a teammate that is silent for so long is gone"
@@ -320,8 +316,8 @@ def load_config(path: str | Path) -> DroneConfig:
     return config
 
 
-def mount_camera(section: CameraSection) -> MountedCamera | None:
-    """The calibrated camera that [camera] describes; None for a simulated one that is to be asked itself.
+def mount_camera(section: CameraSection) -> MountedCamera:
+    """The calibrated camera that [camera] describes; a simulated one is asked itself instead (`section.simulated`).
 
     What the config says of the mount and the time offset goes before what the file says; neither: a camera that
     looks forward from the body's origin. Raises CalibrationError.
@@ -329,11 +325,13 @@ def mount_camera(section: CameraSection) -> MountedCamera | None:
     if section.calibration is not None:
         file = load_calibration(section.calibration, section.calibration_camera)
     elif section.intrinsics is not None:
-        numbers = section.intrinsics.model_dump()
         lens = section.distortion.distortion() if section.distortion else None
-        file = Calibration(PinholeCamera(**numbers, distortion=lens), name="inline", source_format="config")
+        camera = PinholeCamera(**section.intrinsics.model_dump(), distortion=lens)
+        file = Calibration(camera, name="inline", source_format="config")
     else:
-        return None
+        raise ValueError(
+            f"camera.source {section.source}: no calibration, expected the simulation to be asked"
+        )
     if section.body_from_camera is not None:
         body_from_camera = section.body_from_camera.pose()
     elif file.imu_from_camera is not None:
@@ -363,7 +361,7 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
     rules: list[tuple[str, str, Callable[[str], str]]] = [
         ("camera", "calibration", lambda name: str(folder / Path(name).expanduser())),
         ("camera", "source", lambda source: _beside(source, ("file", "images"), quote(str(folder)))),
-        ("autopilot", "link", lambda link: _beside(link, ("tlog",), str(folder))),
+        ("autopilot", "link", lambda link: _beside(link, ("tlog", "file"), str(folder))),
         ("autopilot", "signing_key", lambda name: str(folder / Path(name).expanduser())),
         ("detector", "model", lambda name: str(folder / name) if name.endswith(".onnx") else name),
     ]
@@ -399,15 +397,15 @@ def _parameter_problems(layers: Layers, section: str, kind: type[Any], ignore: s
     table = layers.table.get(section, {})
     if not isinstance(table, dict):
         return []  # pydantic says so
-    types = typing.get_type_hints(kind)
+    hints = typing.get_type_hints(kind)
     known = [field.name for field in dataclasses.fields(kind)]
     values = {key: value for key, value in table.items() if key != ignore}
     problems = []
     for key, value in values.items():
         if key not in known:
             text = f"unknown key, {_one_of(key, known)}"
-        elif not _is_a(value, types[key]):
-            text = f"{_found(value)}, expected {EXPECTED.get(types[key], 'another type')}"
+        elif not _is_a(value, hints[key]):
+            text = f"{_found(value)}, expected {EXPECTED.get(hints[key], str(hints[key]))}"
         else:
             continue
         problems.append(layers.problem((section, key), f"{section}.{key}: {text}"))
@@ -427,8 +425,14 @@ EXPECTED: dict[Any, str] = {float: "a number", int: "a whole number", bool: "tru
 
 def _is_a(value: object, kind: Any) -> bool:
     """Whether a TOML value fits a field's type; types that TOML does not have are left to the dataclass."""
+    if isinstance(kind, types.UnionType):
+        return any(_is_a(value, one) for one in typing.get_args(kind) if one is not type(None))
     if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        return (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and abs(value) <= sys.float_info.max
+        )
     if kind is int:
         return isinstance(value, int) and not isinstance(value, bool)
     return isinstance(value, kind) if kind in EXPECTED else True

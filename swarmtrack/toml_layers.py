@@ -107,6 +107,8 @@ def _read(
         return wrong(line, f"byte 0x{raw[error.start]:02x} is not UTF-8, expected a config in TOML")
     except tomllib.TOMLDecodeError as error:
         return wrong(*_syntax_error(text, str(error)))
+    except ValueError as error:  # a number of thousands of digits
+        return wrong(1, f"{error}, expected valid TOML")
     except RecursionError:
         return wrong(1, "nested too deeply, expected a config in TOML")
 

@@ -54,9 +54,9 @@ def test_an_id_a_source_and_a_calibration_are_enough(write):
 @pytest.mark.parametrize("name", ["drone-1", "drone-2", "replay", "sim"])
 def test_the_examples_load(name):
     config = load_config(CONFIGS / f"{name}.toml")
-    mounted = mount_camera(config.camera)
-    assert (mounted is None) == (name == "sim")
+    assert config.camera.simulated == (name == "sim")
     if name.startswith("drone"):
+        mounted = mount_camera(config.camera)
         assert config.tracker.parameters == {"p_detection": 0.9, "clutter_per_scan": 1.0}  # of team.toml
         assert isinstance(mounted.camera.distortion, RadTan if name == "drone-1" else Equidistant)
 
@@ -116,6 +116,16 @@ probability = 2
         ("a = '\x80'".encode("latin-1"), ":1: byte 0x80 is not UTF-8"),
         ("# " + "x" * 300_000, ":1: larger than 256 KiB"),
         ("a = " + "[" * 5000, ":1: "),
+        ("a = " + "9" * 5000, ":1: Exceeds the limit"),
+        (MINIMAL + "time_offset_s = " + "9" * 400, ":7: camera.time_offset_s: "),
+        (
+            MINIMAL + "[tracker]\nmeasurement_sigma = inf",
+            ":8: tracker.measurement_sigma: Infinity, expected a number",
+        ),
+        (
+            MINIMAL + "[identity]\nprofile = 1979-05-27",
+            ':8: identity.profile: "1979-05-27", expected a string',
+        ),
         (MINIMAL + '[tracker]\nname = "kallman"', 'tracker.name: "kallman", did you mean "kalman"?'),
         (MINIMAL + "[tracker]\np_detection = 1.5", "tracker.p_detection: 1.5, expected a probability"),
         ("tracker = 3\nidentity = 4\n" + MINIMAL, ":1: tracker: 3, expected a table"),
