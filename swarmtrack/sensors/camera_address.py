@@ -1,0 +1,150 @@
+"""Where a camera is and how to open it: `scheme://target?option=value&…`, read once and checked to the last word.
+
+A misspelt option that is silently ignored costs its user an afternoon, so every word that is not understood is
+refused with the ones that are. The exceptions are `http:` and `rtsp:`, whose query belongs to the server: there our
+own options are taken out and the rest is sent on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import typing
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import parse_qsl, quote, unquote, urlencode, urlsplit
+
+from swarmtrack.errors import SourceError
+
+NETWORK_SCHEMES = ("http", "https", "rtsp")
+
+Options = TypeVar("Options")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraAddress:
+    """An address taken apart. `target`: a path, or for network schemes the whole URL without its query."""
+
+    scheme: str
+    target: str
+    query: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        """The address for people and logs: passwords hidden."""
+        query = "?" + "&".join(f"{key}={value}" for key, value in self.query) if self.query else ""
+        if self.scheme not in NETWORK_SCHEMES:
+            return f"{self.scheme}://{self.target}{query}"
+        parts = urlsplit(self.target)
+        user, at, host = parts.netloc.rpartition("@")
+        return parts._replace(netloc=user.partition(":")[0] + at + host).geturl() + query
+
+    def path(self, base: Path | None) -> Path:
+        """The target as a file; relative ones start at `base`, the folder of the config."""
+        path = Path(unquote(self.target)).expanduser()
+        return path if base is None else base / path
+
+
+def parse_address(source: str) -> CameraAddress:
+    """Take an address apart. `/dev/…` and a bare number are shorthand for `v4l2:`."""
+    source = source.strip()
+    if source.isascii() and source.isdigit():
+        source = f"/dev/video{source}"
+    if source.startswith("/dev/"):
+        source = f"v4l2://{source}"
+    scheme, colon, rest = source.partition(":")
+    if not colon or not scheme.isalnum():
+        raise SourceError(
+            f'camera source "{source}": expected SCHEME://…, for example v4l2:///dev/video0; '
+            f"a video file is written {_as_file(source)}"
+        )
+    scheme = scheme.lower()
+    if scheme in NETWORK_SCHEMES:
+        target, _, query = f"{scheme}:{rest}".partition("?")
+        try:
+            parts = urlsplit(target)
+            _ = parts.port  # raises on a port that is no number
+        except ValueError as error:
+            raise SourceError(f"camera source {scheme}: {error}") from None
+        if not parts.hostname:
+            raise SourceError(
+                f'camera source "{scheme}:{rest}": no host, expected {scheme}://HOST[:PORT]/PATH'
+            )
+    else:
+        target, _, query = rest.removeprefix("//").partition("?")
+        if not target:
+            raise SourceError(f'camera source "{source}": nothing after {scheme}://')
+    return CameraAddress(scheme, target, tuple(parse_qsl(query, keep_blank_values=True)))
+
+
+def read_options(address: CameraAddress, kind: type[Options]) -> Options:
+    """The options of an address as the frozen dataclass `kind`; all wrong ones are named in one `SourceError`."""
+    types = typing.get_type_hints(kind)
+    found: dict[str, Any] = {}
+    problems: list[str] = []
+    for name, text in address.query:
+        if name not in types:
+            if address.scheme not in NETWORK_SCHEMES:
+                problems.append(f'unknown option "{name}"{nearest(name, types)}')
+            continue
+        if name in found:
+            problems.append(f"{name}: given twice")
+            continue
+        try:
+            found[name] = _read_value(text, types[name])
+        except ValueError as error:
+            problems.append(f'{name}: found "{text}", expected {error}')
+    if not problems:
+        try:
+            return kind(**found)
+        except ValueError as error:
+            problems.append(str(error))
+    raise SourceError(f"camera source {address}: {'; '.join(problems)}")
+
+
+def server_url(address: CameraAddress, kind: type[Any]) -> str:
+    """The URL that is asked of the server: the address without our own options."""
+    ours = {field.name for field in dataclasses.fields(kind)}
+    query = urlencode([(key, value) for key, value in address.query if key not in ours])
+    return address.target + (f"?{query}" if query else "")
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """', did you mean …?' and what is known, for the end of a sentence."""
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    question = f', did you mean "{close[0]}"?' if close else ","
+    return f"{question} known: {', '.join(names)}"
+
+
+def _read_value(text: str, kind: Any) -> Any:
+    if kind is bool:
+        if text.lower() in ("1", "true", "yes", "on", ""):
+            return True
+        if text.lower() in ("0", "false", "no", "off"):
+            return False
+        raise ValueError("0 or 1")
+    if kind in (int, int | None):
+        try:
+            return int(text)
+        except ValueError:
+            raise ValueError("a whole number") from None
+    if kind in (float, float | None):
+        try:
+            return float(text)
+        except ValueError:
+            raise ValueError("a number") from None
+    if kind == tuple[str, ...]:
+        return tuple(word.strip() for word in text.split(",") if word.strip())
+    return text
+
+
+def in_range(name: str, value: float | None, low: float, high: float, unit: str = "") -> None:
+    """Raise ValueError unless low <= value <= high; NaN is out of every range."""
+    if value is not None and not low <= value <= high:
+        raise ValueError(f"{name}: found {value}, expected {low} … {high}{unit}")
+
+
+def _as_file(source: str) -> str:
+    return f"file://{quote(source)}" if source else "file://clip.mp4"

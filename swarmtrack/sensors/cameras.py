@@ -1,0 +1,41 @@
+"""Which camera an address means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from swarmtrack.errors import SourceError
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.sensors.base import Camera
+from swarmtrack.sensors.camera_address import nearest, parse_address
+from swarmtrack.sensors.images import ImagesCamera
+from swarmtrack.sensors.mjpeg import MjpegCamera
+from swarmtrack.sensors.rtsp import RtspCamera
+from swarmtrack.sensors.v4l2 import V4l2Camera
+from swarmtrack.sensors.video import VideoFileCamera
+
+CAMERAS: dict[str, Callable[..., Camera]] = {
+    "v4l2": V4l2Camera,
+    "file": VideoFileCamera,
+    "images": ImagesCamera,
+    "http": MjpegCamera,
+    "https": MjpegCamera,
+    "rtsp": RtspCamera,
+}
+
+
+def open_camera(
+    source: str, *, clock: Clock, size: tuple[int, int] | None = None, base: Path | None = None
+) -> Camera:
+    """The camera of an address; nothing is started before its `frames()`.
+
+    size: (width, height) px of its calibration, frames of another are refused unless the address says `resize=1`;
+    base: the folder that relative paths start from. Raises SourceError for what can never work.
+    """
+    address = parse_address(source)
+    if address.scheme not in CAMERAS:
+        raise SourceError(
+            f'camera source {address}: unknown scheme "{address.scheme}"{nearest(address.scheme, CAMERAS)}'
+        )
+    return CAMERAS[address.scheme](address, clock=clock, size=size, base=base)

@@ -1,0 +1,121 @@
+"""Plays a recording as if it were a camera, or as fast as it goes.
+
+A worker thread reads ahead by one picture. At pace `realtime` it shows each picture at its time, and one that
+nobody took gives way to the next, as with a camera. At pace `fast` it waits until the last one was taken, so every
+picture is seen, in order. The media time of the first picture is `clock.now()` at the start.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.sensors.frame_slot import CLOSE_TIMEOUT, BadImage, FrameSlot, RawFrame, already
+
+PACES = ("realtime", "fast")
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One image of a recording. t: media time [s] from its first picture; image None: could not be read."""
+
+    t: float
+    sequence: int
+    image: Image | None
+
+
+class Recording(Protocol):
+    """What can be played. `play` reads from the start, in one thread, and closes what it opened when it is left."""
+
+    period: float  # s between pictures, for the pause between two loops
+
+    def play(self) -> Iterator[Picture]: ...
+
+    def ending(self, pictures: int) -> tuple[bool, str]:
+        """Whether the end, after so many pictures, is as it should be, and a sentence about it."""
+        ...
+
+
+class Playback:
+    """A camera that is a recording."""
+
+    def __init__(self, recording: Recording, *, clock: Clock, slot: FrameSlot, pace: str, loop: bool) -> None:
+        self._recording = recording
+        self._clock = clock
+        self._slot = slot
+        self._realtime = pace == "realtime"
+        self._loop = loop
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._room = threading.Semaphore(1)  # pace `fast`: free when the last frame was taken
+
+    def frames(self) -> AsyncIterator[Frame]:
+        if self._thread is None and not self._stop.is_set():
+            self._slot.say(True, "playing")
+            arguments = (asyncio.get_running_loop(), self._clock.now())
+            # A daemon: a read that hangs (a dead network drive) must not keep the process.
+            self._thread = threading.Thread(target=self._run, args=arguments, name="camera", daemon=True)
+            self._thread.start()
+        return self._slot.frames()
+
+    def status(self) -> LinkStatus:
+        return self._slot.status()
+
+    async def close(self) -> None:
+        self._stop.set()
+        self._room.release()
+        self._slot.clear()
+        self._slot.end()
+        if self._thread is not None:
+            await asyncio.to_thread(self._thread.join, CLOSE_TIMEOUT)
+
+    def _run(self, loop: asyncio.AbstractEventLoop, start: float) -> None:
+        error: BaseException | None = None
+        ok, text = True, "closed"
+        try:
+            count = self._play(loop, start)
+            if not self._stop.is_set():
+                ok, text = self._recording.ending(count)
+        except Exception as bug:  # not lost with the thread: the consumer raises it
+            error, ok, text = bug, False, f"failed: {bug}"
+        try:
+            loop.call_soon_threadsafe(self._slot.say, ok, text)
+            loop.call_soon_threadsafe(self._slot.end, error)
+        except RuntimeError:
+            return  # the loop is gone, and with it everybody who could want to know
+
+    def _play(self, loop: asyncio.AbstractEventLoop, start: float) -> int:
+        """Hand over all pictures; returns how many were read. Ends early when stopped."""
+        count, sequence, t = 0, 0, 0.0
+        while True:
+            first, count_before = sequence, count
+            for picture in self._recording.play():
+                t, sequence = start + picture.t, first + picture.sequence
+                if not self._wait_for_turn(t):
+                    return count
+                count += 1
+                decode = _unreadable if picture.image is None else already(picture.image)
+                raw = RawFrame(t, 0.0, sequence, StampKind.MEDIA, decode, self._room.release)
+                loop.call_soon_threadsafe(self._slot.put, raw)
+            if not self._loop or count == count_before:
+                return count
+            start = t + self._recording.period
+            sequence += 1
+
+    def _wait_for_turn(self, t: float) -> bool:
+        """Block until the picture of time t may be shown; False when stopped."""
+        if not self._realtime:
+            self._room.acquire()
+            return not self._stop.is_set()
+        while (ahead := t - self._clock.now()) > 0 and not self._stop.is_set():
+            self._stop.wait(min(ahead, 0.1))  # in steps, for a clock that is set by hand
+        return not self._stop.is_set()
+
+
+def _unreadable() -> Image:
+    raise BadImage("cannot be read")

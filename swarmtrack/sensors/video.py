@@ -1,0 +1,122 @@
+"""`file:` a video file, read by OpenCV's FFmpeg."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from swarmtrack.errors import SourceError
+from swarmtrack.messages import Frame, LinkStatus
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, read_options
+from swarmtrack.sensors.frame_slot import FrameSlot, WrongSize, check_size
+from swarmtrack.sensors.playback import PACES, Picture, Playback
+
+# FFmpeg writes its own complaints to stderr, before and instead of the sentence that we say. Read once, at first use.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+DEFAULT_FPS = 30.0  # where a file does not tell
+LONGEST_PAUSE = 10.0  # s between two frames; more is a damaged time, for which nobody wants to wait
+
+
+@dataclass(frozen=True, slots=True)
+class VideoOptions:
+    pace: str = "realtime"
+    loop: bool = False
+    fps: float | None = None  # in place of the file's own times
+    resize: bool = False
+
+    def __post_init__(self) -> None:
+        if self.pace not in PACES:
+            raise ValueError(f'pace: found "{self.pace}"{nearest(self.pace, PACES)}')
+        in_range("fps", self.fps, 0.01, 1000)
+
+
+class VideoFile:
+    """A video file that was found to hold at least one frame. size: (width, height) px."""
+
+    def __init__(self, path: Path, fps: float | None) -> None:
+        """Raises SourceError if there is nothing to play."""
+        self._path = path
+        self._fps = fps
+        if not path.exists():
+            raise SourceError(f"video file {path}: not found")
+        if path.is_dir():
+            raise SourceError(
+                f"video file {path}: is a folder; a folder of images is written images://{path}"
+            )
+        if not os.access(path, os.R_OK):
+            raise SourceError(f"video file {path}: permission denied")
+        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        try:
+            if not capture.isOpened():
+                raise SourceError(
+                    f"video file {path}: {path.stat().st_size} bytes that are no video that can be read; "
+                    "a recording that was cut off before it was closed looks like this"
+                )
+            found, image = capture.read()
+            if not found:
+                raise SourceError(f"video file {path}: holds no frame that can be read")
+            self.size = (image.shape[1], image.shape[0])
+            file_fps = capture.get(cv2.CAP_PROP_FPS)
+            self._announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        finally:
+            capture.release()
+        self.period = 1 / (fps or (file_fps if 0.01 <= file_fps <= 1000 else DEFAULT_FPS))
+
+    def play(self) -> Iterator[Picture]:
+        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        try:
+            origin, last, sequence = 0.0, -self.period, 0
+            while True:
+                found, image = capture.read()
+                if not found:
+                    return
+                media = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                if sequence == 0:
+                    origin = media
+                # Damaged files have times that stand still or jump. Time does not.
+                trusted = self._fps is None and last < media - origin < last + LONGEST_PAUSE
+                last = media - origin if trusted else last + self.period
+                yield Picture(last, sequence, np.asarray(image, np.uint8))
+                sequence += 1
+        finally:
+            capture.release()
+
+    def ending(self, pictures: int) -> tuple[bool, str]:
+        if 0 < pictures < self._announced - 1:  # the header's count is off by one in honest files
+            return (
+                False,
+                f"ended after {pictures} of {self._announced} frames: the rest of the file cannot be read",
+            )
+        return True, f"ended after {pictures} frames"
+
+
+class VideoFileCamera:
+    """A video file as a camera."""
+
+    def __init__(
+        self, address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
+    ) -> None:
+        options = read_options(address, VideoOptions)
+        video = VideoFile(address.path(base), options.fps)
+        try:
+            check_size(video.size, size, options.resize)
+        except WrongSize as error:
+            raise SourceError(f"camera source {address}: {error}") from None
+        slot = FrameSlot(str(address), clock, size, options.resize)
+        self._playback = Playback(video, clock=clock, slot=slot, pace=options.pace, loop=options.loop)
+
+    def frames(self) -> AsyncIterator[Frame]:
+        return self._playback.frames()
+
+    def status(self) -> LinkStatus:
+        return self._playback.status()
+
+    async def close(self) -> None:
+        await self._playback.close()
