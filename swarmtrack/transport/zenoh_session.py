@@ -143,8 +143,12 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
                     "endpoints": connect,
                     "timeout_ms": -1,  # for ever, in the background: a peer that is away may come back
                     "exit_on_failure": False,
-                    # Loopback refuses at once, so dialling often costs nothing; half a second is our promise.
-                    "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+                    # Who takes over a meeting point is met after one period. Loopback refuses at once and for free.
+                    "retry": {
+                        "period_init_ms": 100,
+                        "period_max_ms": 250 if network.rendezvous else 1000,
+                        "period_increase_factor": 2,
+                    },
                 },
                 # Do not wait for links: whoever comes later is no special case.
                 "open": {"return_conditions": {"connect_scouted": False, "declares": False}},
