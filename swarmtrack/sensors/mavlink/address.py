@@ -1,0 +1,144 @@
+"""Addresses of autopilots: the habits of pymavlink and of MAVSDK are read, one normal form is printed."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass
+from typing import Literal
+from urllib.parse import parse_qsl
+
+from swarmtrack.errors import SourceError
+
+Scheme = Literal["udpin", "udpout", "tcp", "serial", "tlog", "none"]
+
+DEFAULT_BAUD = 115200  # USB ports ignore it; on a UART the wrong one is named within 3 s
+SLOWEST_BAUD = (
+    1200  # a smaller number after the last colon belongs to the name (/dev/serial/by-path/…-usb-0:1)
+)
+
+# What people write, to what we call it. MAVSDK's and pymavlink's plain `udp` both listen.
+SCHEMES: dict[str, Scheme] = {
+    "udpin": "udpin",
+    "udp": "udpin",
+    "udpout": "udpout",
+    "tcp": "tcp",
+    "tcpout": "tcp",
+    "serial": "serial",
+    "tlog": "tlog",
+    "none": "none",
+}
+EXAMPLES = (
+    "udpin:0.0.0.0:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, "
+    "serial:/dev/ttyACM0:921600, tlog:flight.tlog?speed=1 or none"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkAddress:
+    """Where the autopilot is. host, port: of udpin, udpout, tcp; path: of serial, tlog; speed 0: as fast as it goes."""
+
+    scheme: Scheme
+    host: str = ""
+    port: int = 0
+    path: str = ""
+    baud: int = DEFAULT_BAUD
+    speed: float = 1.0
+
+    def __str__(self) -> str:
+        match self.scheme:
+            case "udpin" | "udpout" | "tcp":
+                host = f"[{self.host}]" if ":" in self.host else self.host
+                return f"{self.scheme}:{host}:{self.port}"
+            case "serial":
+                return f"serial:{self.path}:{self.baud}"
+            case "tlog":
+                return f"tlog:{self.path}?speed={self.speed:g}"
+            case "none":
+                return "none"
+
+
+def parse_address(text: str) -> LinkAddress:
+    """Read an autopilot's address; `SourceError` says what is wrong with one that can never work."""
+    text = text.strip()
+    if text == "none":
+        return LinkAddress("none")
+    if text.startswith("/dev/"):
+        return _serial(text, text)
+    if text.partition("?")[0].endswith(".tlog") and not text.startswith("tlog:"):
+        return _tlog(text, text.removeprefix("file://").removeprefix("file:"))
+    if re.fullmatch(r"COM\d+.*", text, re.IGNORECASE):
+        raise _mistake(text, "a Windows port, expected a Linux device such as /dev/ttyACM0")
+
+    name, colon, rest = text.partition(":")
+    scheme = SCHEMES.get(name.lower())
+    if not colon or scheme is None or scheme == "none":
+        raise _unknown_scheme(text, name)
+    rest = rest.removeprefix("//")
+    if scheme == "serial":
+        return _serial(text, rest)
+    if scheme == "tlog":
+        return _tlog(text, rest)
+    return _network(text, scheme, rest.rstrip("/"))
+
+
+def _mistake(text: str, found: str) -> SourceError:
+    return SourceError(f"autopilot link {text!r}: {found}; write it like {EXAMPLES}")
+
+
+def _unknown_scheme(text: str, name: str) -> SourceError:
+    if name.lower() == "tcpin":
+        return _mistake(
+            text, "tcpin waits for the autopilot to call, which is not offered: let us call it with tcp:"
+        )
+    if re.fullmatch(r"(\S+:)?\d+", text):
+        return _mistake(text, "has no scheme: udpin: listens here, udpout: and tcp: call that address")
+    near = difflib.get_close_matches(name.lower(), SCHEMES, n=1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    return _mistake(text, f"unknown scheme {name!r}{hint}")
+
+
+def _network(text: str, scheme: Scheme, rest: str) -> LinkAddress:
+    host, colon, port = rest.rpartition(":")
+    if not colon and rest.isdigit():
+        port = rest  # udpin:14540
+    if not port.isdigit() or not 0 < int(port) < 65536:
+        raise _mistake(
+            text, f"found port {port if colon else rest!r}, expected HOST:PORT with a port in 1…65535"
+        )
+    host = host.removeprefix("[").removesuffix("]")
+    if not host and scheme != "udpin":
+        raise _mistake(text, "names no host to call")
+    return LinkAddress(scheme, host=host or "0.0.0.0", port=int(port))
+
+
+def _serial(text: str, rest: str) -> LinkAddress:
+    path, comma, baud = rest.rpartition(",")
+    if not comma:
+        path, colon, baud = rest.rpartition(":")
+        if not colon or (baud.isdigit() and int(baud) < SLOWEST_BAUD) or "/" in baud or "." in baud:
+            path, baud = rest, str(DEFAULT_BAUD)
+    if path.isdigit() or not path.startswith("/"):
+        raise _mistake(
+            text, f"found device {path!r}, expected a path such as /dev/ttyACM0, the baud rate after it"
+        )
+    if not baud.isdigit() or int(baud) < SLOWEST_BAUD:
+        raise _mistake(text, f"found baud rate {baud!r}, expected a number such as 57600, 115200 or 921600")
+    return LinkAddress("serial", path=path, baud=int(baud))
+
+
+def _tlog(text: str, rest: str) -> LinkAddress:
+    path, _, query = rest.partition("?")
+    if not path:
+        raise _mistake(text, "names no file")
+    speed = 1.0
+    for key, value in parse_qsl(query, keep_blank_values=True):
+        if key == "pace" and value in ("fast", "realtime"):
+            speed = 0.0 if value == "fast" else 1.0
+        elif key == "speed" and re.fullmatch(r"\d+(\.\d*)?", value):
+            speed = float(value)
+        else:
+            raise _mistake(
+                text, f"found {key}={value}, expected speed=NUMBER (0: fast) or pace=realtime|fast"
+            )
+    return LinkAddress("tlog", path=path, speed=speed)

@@ -1,0 +1,173 @@
+"""From the autopilot's clock to ours.
+
+A message stamped s by the autopilot arrives at a = s + offset + latency, latency > 0, so every arrival bounds the
+offset from above: offset < a − s. The tightest line under all these points, with the clocks' skew as its slope, is an
+edge of their lower convex hull: of all lines below the points the one nearest to them on average passes through the
+edge that spans their mean abscissa (Moon, Skelly & Towsley, "Estimation and removal of clock skew from network delay
+measurements", INFOCOM 1999). An average of the arrivals would follow the jitter, which is one-sided.
+
+That line still holds the smallest latency. TIMESYNC adds bounds from below: what the autopilot stamped after we sent
+our request cannot have happened before it, offset > sent − s. The truth lies between both envelopes, and we take the
+middle. A single exchange is biased (the autopilot answers only in its loop); the envelopes of a minute of them hardly
+are. ArduPilot dates a request back by the time its bytes would take on a UART of the configured speed, also where there
+is no UART: 6.5 ms on UDP. So the bounds may cross a little; the difference is owned up to in sigma. If they cross by
+more, the autopilot's clock has stepped, and all that was learned is dropped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+BUCKET = 1.0  # s: one extreme is kept of each
+WINDOW = 60  # buckets: long against jitter, short against the wandering of a crystal with temperature
+SKEW_BASELINE = 10.0  # s of stamps before a slope is read from them
+MAX_SKEW = 1e-3  # crystals stay below 1e-4; what is steeper is congestion
+MAX_SLEW = 0.02  # s/s: how fast a correction is brought in, so that no sample's dt is wrong by more than 2 %
+HARD_RESYNC = 0.1  # s: an error this large is corrected at once, and said
+CROSSING = 0.02  # s: bounds that cross by more mean a stepped clock, by less a request dated back
+MIN_EXCHANGES = 5  # a first reply may have been seconds under way
+UNKNOWN_LATENCY = 0.005  # s: standard deviation to own up to without TIMESYNC
+
+Point = tuple[float, float]
+
+
+class Envelope:
+    """The extreme of y in each bucket of x, over the window. sign +1: smallest, −1: largest."""
+
+    def __init__(self, sign: int) -> None:
+        self.points: deque[Point] = deque(maxlen=WINDOW)
+        self._sign = sign
+
+    def add(self, x: float, y: float) -> bool:
+        """Note a point; tell whether it begins a new bucket."""
+        if self.points:
+            x = max(x, self.points[-1][0])  # one stream's stamps may lag a little behind another's
+        new = not self.points or math.floor(x / BUCKET) > math.floor(self.points[-1][0] / BUCKET)
+        if new:
+            self.points.append((x, y))
+        elif self._sign * y < self._sign * self.points[-1][1]:
+            self.points[-1] = (x, y)
+        return new
+
+
+def supporting_line(points: list[Point]) -> Point:
+    """(slope, value at x = 0) of the line below all points that is nearest to them on average.
+
+    points: ascending in x, at least two. Andrew's monotone chain for the hull, then the edge over the mean x.
+    """
+    hull: list[Point] = []
+    for x, y in points:
+        while len(hull) >= 2:
+            (x1, y1), (x2, y2) = hull[-2:]
+            if (x2 - x1) * (y - y1) > (y2 - y1) * (x - x1):
+                break
+            hull.pop()
+        hull.append((x, y))
+    mean = sum(x for x, _ in points) / len(points)
+    i = next(i for i in range(1, len(hull)) if hull[i][0] >= mean)
+    (x1, y1), (x2, y2) = hull[i - 1 : i + 1]
+    slope = (y2 - y1) / (x2 - x1)
+    return slope, y1 - slope * x1
+
+
+class ClockMap:
+    """Maps the autopilot's time stamps [s since its boot] to our monotonic clock [s].
+
+    offset: what is added to a stamp now; sigma: one standard deviation of it, constant part included; skew: of their
+    clock against ours [s/s]; resyncs: corrections too large to be brought in slowly.
+    """
+
+    def __init__(self) -> None:
+        self.resyncs = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the autopilot has rebooted."""
+        self.offset: float | None = None
+        self.sigma = math.inf
+        self.skew = 0.0
+        self._newest = -math.inf
+        self._restart()
+
+    def _restart(self) -> None:
+        self._upper = Envelope(+1)
+        self._lower = Envelope(-1)
+        self._exchanges = 0
+        self._reference = 0.0  # x = stamp − reference keeps products small
+        self._intercept = math.inf
+        self._latency = 0.0
+
+    def observe(self, stamp: float, arrival: float) -> None:
+        """A message stamped `stamp` by the autopilot has come at `arrival` on our clock."""
+        self._bound_above(stamp, arrival)
+        self._slew(stamp)
+
+    def exchange(self, sent: float, stamp: float, received: float) -> None:
+        """One TIMESYNC: our request left at `sent`, was stamped `stamp`, and its answer came at `received`."""
+        self._bound_above(stamp, received)
+        x = stamp - self._reference
+        if sent - stamp > self._line(stamp) + CROSSING:
+            self._restart()
+            self._bound_above(stamp, received)
+            x = 0.0
+        self._lower.add(x, sent - stamp)
+        self._exchanges += 1
+        if self._exchanges >= MIN_EXCHANGES:
+            width = self._width(x)
+            self._latency = max(0.0, width) / 2
+            # Uniform between the bounds, plus how far the envelope itself is uncertain.
+            self.sigma = math.hypot(width / math.sqrt(12), self._scatter())
+
+    def to_ours(self, stamp: float) -> float:
+        """Our time of the autopilot's `stamp`. Strictly increasing in the stamp, between hard resyncs."""
+        if self.offset is None:
+            raise ValueError("ClockMap.to_ours: nothing has been observed yet")
+        return stamp + self.offset
+
+    def _line(self, stamp: float) -> float:
+        return self._intercept + self.skew * (stamp - self._reference)
+
+    def _bound_above(self, stamp: float, arrival: float) -> None:
+        if not self._upper.points:
+            self._reference = stamp
+        delay = arrival - stamp
+        if self._upper.add(stamp - self._reference, delay):
+            self._fit()
+        self._intercept -= max(0.0, self._line(stamp) - delay)
+
+    def _fit(self) -> None:
+        points = list(self._upper.points)
+        if len(points) < 3 or points[-1][0] - points[0][0] < SKEW_BASELINE:
+            self.skew = 0.0
+        else:
+            # The bucket that has just begun holds one sample, hardly the fastest of its second.
+            slope, _ = supporting_line(points[:-1])
+            self.skew = min(max(slope, -MAX_SKEW), MAX_SKEW)
+        self._intercept = min(y - self.skew * x for x, y in points)
+        if self._exchanges < MIN_EXCHANGES:
+            self.sigma = math.hypot(UNKNOWN_LATENCY, self._scatter())
+
+    def _scatter(self) -> float:
+        """Median height of the seconds' fastest messages above the line [s]: what is left of the jitter."""
+        heights = sorted(y - self._intercept - self.skew * x for x, y in self._upper.points)
+        return heights[len(heights) // 2]
+
+    def _width(self, x: float) -> float:
+        """Distance of the two envelopes at x, the lower one carried there along the skew."""
+        upper = self._intercept + self.skew * x
+        return upper - max(y + self.skew * (x - xi) for xi, y in self._lower.points)
+
+    def _slew(self, stamp: float) -> None:
+        target = self._line(stamp) - self._latency
+        elapsed = max(0.0, stamp - self._newest)
+        self._newest = max(self._newest, stamp)
+        if self.offset is None:
+            self.offset = target
+            return
+        error = target - self.offset
+        if abs(error) > HARD_RESYNC:
+            self.offset = target
+            self.resyncs += 1
+        else:
+            self.offset += min(max(error, -MAX_SLEW * elapsed), MAX_SLEW * elapsed)

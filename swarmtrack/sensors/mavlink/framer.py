@@ -1,0 +1,166 @@
+"""Finds MAVLink frames, version 1 and 2, in whatever bytes a link delivers.
+
+pymavlink's own parser throws away the whole length that a false header claims, and with it the good frames inside:
+one stray 0xFD before each frame costs nine frames of ten. This framer believes a header only when the CRC behind it
+agrees, and otherwise goes on at the next byte, so garbage between frames never costs one of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import common
+
+V1, V2 = 0xFE, 0xFD
+HEADER_V1, HEADER_V2 = 6, 10  # bytes, magic included
+CRC_LENGTH = 2
+SIGNATURE_LENGTH = 13
+SIGNED = 0x01  # the only incompatibility flag there is
+FLUSH_AFTER = 0.05  # s of silence on a stream: the rest of a frame would have come, so its header was false
+
+MAGIC = re.compile(b"[\xfd\xfe]")
+CRC_EXTRA: dict[int, bytes] = {i: bytes((m.crc_extra,)) for i, m in common.mavlink_map.items()}
+PAYLOAD_SIZE: dict[int, int] = {i: m.unpacker.size for i, m in common.mavlink_map.items()}
+
+_crc: Callable[[bytes], int]
+try:
+    from fastcrc.crc16 import mcrf4xx as _crc
+
+    FAST_CRC = True
+except ImportError:
+    FAST_CRC = False
+
+    def _crc(data: bytes) -> int:
+        return int(common.x25crc(bytearray(data)).crc)
+
+
+class Frame(NamedTuple):
+    """One frame whose CRC was right; `data` is all of it, from magic to signature."""
+
+    id: int
+    system: int
+    component: int
+    sequence: int
+    signed: bool
+    data: bytes
+
+
+class Framer:
+    """Cuts a stream or datagrams into frames and counts the rest.
+
+    good: frames; bad_bytes: bytes that belong to no frame; crc_failures: headers of known messages whose CRC was
+    wrong; unknown: frames of messages that the dialect lacks. Nobody can check those, so they are never delivered;
+    they are told from garbage by ending exactly where the next frame begins.
+    """
+
+    def __init__(self) -> None:
+        self.good = 0
+        self.bad_bytes = 0
+        self.crc_failures = 0
+        self.unknown = 0
+        self._buffer = bytearray()
+        # Offsets into the buffer (negative: already gone). Bytes before `_counted` are accounted for; `_explained`
+        # goes further, by `_claims` headers of unknown messages whose claimed ends are not confirmed yet.
+        self._counted = 0
+        self._explained = 0
+        self._claims = 0
+
+    @property
+    def pending(self) -> bool:
+        """Whether bytes wait for the rest of a frame."""
+        return bool(self._buffer)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take the next bytes of a stream; return the frames that are complete. Holds back at most 280 bytes."""
+        self._buffer += data
+        return self._scan(final=False)
+
+    def flush(self) -> list[Frame]:
+        """The stream fell silent: nothing that waits is a frame, but one may lie inside it."""
+        return self._scan(final=True)
+
+    def datagram(self, data: bytes) -> list[Frame]:
+        """The frames of one datagram. Frames never span datagrams, so a truncated one spoils nothing after it."""
+        self.reset()
+        self._buffer += data
+        return self._scan(final=True)
+
+    def reset(self) -> None:
+        """Forget what waits (a new connection): it counts as bad."""
+        self._settle(len(self._buffer), confirmed=False)
+        self._cut(len(self._buffer))
+
+    def _scan(self, final: bool) -> list[Frame]:
+        buffer = self._buffer
+        size = len(buffer)
+        frames: list[Frame] = []
+        position = 0
+        while (magic := MAGIC.search(buffer, position)) is not None:
+            start = magic.start()
+            if start > self._explained:
+                self._settle(start, confirmed=False)
+            position = start + 1
+            version_2 = buffer[start] == V2
+            header = HEADER_V2 if version_2 else HEADER_V1
+            if version_2 and size - start >= 3 and buffer[start + 2] & ~SIGNED:
+                continue  # flags that nobody has defined: not a header, or one we could not read
+            if size - start < header:
+                if final:
+                    continue
+                position = start
+                break
+            length = buffer[start + 1]
+            total = header + length + CRC_LENGTH
+            signed = version_2 and buffer[start + 2] == SIGNED
+            if signed:
+                total += SIGNATURE_LENGTH
+            message_id = (
+                int.from_bytes(buffer[start + 7 : start + 10], "little") if version_2 else buffer[start + 5]
+            )
+            extra = CRC_EXTRA.get(message_id)
+            if extra is None:
+                if start == self._explained:
+                    self._claims += 1
+                    self._explained = start + total
+                continue
+            # Newer peers append fields to version 2, so its length proves nothing; version 1 never grows.
+            if not version_2 and length > PAYLOAD_SIZE[message_id]:
+                continue
+            if size - start < total:
+                if final:
+                    continue
+                position = start
+                break
+            end = start + header + length
+            if _crc(bytes(buffer[start + 1 : end]) + extra) != buffer[end] | buffer[end + 1] << 8:
+                self.crc_failures += 1
+                continue
+            self._settle(start, confirmed=start == self._explained)
+            position = start + total
+            self._counted = self._explained = position
+            self.good += 1
+            data = bytes(buffer[start:position])
+            sequence, system, component = data[4:7] if version_2 else data[2:5]
+            frames.append(Frame(message_id, system, component, sequence, signed, data))
+        else:
+            position = size
+            if final or self._explained < size:
+                self._settle(size, confirmed=self._explained == size)
+        self._cut(position)
+        return frames
+
+    def _settle(self, end: int, confirmed: bool) -> None:
+        """Count the bytes up to `end`: unknown frames where their claimed ends were confirmed, garbage otherwise."""
+        if confirmed:
+            self.unknown += self._claims
+        else:
+            self.bad_bytes += end - self._counted
+        self._claims = 0
+        self._counted = self._explained = end
+
+    def _cut(self, position: int) -> None:
+        del self._buffer[:position]
+        self._counted -= position
+        self._explained -= position
