@@ -36,6 +36,9 @@ class DecodeError(SwarmtrackError):
     """Bytes from the network that are no message of ours; the text says which field and why."""
 
 
+_UPPER = {n: np.triu_indices(n) for n in (3, 4)}  # rows and columns of an upper triangle, row by row
+
+
 # What a field may hold. The bounds are not physics, they only keep later arithmetic far from overflow.
 DroneId = Annotated[int, Meta(ge=1, le=65535)]
 Boot = Annotated[str, Meta(pattern="^[0-9a-f]{8}$", min_length=8, max_length=8)]
@@ -336,7 +339,8 @@ def _decode(kind: type[_M], data: bytes) -> _M:
         raise DecodeError(f"{kind.what}: {_with_field_name(kind, str(error))}") from None
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise DecodeError(f"{kind.what}: {error} in {len(data)} bytes") from None
-    _check_finite(kind.what, message)
+    if not _is_finite(message):
+        raise DecodeError(f"{kind.what}: holds NaN or infinity, expected finite numbers")
     return message
 
 
@@ -349,20 +353,15 @@ def _with_field_name(kind: type[msgspec.Struct], text: str) -> str:
     return re.sub(r"`\$\[(\d+)\]", name, text)
 
 
-def _check_finite(where: str, value: object) -> None:
-    """The bounds refuse NaN too, but only by the way msgspec happens to compare."""
+def _is_finite(value: object) -> bool:
+    """Whether every number in it is. The bounds refuse NaN too, but only by the way msgspec happens to compare."""
     if isinstance(value, float):
-        if not math.isfinite(value):
-            raise DecodeError(f"{where}: is {value}, expected a finite number")
-    elif isinstance(value, msgspec.Struct):
-        for name in value.__struct_fields__:
-            _check_finite(f"{where}: {name}", getattr(value, name))
-    elif isinstance(value, tuple):
-        for element in value:
-            _check_finite(where, element)
-    elif isinstance(value, dict):
-        for name, element in value.items():
-            _check_finite(f"{where}: {name}", element)
+        return math.isfinite(value)
+    if isinstance(value, msgspec.Struct):
+        return all(_is_finite(getattr(value, name)) for name in value.__struct_fields__)
+    if isinstance(value, tuple):
+        return all(map(_is_finite, value))
+    return all(map(_is_finite, value.values())) if isinstance(value, dict) else True
 
 
 def _check_covariances(where: str, uppers: list[tuple[float, ...]], n: int) -> None:
@@ -376,12 +375,12 @@ def _check_covariances(where: str, uppers: list[tuple[float, ...]], n: int) -> N
 
 
 def _upper_triangle(matrix: Array) -> tuple[float, ...]:
-    return tuple(matrix[np.triu_indices(len(matrix))].tolist())
+    return tuple(matrix[_UPPER[len(matrix)]].tolist())
 
 
 def _symmetric(upper: Array, n: int) -> Array:
     """upper (k, n(n+1)/2), row by row -> (k, n, n)."""
-    rows, columns = np.triu_indices(n)
+    rows, columns = _UPPER[n]
     matrix = np.empty((len(upper), n, n))
     matrix[:, rows, columns] = upper
     matrix[:, columns, rows] = upper

@@ -1,12 +1,13 @@
 """The wire: what we write is pinned byte for byte, and no bytes at all can do more than be refused."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
-import msgpack
+import msgpack  # type: ignore[import-untyped]
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from swarmtrack import codec
@@ -15,7 +16,11 @@ from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, IdentifiedTrack, LinkStatus, Track, TrackList, TrackStatus
 
 UTC_OFFSET = 1.7e9
-DECODERS = [codec.decode_announcement_message, codec.decode_tracks, codec.decode_health]
+DECODERS: list[Callable[[bytes], codec.Message]] = [
+    codec.decode_announcement_message,
+    codec.decode_tracks,
+    codec.decode_health,
+]
 
 ANNOUNCEMENT = Announcement(
     drone_id=7,
@@ -138,6 +143,7 @@ def test_as_many_tracks_as_are_allowed_fit_into_one_message() -> None:
 metres = st.floats(-1e4, 1e4)
 
 
+@settings(deadline=None)
 @given(
     drone_id=st.integers(1, 65535),
     sequence=st.integers(0, 2**32 - 1),
@@ -272,11 +278,13 @@ def numbers(value: Any) -> list[float]:
     return [value] if isinstance(value, float) else []
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=400))
 def test_random_bytes_are_refused(data: bytes) -> None:
     assert_refused_or_sound(data)
 
 
+@settings(deadline=None)
 @given(st.sampled_from(MESSAGES), st.data())
 def test_truncated_messages_are_refused(message: bytes, draw: st.DataObject) -> None:
     cut = message[: draw.draw(st.integers(0, len(message) - 1))]
@@ -285,6 +293,7 @@ def test_truncated_messages_are_refused(message: bytes, draw: st.DataObject) -> 
             decode(cut)
 
 
+@settings(deadline=None)
 @given(
     st.sampled_from(MESSAGES), st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=8)
 )
@@ -302,6 +311,7 @@ anything = st.recursive(
 )
 
 
+@settings(deadline=None)
 @given(st.sampled_from(MESSAGES), st.integers(0, 30), anything)
 def test_a_field_replaced_by_anything_is_refused_or_sound(message: bytes, index: int, value: object) -> None:
     fields = msgpack.unpackb(message)

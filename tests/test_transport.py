@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmtrack import codec
@@ -158,6 +158,16 @@ async def test_agents_know_each_other_whoever_came_first(start: Start) -> None:
     await late.hears(1, first.boot)
     await first.hears(65535, late.boot)
     assert first.told[0] == PeerArrived(65535, late.boot)  # alive before it is believed
+
+
+async def test_what_was_announced_before_opening_is_known_too(start: Start, world: World, team: str) -> None:
+    listener = await start(1)
+    boot = keys.new_boot()
+    eager = world.transport(team, 2, boot, ManualClock())
+    await eager.announce(announcement(2, boot))
+    await eager.open()
+    await listener.hears(2, boot)
+    await eager.close()
 
 
 async def test_ten_agents_that_start_at_once_all_know_all(start: Start) -> None:
@@ -324,6 +334,7 @@ happenings = st.lists(
 )
 
 
+@settings(deadline=None)
 @given(happenings)
 def test_whatever_happens_events_tell_a_consistent_story(story: list[tuple[str, int, str, int]]) -> None:
     """A listener who only believes the events knows exactly who is alive, and never hears old news."""
@@ -408,7 +419,7 @@ def test_a_key_is_taken_apart_as_it_was_made() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "says"),
+    ("network", "says"),
     [
         (NetworkSettings(listen=("tcp/192.168.1.5:7447",)), "insecure = true"),
         (NetworkSettings(listen=("tcp/0.0.0.0:7447",)), "insecure = true"),
@@ -424,14 +435,14 @@ def test_a_key_is_taken_apart_as_it_was_made() -> None:
     ],
 )
 def test_settings_that_are_wrong_or_unsafe_are_refused_with_what_to_write(
-    settings: NetworkSettings, says: str
+    network: NetworkSettings, says: str
 ) -> None:
     with pytest.raises(TransportError, match=says):
-        check(settings)
+        check(network)
 
 
 @pytest.mark.parametrize(
-    "settings",
+    "network",
     [
         NetworkSettings(),
         NetworkSettings(listen=("tcp/127.0.0.1:7447",), connect=("tcp/[::1]:7448", "tcp/localhost:1")),
@@ -439,5 +450,5 @@ def test_settings_that_are_wrong_or_unsafe_are_refused_with_what_to_write(
         NetworkSettings(multicast=True, interface="lo"),
     ],
 )
-def test_loopback_needs_no_keys_and_the_rest_only_a_word(settings: NetworkSettings) -> None:
-    check(settings)
+def test_loopback_needs_no_keys_and_the_rest_only_a_word(network: NetworkSettings) -> None:
+    check(network)

@@ -18,8 +18,9 @@ from swarmtrack.errors import TransportError
 from swarmtrack.messages import Announcement
 from swarmtrack.runtime.clock import ManualClock
 from swarmtrack.transport import keys, zenoh_session
+from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
-from swarmtrack.transport.zenoh_session import Bridge, Sample, bounded
+from swarmtrack.transport.zenoh_session import Bridge, Sample, bounded, close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
 PATIENCE = 10.0  # s
@@ -124,6 +125,23 @@ async def test_garbage_at_the_port_itself_stops_nobody(swarm: Swarm, ports: rang
         writer.close()
     await swarm.start(2)
     await swarm.all_know_all()
+
+
+async def test_tokens_that_name_nobody_are_counted(swarm: Swarm) -> None:
+    await swarm.start(1)
+    intruder = await open_session(NetworkSettings())
+    names = ["2/xyz", "0/0123abcd", "99999/0123abcd", "2/0123ABCD", *(f"3/{i:08x}" for i in range(50))]
+    tokens = [
+        intruder.liveliness().declare_token(keys.key(swarm.team, Kind.ALIVE, *name.split("/")))
+        for name in names
+    ]
+    async with asyncio.timeout(PATIENCE):
+        counters: dict[str, float] = {}
+        while counters.get("tokens_malformed", 0) < 4 or counters.get("tokens_beyond_limit", 0) < 46:
+            await asyncio.sleep(0.01)
+            counters = dict(swarm.agents[1].status().counters)
+    assert counters["peers"] == 1
+    await close_session(intruder, tokens)
 
 
 async def test_a_port_that_is_taken_is_an_error_with_a_reason(ports: range) -> None:
