@@ -124,10 +124,29 @@ def test_any_lens_is_undone_within_its_reach_and_answers_nan_beyond(coefficients
     ideal = np.array([[320 + 500 * x, 240 + 500 * y]])
     distorted = camera.distort(ideal)
     back = camera.undistort(distorted)
-    if np.isnan(distorted).any():
+    reach = camera.distortion.max_radius
+    if np.hypot(x, y) > 1.001 * reach:
+        assert np.isnan(distorted).all()
         assert np.isnan(back).all()
-    elif np.hypot(x, y) < 0.9 * camera.distortion.max_radius:
+    elif np.hypot(x, y) < 0.999 * reach:
         assert np.allclose(back, ideal, atol=1e-6)
+
+
+def test_no_two_points_within_a_lens_reach_share_a_pixel():
+    # Decentred so strongly that the image folds on one side long before the radial curve turns.
+    lens = RadTan((-0.3, 0.05, 0.01, -0.02, 0.0))
+    camera = PinholeCamera(500.0, 500.0, 320.0, 240.0, 640, 480, lens)
+    angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 90), np.linspace(0, 0.999 * lens.max_radius, 60))
+    rays = np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()])
+    ideal = rays * 500.0 + [320.0, 240.0]
+    assert np.allclose(camera.undistort(camera.distort(ideal)), ideal, atol=1e-6)
+    centre_only = RadTan((-0.3, 0.05, 0.0, 0.0, 0.0))
+    assert lens.max_radius < centre_only.max_radius
+
+
+def test_a_rational_lens_ends_at_its_pole():
+    lens = RadTan((0.84, -0.62, -1e-3, 2e-3, -0.25, 0.56, 0.04, -0.57))
+    assert 1.0 + lens.max_radius**2 * (0.56 + lens.max_radius**2 * (0.04 - 0.57 * lens.max_radius**2)) > 0.0
 
 
 @pytest.mark.parametrize("name", DISTORTED)

@@ -25,13 +25,14 @@ from swarmtrack.messages import Array
 Mask = NDArray[np.bool_]
 
 MAX_ANGLE = np.radians(89.0)  # rad off the axis: ideal pixels run to infinity at 90 degrees
-MIN_SLOPE = 0.01  # of the radial curve: less, and the lens folds or a pixel's error blows up a hundredfold
+MIN_SLOPE = 0.01  # of distorted over ideal radius: less, and the lens folds or errors grow a hundredfold
 NEWTON_STEPS = 20  # from the table's start, 3 to 6 are taken
+LAST_STEP = 1e-9  # the iteration squares its error, so what is left after such a step is rounding
 RESIDUAL = 1e-12  # in normalised units, 1e-9 px at a focal length of 1000 px
 
 
 def _reach(angle: Array, slope: Array) -> int:
-    """How many of the table's rising entries come before the radial curve flattens or folds, at least 2."""
+    """How many of the table's entries come before the lens flattens or folds, at least 2."""
     flat = np.flatnonzero(~(slope > MIN_SLOPE))
     return max(2, int(flat[0])) if flat.size else len(angle)
 
@@ -60,6 +61,7 @@ class RadTan:
         k1, k2, _, _, k3, k4, k5, k6 = self.coefficients + (0.0,) * (8 - len(self.coefficients))
         above = 1.0 + s * (k1 + s * (k2 + s * k3))
         below = 1.0 + s * (k4 + s * (k5 + s * k6))
+        below = np.where(below > 0.0, below, np.nan)  # beyond its pole a rational model means nothing
         factor = above / below
         slope = (k1 + s * (2 * k2 + s * 3 * k3) - factor * (k4 + s * (2 * k5 + s * 3 * k6))) / below
         return factor, slope
@@ -71,7 +73,11 @@ class RadTan:
         radius = np.tan(angle)
         with np.errstate(all="ignore"):
             factor, slope = self._radial(radius**2)
-            n = _reach(angle, factor + 2 * radius**2 * slope)
+            # The Jacobian is symmetric: the model is the gradient of a potential, and one-to-one on any disc where
+            # the Jacobian is positive definite. Its radial part has the eigenvalues `factor` (across the radius) and
+            # factor + 2 r² slope (along it); the tangential part takes away 6 |p| r at most.
+            smallest = np.minimum(factor, factor + 2 * radius**2 * slope)
+            n = _reach(angle, smallest - 6 * np.linalg.norm(self.coefficients[2:4]) * radius)
         return radius[:n], (radius * factor)[:n]
 
     @property
@@ -113,7 +119,7 @@ class RadTan:
                 value, jacobian = self.apply(ideal)
                 step = np.einsum("nij,nj->ni", _inverse_2x2(jacobian), distorted - value)
                 ideal = ideal + step
-                if not (np.abs(step) > 1e-15 + 1e-15 * np.abs(ideal)).any():
+                if not (np.abs(step) > LAST_STEP).any():
                     break
             value, _ = self.apply(ideal)
             solved = np.abs(value - distorted).max(axis=1, initial=0.0) <= RESIDUAL * (1.0 + radius)
@@ -183,7 +189,7 @@ class Equidistant:
             value, slope = self._radial(theta)
             step = (radius - value) / slope
             theta = np.clip(theta + step, 0.0, angles[-1])
-            if not (np.abs(step) > 1e-15).any():
+            if not (np.abs(step) > LAST_STEP).any():
                 break
         solved = np.abs(self._radial(theta)[0] - radius) <= RESIDUAL
         scale = np.where(radius > 0.0, np.tan(theta) / np.where(radius > 0.0, radius, 1.0), 1.0)
@@ -238,8 +244,6 @@ class PinholeCamera:
                 np.linalg.norm(np.where(valid[:, None], ideal, 0.0), axis=1) <= self.distortion.max_radius
             )
             ideal, by_ideal = self.distortion.apply(np.where(valid[:, None], ideal, 0.0))
-            # Tangential terms can fold the image before the radial curve does.
-            valid &= np.linalg.det(by_ideal) > 0.0
             by_point = by_ideal @ by_point
         return self._to_pixels(ideal, by_point, valid)
 
@@ -257,8 +261,7 @@ class PinholeCamera:
         if self.distortion is None:
             return self._denormalise(ideal)
         within = np.linalg.norm(ideal, axis=1) <= self.distortion.max_radius
-        distorted, jacobian = self.distortion.apply(np.where(within[:, None], ideal, 0.0))
-        within &= np.linalg.det(jacobian) > 0.0
+        distorted, _ = self.distortion.apply(np.where(within[:, None], ideal, 0.0))
         return self._denormalise(np.where(within[:, None], distorted, np.nan))
 
     def undistort_jacobian(self, pixels: Array) -> Array:
