@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from queue import Empty, Queue
 from typing import Any
@@ -158,7 +159,7 @@ def test_every_frame_carries_the_kernels_start_of_exposure_and_its_own_picture(
     assert min(ages) == pytest.approx(0.012, abs=0.008)
     assert {frame["stamp"] for frame in frames} == {StampKind.EXPOSURE.value}
     assert {tuple(frame["shape"]) for frame in frames} == {tuple(shape)}
-    for one, two in zip(frames, frames[1:], strict=False):
+    for one, two in pairwise(frames):
         assert two["t"] - one["t"] == pytest.approx((two["sequence"] - one["sequence"]) * PERIOD, abs=1e-4)
     for frame in frames:
         # The stand-in paints 4 x sequence. YUYV to BGR stretches luma 16 … 235 to 0 … 255.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -101,10 +102,13 @@ class MjpegCamera:
                     await self._stream(session)
                 except StreamEnded as ended:
                     reason = str(ended)
-                except aiohttp.ClientError as error:
-                    reason = f"cannot connect: {error}" if sequence == self._sequence else f"lost: {error}"
-                except TimeoutError:
+                except TimeoutError:  # before ClientError: aiohttp's own are both
                     reason = f"nothing for {self._options.timeout_s:g} s"
+                except aiohttp.ClientConnectorError as error:
+                    why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
+                    reason = f"cannot connect to {error.host} port {error.port}: {why}"
+                except aiohttp.ClientError as error:
+                    reason = f"lost: {error}"
                 self._slot.say(False, f"{reason}; trying again")
                 if self._sequence > sequence:
                     backoff = BACKOFF_FIRST
