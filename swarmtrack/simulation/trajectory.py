@@ -1,0 +1,325 @@
+"""Flights as functions of time, and the attitude that a quadrotor must have to fly them.
+
+A `Path` says where a drone is, with three derivatives; a `YawProfile` where it points. Together they make a
+`Trajectory`. Multirotors are differentially flat (Mellinger & Kumar, "Minimum snap trajectory generation and
+control for quadrotors", ICRA 2011): position and yaw as functions of time determine attitude and body rate.
+Both follow in closed form, so there is no step size, and states can be asked for in any order.
+
+World is NED, body FRD; metres, seconds, radians. Every path is C3 or better: the body rate has no jumps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
+
+from swarmtrack.messages import Array
+
+STANDARD_GRAVITY = 9.80665  # m/s²
+GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # m/s², NED: down is positive
+DERIVATIVES = 4  # position, velocity, acceleration, jerk
+FREE_FALL_THRUST = 0.5  # m/s²: below it the thrust has no direction, and flatness no attitude
+
+
+class Path(Protocol):
+    """Where, as a function of time."""
+
+    def derivatives(self, t: float) -> Array:
+        """Position, velocity, acceleration and jerk, (4, 3), in m, m/s, m/s², m/s³, NED."""
+        ...
+
+
+class YawProfile(Protocol):
+    """Which way, as a function of time."""
+
+    def yaw(self, t: float, flat: Array) -> tuple[float, float]:
+        """Yaw [rad] and yaw rate [rad/s] at t, where the drone's path has the derivatives `flat` (4, 3)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """A path and a yaw profile: everything about one drone's motion."""
+
+    path: Path
+    yaw_profile: YawProfile
+
+    def position(self, t: float) -> Array:
+        """(3,) m, NED."""
+        return np.asarray(self.path.derivatives(t)[0])
+
+    def velocity(self, t: float) -> Array:
+        """(3,) m/s, NED."""
+        return np.asarray(self.path.derivatives(t)[1])
+
+    def acceleration(self, t: float) -> Array:
+        """(3,) m/s², NED, without gravity (zero in hover)."""
+        return np.asarray(self.path.derivatives(t)[2])
+
+    def yaw(self, t: float) -> float:
+        """Rad, from north, clockwise seen from above."""
+        return self.yaw_profile.yaw(t, self.path.derivatives(t))[0]
+
+    def yaw_rate(self, t: float) -> float:
+        """Rad/s, about the vertical."""
+        return self.yaw_profile.yaw(t, self.path.derivatives(t))[1]
+
+    def attitude(self, t: float) -> Array:
+        """world_from_body, (3, 3)."""
+        return self._attitude_and_rate(t)[0]
+
+    def body_rate(self, t: float) -> Array:
+        """Angular velocity against the world, (3,) rad/s in body axes: what a perfect gyro reads."""
+        return self._attitude_and_rate(t)[1]
+
+    def specific_force(self, t: float) -> Array:
+        """Acceleration minus gravity, (3,) m/s² in body axes: what a perfect accelerometer reads."""
+        return np.asarray(self.attitude(t).T @ (self.acceleration(t) - GRAVITY))
+
+    def _attitude_and_rate(self, t: float) -> tuple[Array, Array]:
+        flat = self.path.derivatives(t)
+        yaw, yaw_rate = self.yaw_profile.yaw(t, flat)
+        return attitude_and_rate(flat[2], flat[3], yaw, yaw_rate)
+
+
+def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: float) -> tuple[Array, Array]:
+    """Attitude world_from_body (3, 3) and body rate (3,) rad/s that differential flatness demands.
+
+    The rotors push along -z of the body, so z is the direction of g - a. Of the rotations about z, the one is
+    taken whose x axis lies in the vertical plane of the heading: yaw is that of the autopilots' Euler angles
+    (roll, pitch, yaw). Mellinger & Kumar 2011, section III, take another plane, as their angles are Z-X-Y.
+    The rate is the derivative of exactly this construction, hence good to rounding.
+    """
+    down = GRAVITY - acceleration
+    thrust = float(np.linalg.norm(down))
+    if thrust < FREE_FALL_THRUST:
+        raise ValueError(
+            f"trajectory: acceleration {acceleration} m/s² is free fall, expected one that needs thrust"
+        )
+    z = down / thrust
+    z_dot = -(jerk - z * (z @ jerk)) / thrust
+
+    right = np.array([-math.sin(yaw), math.cos(yaw), 0.0])  # of the heading's vertical plane
+    right_dot = -yaw_rate * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    ahead = _cross(right, z)
+    ahead_dot = _cross(right_dot, z) + _cross(right, z_dot)
+    length = float(np.linalg.norm(ahead))
+    x = ahead / length
+    x_dot = (ahead_dot - x * (x @ ahead_dot)) / length
+    y = _cross(z, x)
+
+    # R' = R [ω]×, so the components of ω are the products of one axis with the derivative of another.
+    rate = np.array([-float(y @ z_dot), float(x @ z_dot), float(y @ x_dot)])
+    return np.column_stack([x, y, z]), rate
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """a × b of two (3,). Plain products: several times quicker than np.cross on single vectors."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], dtype=float
+    )
+
+
+# --- paths ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hover:
+    """Stay at `point` (3,) m, NED."""
+
+    point: ArrayLike
+
+    def derivatives(self, t: float) -> Array:
+        flat = np.zeros((DERIVATIVES, 3))
+        flat[0] = self.point
+        return flat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lissajous:
+    """centre + amplitude sin(2π frequency t + phase), each (3,), in m, m, Hz, rad.
+
+    A circle is the case of equal frequencies in two axes, a quarter turn apart.
+    """
+
+    centre: ArrayLike
+    amplitude: ArrayLike
+    frequency: ArrayLike
+    phase: ArrayLike = (0.0, 0.0, 0.0)
+
+    def derivatives(self, t: float) -> Array:
+        flat = np.zeros((DERIVATIVES, 3))
+        omega = 2.0 * math.pi * np.asarray(self.frequency, dtype=float)
+        angle = omega * t + np.asarray(self.phase, dtype=float)
+        amplitude = np.asarray(self.amplitude, dtype=float)
+        for order in range(DERIVATIVES):
+            flat[order] = amplitude * omega**order * np.sin(angle + order * math.pi / 2.0)
+        flat[0] += np.asarray(self.centre, dtype=float)
+        return flat
+
+
+def circle(centre: ArrayLike, radius: float, period: float, phase: float = 0.0) -> Lissajous:
+    """A level circle about `centre` (3,) m, clockwise seen from above for a positive period [s]."""
+    return Lissajous(
+        centre, (radius, radius, 0.0), (1 / period, 1 / period, 0.0), (phase + math.pi / 2, phase, 0.0)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wander:
+    """The drift of a drone that holds its position: a few slow sinusoids per axis, about zero.
+
+    amplitudes, frequencies, phases (n, 3) in m, Hz, rad. Build it with `wander`.
+    """
+
+    amplitudes: Array
+    frequencies: Array
+    phases: Array
+
+    def derivatives(self, t: float) -> Array:
+        omega = 2.0 * math.pi * self.frequencies
+        angle = omega * t + self.phases
+        return np.stack(
+            [
+                (self.amplitudes * omega**order * np.sin(angle + order * math.pi / 2.0)).sum(axis=0)
+                for order in range(DERIVATIVES)
+            ]
+        )
+
+
+def wander(rng: np.random.Generator, amplitude: float = 0.03, terms: int = 3) -> Wander:
+    """A `Wander` with RMS `amplitude` [m] an axis and periods of 2 to 10 s."""
+    share = rng.dirichlet(np.ones(terms), size=3).T  # of the variance
+    return Wander(
+        amplitudes=amplitude * np.sqrt(2.0 * share),
+        frequencies=rng.uniform(0.1, 0.5, size=(terms, 3)),
+        phases=rng.uniform(0.0, 2.0 * math.pi, size=(terms, 3)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MinimumSnap:
+    """From rest through waypoints at given times to rest, with the least integral of squared snap.
+
+    times (n,) s, increasing; waypoints (n, 3) m. The minimiser is the spline of degree 7 through the points,
+    C6 at each, with velocity, acceleration and jerk zero at both ends. Before and after, the drone rests.
+    """
+
+    times: Sequence[float]
+    waypoints: ArrayLike
+    _splines: tuple[Any, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        rest = [(order, np.zeros(3)) for order in range(1, DERIVATIVES)]
+        spline = make_interp_spline(self.times, np.asarray(self.waypoints, float), k=7, bc_type=(rest, rest))
+        object.__setattr__(self, "_splines", tuple(spline.derivative(n) for n in range(DERIVATIVES)))
+
+    def derivatives(self, t: float) -> Array:
+        inside = min(max(t, self.times[0]), self.times[-1])
+        flat = np.stack([spline(inside) for spline in self._splines])
+        if inside != t:
+            flat[1:] = 0.0  # exactly at rest; the spline's ends are so to rounding
+        return flat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Together:
+    """The sum of paths: a flight with a drone's own drift on top."""
+
+    paths: Sequence[Path]
+
+    def derivatives(self, t: float) -> Array:
+        return np.asarray(np.sum([path.derivatives(t) for path in self.paths], axis=0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Handover:
+    """`before` until `start`, `after` from `start + duration` [s] on, blended smoothly (C3) in between."""
+
+    before: Path
+    after: Path
+    start: float
+    duration: float
+
+    def derivatives(self, t: float) -> Array:
+        s = _smooth_step((t - self.start) / self.duration) / self.duration ** np.arange(DERIVATIVES)
+        old = self.before.derivatives(t)
+        change = self.after.derivatives(t) - old
+        blend = np.zeros((DERIVATIVES, 3))
+        for order in range(DERIVATIVES):  # Leibniz: the derivatives of s(t) · change(t)
+            for k in range(order + 1):
+                blend[order] += math.comb(order, k) * s[k] * change[order - k]
+        return np.asarray(old + blend)
+
+
+def _smooth_step(x: float) -> Array:
+    """From 0 to 1 on 0…1 by the polynomial of degree 7 that is flat to third order at both ends.
+
+    Value and three derivatives, (4,).
+    """
+    if x <= 0.0:
+        return np.zeros(DERIVATIVES)
+    if x >= 1.0:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    return np.array(
+        [
+            x**4 * (35 - 84 * x + 70 * x**2 - 20 * x**3),
+            140 * x**3 * (1 - x) ** 3,
+            420 * x**2 * (1 - x) ** 2 * (1 - 2 * x),
+            840 * x * (1 - x) * (1 - 5 * x + 5 * x**2),
+        ]
+    )
+
+
+# --- yaw ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyYaw:
+    """A heading [rad] at t = 0, turning at a constant rate [rad/s]."""
+
+    heading: float = 0.0
+    rate: float = 0.0
+
+    def yaw(self, t: float, flat: Array) -> tuple[float, float]:
+        return self.heading + self.rate * t, self.rate
+
+
+@dataclass(frozen=True, slots=True)
+class SwingingYaw:
+    """Look left and right about `heading` [rad] sinusoidally, up to ±`peak_rate` [rad/s], with `period` [s].
+
+    Still until `start`; the swing then grows to its full size within `ramp` seconds.
+    """
+
+    heading: float
+    peak_rate: float
+    period: float
+    start: float = 0.0
+    ramp: float = 1.0
+
+    def yaw(self, t: float, flat: Array) -> tuple[float, float]:
+        omega = 2.0 * math.pi / self.period
+        amplitude = self.peak_rate / omega
+        angle = omega * (t - self.start)
+        s = _smooth_step((t - self.start) / self.ramp)
+        yaw = self.heading + amplitude * s[0] * math.sin(angle)
+        return yaw, amplitude * (s[1] / self.ramp * math.sin(angle) + s[0] * omega * math.cos(angle))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Facing:
+    """Look at `point` (3,) m, NED, from wherever the path leads; it must not lead over the point."""
+
+    point: ArrayLike
+
+    def yaw(self, t: float, flat: Array) -> tuple[float, float]:
+        north, east, _ = np.asarray(self.point, dtype=float) - flat[0]
+        v_north, v_east, _ = flat[1]
+        return math.atan2(east, north), float((v_north * east - v_east * north) / (north**2 + east**2))
