@@ -44,7 +44,9 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="the drone's config, TOML")
-    parser.add_argument("--check", action="store_true", help="validate the config and what it points at, then exit")
+    parser.add_argument(
+        "--check", action="store_true", help="validate the config and what it points at, then exit"
+    )
     parser.add_argument("--seconds", type=_positive, metavar="S", help="stop after so long (default: never)")
     parser.add_argument(
         "--quiet", action="store_true", help="no line a second (the default under systemd), only the log"
@@ -76,7 +78,9 @@ def _check(path: Path) -> int:
     print(f"drone      {config.drone.id} of team {config.network.team}")
     print(f"camera     {config.camera.source}")
     print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
-    print(f"autopilot  {parts.autopilot.status().text if parts.autopilot else 'none: the camera is taken to be still'}")
+    print(
+        f"autopilot  {parts.autopilot.status().text if parts.autopilot else 'none: the camera is taken to be still'}"
+    )
     print(f"detector   {parts.detector.status().text}")
     print(f"tracker    {config.tracker.name}")
     print(f"{path}: ok")

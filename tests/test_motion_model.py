@@ -91,3 +91,13 @@ def test_a_target_turned_behind_the_camera_stays_finite():
     turned, cov = turn_exactly(mean, np.eye(4)[None], rotation.exp(np.array([0.0, 3.0, 0.0])), CAMERA)
     assert np.isfinite(turned).all()
     assert np.isfinite(cov).all()
+
+
+@given(x=states)
+@settings(max_examples=30, deadline=None)
+def test_what_an_unsure_rotation_costs_is_the_flow_times_its_transpose(x):
+    flow = optical_flow(x[None, ::2], CAMERA)[0]
+    _, paid = propagate(
+        x[None], np.zeros((1, 4, 4)), 0.0, psd=1.0, camera=CAMERA, rotation=np.eye(3), rotation_variance=1e-4
+    )
+    assert paid[0, ::2, ::2] == pytest.approx(1e-4 * flow @ flow.T, rel=1e-9)

@@ -30,8 +30,9 @@ from swarmtrack.transport.base import Kind, Transport
 
 log = logging.getLogger(__name__)
 
-UTC_SIGMA = 0.05  # s: what an NTP-kept companion knows of UTC; better is measured peer by peer, in a later release
-POSE_WAIT = 0.1  # s between looks for the first pose of the autopilot
+UTC_SIGMA = (
+    0.05  # s: what an NTP-kept companion knows of UTC; better is measured peer by peer, in a later release
+)
 HEALTH_PERIOD = 1.0  # s
 CLOSE_TIMEOUT = 1.5  # s for everything together
 STUCK_DETECTOR = 10.0  # s on one frame: no longer slow but stuck, and the supervisor should know
@@ -52,6 +53,7 @@ class Agent:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         self._stop = asyncio.Event()
         self._fresh = asyncio.Event()
+        self._posed = asyncio.Event()
         self._detecting_since: float | None = None
         self._scanned_at: float | None = None
         self._sequence = 0
@@ -98,6 +100,7 @@ class Agent:
     def on_pose(self, pose: EgoPose) -> None:
         """From the autopilot, on the event loop."""
         self._parts.onboard.on_pose(pose)
+        self._posed.set()
 
     async def _feed_camera(self) -> None:
         """Every frame through the detector, in its thread, into Onboard; returns where a recording ends."""
@@ -115,7 +118,9 @@ class Agent:
                 self._video.keep(frame)
             parts.onboard.on_detections(detections)
             await self._report()
-        parts.onboard.tracks(parts.clock.now() + 1.0)  # nothing more will come: what still waits is tracked now
+        parts.onboard.tracks(
+            parts.clock.now() + 1.0
+        )  # nothing more will come: what still waits is tracked now
         await self._report()
 
     async def _report(self) -> None:
@@ -144,8 +149,10 @@ class Agent:
     async def _announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is; then those of simulated teammates."""
         parts = self._parts
-        while (pose := parts.onboard.ego_pose(parts.clock.now())) is None:
-            await asyncio.sleep(POSE_WAIT)
+        if parts.start is None:
+            await self._posed.wait()
+        pose = parts.onboard.ego_pose(parts.clock.now())
+        assert pose is not None
         start = parts.start or Pose(pose.world_from_body, pose.position)
         sigma = parts.config.drone.start.position_sigma_m
         await parts.transport.announce(
@@ -182,8 +189,11 @@ class Agent:
         tracks = parts.onboard.tracks(now)
         self._sequence += 1
         message = tracks_message(tracks, self._sequence, parts.clock.utc() - now, UTC_SIGMA)
-        parts.transport.publish(Kind.TRACKS, encode_tracks(message))
-        self.health.published.tick()
+        try:
+            parts.transport.publish(Kind.TRACKS, encode_tracks(message))
+            self.health.published.tick()
+        except ValueError:  # what no reader would accept is not sent, and must not end the flight
+            self.health.drops["unsendable_tracks"] += 1
         if self._scanned_at is not None:
             self.health.detections_to_published.add(self._wall.now() - self._scanned_at)
             self._scanned_at = None
@@ -195,10 +205,15 @@ class Agent:
         while True:
             await asyncio.sleep(HEALTH_PERIOD)
             message = self.health.message()
-            self._parts.transport.publish(Kind.HEALTH, encode_health(message))
+            try:
+                self._parts.transport.publish(Kind.HEALTH, encode_health(message))
+            except ValueError:
+                self.health.drops["unsendable_health"] += 1
             self._console.line(self._footnotes())
             troubles = [link for link in message.links if not link.ok]
-            self._notifier.status("; ".join(f"{link.name}: {link.text}" for link in troubles) or "all links are up")
+            self._notifier.status(
+                "; ".join(f"{link.name}: {link.text}" for link in troubles) or "all links are up"
+            )
 
     def _footnotes(self) -> list[str]:
         """How the agent is doing, for a line of the console."""
@@ -213,7 +228,9 @@ class Agent:
         detector = self.health.detector.read()
         facts = [f"{link.name}: {link.text}" for link in self.health.links()]
         if detector:
-            facts.append(f"detector: median {1e3 * detector.p50:.1f} ms, 95 % under {1e3 * detector.p95:.1f} ms")
+            facts.append(
+                f"detector: median {1e3 * detector.p50:.1f} ms, 95 % under {1e3 * detector.p95:.1f} ms"
+            )
         teammates = ", ".join(map(str, sorted(self._parts.onboard.teammates))) or "none"
         facts.append(f"announced teammates: {teammates}")
         self._console.summary(facts)
@@ -251,5 +268,3 @@ def _describe(event: PeerEvent) -> str:
             return f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
         case IdClash(drone_id=drone_id, boots=boots):
             return f"two agents speak as drone {drone_id} (boots {', '.join(boots)})"
-
-

@@ -60,7 +60,9 @@ def assemble(config: DroneConfig) -> Parts:
     system = SystemClock()
     clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
     boot = new_boot()
-    simulation = open_simulation(config.camera.source, config.drone.id, clock) if config.camera.simulated else None
+    simulation = (
+        open_simulation(config.camera.source, config.drone.id, clock) if config.camera.simulated else None
+    )
     camera: Camera
     if simulation is not None:
         mounted, camera = _simulated_mount(config, simulation), simulation.camera
@@ -122,9 +124,7 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
             angular_acceleration_psd=motion.angular_acceleration_psd_rad2_s3,
             bias=(x, y, z),
         ),
-        ego=EgoHistory(
-            start=start, origin=np.array(config.drone.start.offset_m), history_s=motion.history_s
-        ),
+        ego=EgoHistory(start=start, origin=np.array(config.drone.start.offset_m), history_s=motion.history_s),
         identity=IdentityParameters(**config.identity.parameters),
     )
 
@@ -135,7 +135,9 @@ def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None)
         return None
     if section.link == "sim":
         if simulation is None:
-            raise SourceError('autopilot.link: found "sim", expected it only beside a camera.source of sim://')
+            raise SourceError(
+                'autopilot.link: found "sim", expected it only beside a camera.source of sim://'
+            )
         return simulation.autopilot
     return MavlinkAutopilot(
         section.link,

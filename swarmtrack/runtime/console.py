@@ -53,7 +53,9 @@ class Console:
 
     def line(self, footnotes: Iterable[str]) -> None:
         """One line: who is in view, where, how surely; then how the agent is doing."""
-        who = ", ".join(self._describe(s) for s in sorted(self._now, key=lambda s: _order(s.entry))) or "nobody"
+        who = (
+            ", ".join(self._describe(s) for s in sorted(self._now, key=lambda s: _order(s.entry))) or "nobody"
+        )
         self._print(f"{self._elapsed:7.1f} s  sees {who}   ({', '.join(footnotes)})")
 
     def summary(self, facts: Iterable[str]) -> None:
@@ -64,7 +66,9 @@ class Console:
             began = sighting.first_t - (self._start or 0.0)
             share = 100.0 * sighting.scans / max(self._scans, 1)
             tracks = f"{len(sighting.track_ids)} track{'s' if len(sighting.track_ids) > 1 else ''}"
-            self._print(f"  {_name(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}")
+            self._print(
+                f"  {_name(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}"
+            )
         if not self._sightings:
             self._print("  nobody was seen")
         for fact in facts:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import asdict
 
 from swarmtrack.codec import VERSION, HealthMessage, LatencyHealth, RateHealth, link_health
 from swarmtrack.messages import LinkStatus
+from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
-from swarmtrack.runtime.assembly import Parts
 
 EVENTS_KEPT = 16
 
@@ -26,7 +26,7 @@ class Health:
         self.detections_to_published = Latency()
         self.loop_lag = Latency()
         self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
-        self.drops: dict[str, int] = {}
+        self.drops: Counter[str] = Counter()
         self._parts = parts
         self._wall = SystemClock()
         self._started = self._wall.now()
@@ -36,10 +36,8 @@ class Health:
     def links(self) -> list[LinkStatus]:
         """State of everything this agent is connected to."""
         parts = self._parts
-        sources = [parts.camera, parts.detector, parts.transport]
-        if parts.autopilot is not None:
-            sources.insert(1, parts.autopilot)
-        return [source.status() for source in sources]
+        links = [parts.camera.status(), parts.detector.status(), parts.transport.status()]
+        return links if parts.autopilot is None else [parts.autopilot.status(), *links]
 
     def message(self) -> HealthMessage:
         """Everything since the last call."""

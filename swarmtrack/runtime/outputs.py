@@ -5,6 +5,7 @@ Pixels here are those of the image as the camera gave it: the tracker's undistor
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections import deque
@@ -61,7 +62,9 @@ class JsonLines:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: TextIO = path.open("w", encoding="utf-8", buffering=1)  # a line is whole or absent
         except OSError as error:
-            raise SourceError(f"output.jsonl: {path}: {error.strerror}, expected a file that can be written") from error
+            raise SourceError(
+                f"output.jsonl: {path}: {error.strerror}, expected a file that can be written"
+            ) from error
         self._start: float | None = None
         self.failed = 0
 
@@ -103,7 +106,15 @@ def _record(seen: SeenTrack) -> dict[str, Any]:
 
 
 # Okabe & Ito's colours, told apart by all eyes (BGR); a drone keeps its colour everywhere.
-COLOURS = [(0, 159, 230), (233, 180, 86), (115, 158, 0), (66, 228, 240), (178, 114, 0), (0, 94, 213), (167, 121, 204)]
+COLOURS = [
+    (0, 159, 230),
+    (233, 180, 86),
+    (115, 158, 0),
+    (66, 228, 240),
+    (178, 114, 0),
+    (0, 94, 213),
+    (167, 121, 204),
+]
 UNKNOWN, FOREIGN = (200, 200, 200), (60, 60, 255)
 
 
@@ -120,7 +131,13 @@ def annotate(frame: Frame, t_s: float, seen: list[SeenTrack]) -> Image:
 
 def _draw(image: Image, seen: SeenTrack) -> None:
     identity, status = seen.entry.identity, seen.entry.track.status
-    colour = FOREIGN if identity == "foreign" else UNKNOWN if identity is None else COLOURS[int(identity) % len(COLOURS)]
+    colour = (
+        FOREIGN
+        if identity == "foreign"
+        else UNKNOWN
+        if identity is None
+        else COLOURS[int(identity) % len(COLOURS)]
+    )
     u, v = seen.centre
     w, h = np.where(np.isnan(seen.size), 20.0, seen.size)
     thick = 2 if status is TrackStatus.CONFIRMED else 1
@@ -130,14 +147,27 @@ def _draw(image: Image, seen: SeenTrack) -> None:
         return
     cv2.rectangle(image, corner, opposite, colour, thick, cv2.LINE_AA)
     ahead = seen.centre + 0.25 * seen.velocity
-    cv2.arrowedLine(image, (round(u), round(v)), (round(ahead[0]), round(ahead[1])), colour, 1, cv2.LINE_AA, 0, 0.2)
+    cv2.arrowedLine(
+        image, (round(u), round(v)), (round(ahead[0]), round(ahead[1])), colour, 1, cv2.LINE_AA, 0, 0.2
+    )
     variances, axes = np.linalg.eigh(seen.cov)
     radii = 3.0 * np.sqrt(np.maximum(variances, 0.0))
     angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
     size = (max(1, min(round(radii[1]), 2000)), max(1, min(round(radii[0]), 2000)))
     cv2.ellipse(image, (round(u), round(v)), size, angle, 0, 360, colour, 1, cv2.LINE_AA)
-    name = f"track {seen.entry.track.id}" if identity is None else f"drone {identity}" if identity != "foreign" else "foreign"
-    _write(image, name if status is TrackStatus.CONFIRMED else f"{name} (lost)", (corner[0], corner[1] - 5), colour)
+    name = (
+        f"track {seen.entry.track.id}"
+        if identity is None
+        else f"drone {identity}"
+        if identity != "foreign"
+        else "foreign"
+    )
+    _write(
+        image,
+        name if status is TrackStatus.CONFIRMED else f"{name} (lost)",
+        (corner[0], corner[1] - 5),
+        colour,
+    )
 
 
 def _write(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
@@ -180,8 +210,6 @@ class AnnotatedVideo:
 
     async def drain(self) -> None:
         """For `lossless`: wait until the encoder has caught up."""
-        import asyncio
-
         while self._lossless and len(self._pending) >= MAX_BACKLOG:
             await asyncio.wrap_future(self._pending.popleft())
 

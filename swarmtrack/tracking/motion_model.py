@@ -44,20 +44,22 @@ def turn_exactly(
 ) -> tuple[Array, Array]:
     """A finite rotation of every bearing: the homography K R K⁻¹ for the position, its derivative for the velocity.
 
-    With M = K R K⁻¹ and c = M₃·[u v 1]: p' = M₁₂·[u v 1] / c, v' = J v, J = ∂p'/∂p = (M₁₂ − p' M₃) / c,
-    and ∂v'/∂p = −(s J + v' M₃) / c with s = M₃·v. Hartley & Zisserman (2004), section 8.4, differentiated.
+    With M = K R K⁻¹, h = M·[u v 1], w = M·[vu vv 0] and k = 1 / h₃: p' = k h₁₂, v' = k (w₁₂ − w₃ p') = J v,
+    J = ∂p'/∂p = k (M₁₂ − p' M₃), and ∂v'/∂p = −k (w₃ J + v' M₃). Hartley & Zisserman (2004), section 8.4, differentiated.
     """
-    M = camera.K @ camera_from_before @ np.linalg.inv(camera.K)
-    p, v = mean[:, POSITION], mean[:, VELOCITY]
-    c = np.maximum(p @ M[2, :2] + M[2, 2], MIN_DEPTH)[:, None]
+    M = _homography(camera_from_before, camera)
+    m3 = M[2, :2]
+    h = mean[:, POSITION] @ M[:, :2].T + M[:, 2]
+    w = mean[:, VELOCITY] @ M[:, :2].T
+    k = 1.0 / np.maximum(h[:, 2:], MIN_DEPTH)
+    p = h[:, :2] * k
+    v = (w[:, :2] - p * w[:, 2:]) * k
+    J = (M[:2, :2] - p[:, :, None] * m3) * k[:, :, None]
     turned = np.empty_like(mean)
-    turned[:, POSITION] = p_turned = (p @ M[:2, :2].T + M[:2, 2]) / c
-    J = (M[:2, :2] - p_turned[:, :, None] * M[2, :2]) / c[:, :, None]
-    turned[:, VELOCITY] = v_turned = (J @ v[:, :, None])[:, :, 0]
-    s = (v @ M[2, :2])[:, None, None]
+    turned[:, POSITION], turned[:, VELOCITY] = p, v
     F = np.zeros_like(cov)
     F[:, POSITION, POSITION] = F[:, VELOCITY, VELOCITY] = J
-    F[:, VELOCITY, POSITION] = -(s * J + v_turned[:, :, None] * M[2, :2]) / c[:, :, None]
+    F[:, VELOCITY, POSITION] = (w[:, 2:, None] * J + v[:, :, None] * m3) * -k[:, :, None]
     return turned, F @ cov @ F.swapaxes(1, 2)
 
 
@@ -111,9 +113,31 @@ def propagate(
     if rotation is not None and len(mean):
         mean, cov = turn(mean, cov, rotation, camera)
     if rotation_variance > 0.0 and len(mean):
-        flow = optical_flow(mean[:, POSITION], camera)
-        cov[:, POSITION, POSITION] += rotation_variance * (flow @ flow.swapaxes(1, 2))
+        cov[:, POSITION, POSITION] += rotation_variance * _flow_squared(mean[:, POSITION], camera)
     return mean, cov
+
+
+def _homography(camera_from_before: Array, camera: PinholeCamera) -> Array:
+    """K R K⁻¹, with the inverse of K written out."""
+    back = np.array(
+        [
+            [1.0 / camera.fx, 0.0, -camera.cx / camera.fx],
+            [0.0, 1.0 / camera.fy, -camera.cy / camera.fy],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    return np.asarray(camera.K @ camera_from_before @ back)
+
+
+def _flow_squared(points: Array, camera: PinholeCamera) -> Array:
+    """flow flowᵀ of `optical_flow` (n, 2, 2) px²/rad², multiplied out: (1 + x² + y²) (I + p pᵀ) for p = (x, y)."""
+    p = (points - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    outer = p[:, :, None] * p[:, None, :]
+    spread = 1.0 + (p * p).sum(axis=1)
+    scale = np.array(
+        [[camera.fx * camera.fx, camera.fx * camera.fy], [camera.fx * camera.fy, camera.fy * camera.fy]]
+    )
+    return np.asarray(spread[:, None, None] * (np.eye(2) + outer) * scale)
 
 
 def _white_acceleration(dt: float, psd: float) -> Array:

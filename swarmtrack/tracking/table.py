@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array, Track, TrackStatus
 
+TENTATIVE, CONFIRMED, LOST = TrackStatus.TENTATIVE, TrackStatus.CONFIRMED, TrackStatus.LOST
 LOST_BELOW = 0.1  # existence of a track that was confirmed: rather gone, or hidden, than there
 
 
@@ -56,23 +57,12 @@ class TrackTable:
 
     def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
         """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
-        columns = zip(
-            self.id.tolist(),
-            mean,
-            cov,
-            self.confirmed.tolist(),
-            self.existence.tolist(),
-            self.size,
-            self.missed_since.tolist(),
-            strict=True,
-        )
-        return tuple(
-            Track(id, t, x, P, _status(confirmed, r), r, size, None if math.isnan(missed) else missed)
-            for id, x, P, confirmed, r, size, missed in columns
-        )
-
-
-def _status(confirmed: bool, existence: float) -> TrackStatus:
-    if not confirmed:
-        return TrackStatus.TENTATIVE
-    return TrackStatus.CONFIRMED if existence >= LOST_BELOW else TrackStatus.LOST
+        status = [
+            TENTATIVE if not ever else LOST if r < LOST_BELOW else CONFIRMED
+            for ever, r in zip(self.confirmed.tolist(), self.existence.tolist(), strict=True)
+        ]
+        missed = [
+            None if since != since else since for since in self.missed_since.tolist()
+        ]  # NaN is not itself
+        ids, existence, instant = self.id.tolist(), self.existence.tolist(), repeat(t, len(self))
+        return tuple(map(Track, ids, instant, mean, cov, status, existence, self.size, missed))

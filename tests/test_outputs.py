@@ -1,0 +1,97 @@
+"""What is written for people: pixels as the camera gave them, lines that are whole, numbers that are sound."""
+
+import io
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from swarmtrack.geometry.camera import PinholeCamera, RadTan
+from swarmtrack.messages import Frame, IdentifiedTrack, StampKind, Track, TrackList, TrackStatus
+from swarmtrack.onboard import ScanReport
+from swarmtrack.runtime.console import Console
+from swarmtrack.runtime.meters import Latency, Rate
+from swarmtrack.runtime.outputs import AnnotatedVideo, JsonLines, annotate, as_seen
+
+LENS = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.001, 0.0)))
+
+
+def report(t, *tracks, sequence=0):
+    return ScanReport(sequence, TrackList(t, t, tracks))
+
+
+def track(u, v, identity=None, size=(30.0, 20.0), status=TrackStatus.CONFIRMED, t=0.0):
+    mean = np.array([u, 40.0, v, -20.0])
+    cov = np.diag([4.0, 100.0, 9.0, 100.0])
+    return IdentifiedTrack(Track(7, t, mean, cov, status, 0.99, np.array(size)), identity, 0.97)
+
+
+def test_pixels_are_those_of_the_distorted_image():
+    (seen,) = as_seen(report(0.0, track(60.0, 50.0)), LENS)
+    assert LENS.undistort(seen.centre[None])[0] == pytest.approx([60.0, 50.0], abs=1e-6)
+    step = 1e-4
+    moved = LENS.distort(np.array([[60.0 + 40.0 * step, 50.0 - 20.0 * step]]))[0]
+    assert seen.velocity == pytest.approx((moved - seen.centre) / step, rel=1e-3)
+
+
+def test_a_json_line_has_no_nan_and_time_counts_from_the_first_frame(tmp_path):
+    lines = JsonLines(tmp_path / "deep" / "tracks.jsonl")
+    for t in (100.0, 100.5):
+        scan = report(t, track(300.0, 200.0, identity=2, size=(np.nan, np.nan)), sequence=3)
+        lines.write(scan, as_seen(scan, LENS))
+    lines.close()
+    written = [json.loads(line) for line in (tmp_path / "deep" / "tracks.jsonl").read_text().splitlines()]
+    assert [line["t_s"] for line in written] == [0.0, 0.5]
+    assert written[0]["tracks"][0]["w_px"] is None
+    assert written[0]["tracks"][0]["identity"] == 2
+
+
+def frame(sequence, t):
+    return Frame(t, 0.0, sequence, np.zeros((480, 640), np.uint8), StampKind.MEDIA)
+
+
+def test_a_track_far_outside_or_without_a_size_is_drawn_without_complaint():
+    everything = [
+        track(320.0, 240.0, size=(np.nan, np.nan)),
+        track(-500.0, 90.0, "foreign"),
+        track(300.0, 90.0, 3),
+    ]
+    image = annotate(frame(0, 0.0), 0.0, as_seen(report(0.0, *everything), LENS))
+    assert image.shape == (480, 640, 3)
+    assert image.any()
+
+
+def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):
+    video = AnnotatedVideo(tmp_path / "one.mp4", lossless=True)
+    video.keep(frame(0, 1.0))
+    video.write(report(1.0, sequence=0), [])
+    video.write(report(1.1, sequence=9), [])  # its frame is gone
+    video.close()
+    assert cv2.VideoCapture(str(tmp_path / "one.mp4")).read()[0]
+    assert video.dropped == 1
+
+
+def test_the_console_tells_who_is_seen_and_sums_up():
+    stream = io.StringIO()
+    console = Console(quiet=False, stream=stream)
+    for k in range(4):
+        scan = report(10.0 + 0.5 * k, track(320.0, 240.0, identity=2 if k else None))
+        console.see(scan, as_seen(scan, LENS))
+    console.line(["gyro 200 Hz"])
+    console.summary(["one fact"])
+    text = stream.getvalue()
+    assert "sees drone 2 at (320, 240) ± 3.0 px   (gyro 200 Hz)" in text
+    assert "drone 2    in  75 % of scans, first at 0.5 s, as 1 track" in text
+    assert "one fact" in text
+
+
+def test_meters_tell_rates_and_spreads():
+    rate, latency = Rate(), Latency()
+    rate.read(10.0)
+    rate.tick(30)
+    assert rate.read(12.0) == pytest.approx(15.0)
+    assert latency.read() is None
+    for k in range(101):
+        latency.add(0.01 * k)
+    assert latency.read() == pytest.approx((0.5, 0.95, 1.0))
