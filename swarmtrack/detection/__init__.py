@@ -1,0 +1,1 @@
+"""From a frame to detections: letterbox, ONNX session, decoding of the net's heads."""

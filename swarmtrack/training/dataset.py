@@ -1,0 +1,367 @@
+"""Training samples: real frames, real cut-outs on other backgrounds, and procedural pictures, mixed by a recipe.
+
+A data directory holds `images/`, `images.csv` (image, width, height, source, scene, frame) and `labels.csv` (image,
+x, y, w, h, label; px, top left corner, 0-based). Label `drone` is the target, every other label a distractor.
+Boxes inside this package are (u, v, w, h) with (u, v) the centre, pixel centres at integers.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.errors import SwarmtrackError
+from swarmtrack.training import render
+from swarmtrack.training.render import FloatImage, Rng, Sprite
+
+Boxes = NDArray[np.float64]
+
+NEGATIVE = "negative"  # the scene name of frames that show no drone
+
+
+class DataError(SwarmtrackError):
+    """A data directory that is missing something, or whose tables do not fit its images."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledFrame:
+    """One photograph. image (h, w, 3) BGR uint8; drones (n, 4), distractors (m, 4): boxes (u, v, w, h) px."""
+
+    name: str
+    source: str
+    scene: str
+    image: NDArray[np.uint8]
+    drones: Boxes
+    distractors: Boxes
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """What a batch is made of. Fractions are chances per sample; sizes are the longer side of what is visible, px.
+
+    The fractions come from cross-scene trials: with 40 % real frames the net learnt three skies by heart.
+    """
+
+    crop: int = 160  # px, side of a sample: a multiple of 32, the coarsest stride
+    real_frame: float = 0.14  # a crop of a frame with its labelled drones
+    real_background: float = 0.46  # a crop from anywhere, all in it kept, objects added
+    drone_free: float = 0.7  # of the real backgrounds: from a frame without drones, half around a distractor
+    real_cutout: float = 0.35  # of the drones added to a background: cut from a photograph instead of drawn
+    size_min: float = 5.0
+    size_max: float = 150.0
+    empty: float = 0.3  # of the backgrounds: no drone is added
+
+
+def load_frames(root: Path) -> list[LabelledFrame]:
+    """Read a data directory. A row that names a missing image or holds no number is an error, not a skipped row."""
+    labels: dict[str, dict[bool, list[list[float]]]] = {}
+    for line, row in _rows(root / "labels.csv", ("image", "x", "y", "w", "h", "label")):
+        try:
+            x, y, w, h = (float(row[key]) for key in ("x", "y", "w", "h"))
+        except ValueError as error:
+            raise DataError(
+                f"{root / 'labels.csv'}:{line}: {error}, expected numbers in x, y, w, h"
+            ) from None
+        boxes = labels.setdefault(row["image"], {True: [], False: []})
+        boxes[row["label"] == "drone"].append([x + w / 2, y + h / 2, w, h])
+    frames = []
+    for line, row in _rows(root / "images.csv", ("image", "source", "scene")):
+        path = root / "images" / row["image"]
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise DataError(f"{root / 'images.csv'}:{line}: {path} is missing or is not an image")
+        boxes = labels.get(row["image"], {True: [], False: []})
+        drones, distractors = (np.array(boxes[kind], float).reshape(-1, 4) for kind in (True, False))
+        frames.append(
+            LabelledFrame(
+                row["image"], row["source"], row["scene"], np.asarray(image, np.uint8), drones, distractors
+            )
+        )
+    if not frames:
+        raise DataError(f"{root / 'images.csv'}: holds no rows, expected one for each image")
+    return frames
+
+
+def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; a data directory holds images/, images.csv and labels.csv")
+    with path.open(newline="") as file:
+        reader = csv.DictReader(file)
+        missing = [column for column in columns if column not in (reader.fieldnames or ())]
+        if missing:
+            raise DataError(f"{path}:1: found columns {reader.fieldnames}, expected also {missing}")
+        yield from enumerate(reader, start=2)
+
+
+def data_hash(frames: Sequence[LabelledFrame]) -> str:
+    """SHA-256 over names, pixels and boxes: which data a model saw, to the bit."""
+    digest = hashlib.sha256()
+    for frame in sorted(frames, key=lambda frame: frame.name):
+        digest.update(frame.name.encode())
+        for part in (frame.image, frame.drones.round(3), frame.distractors.round(3)):
+            digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
+
+
+def held_out(frame: LabelledFrame) -> bool:
+    """Whether a frame without drones belongs to the third that cross-scene trials keep for validation, by clip."""
+    return frame.scene == NEGATIVE and zlib.crc32(frame.source.encode()) % 3 == 0
+
+
+class CutOut(NamedTuple):
+    """A photographed object without its background. tight, label (4,): the box that is visible, and the one it had."""
+
+    sprite: Sprite
+    tight: NDArray[np.float64]
+    label: NDArray[np.float64]
+
+
+def cut_out(image: NDArray[np.uint8], box: NDArray[np.float64]) -> CutOut | None:
+    """Separate an object from a smooth background (sky); None where the background is not smooth.
+
+    The background is a quadratic surface fitted to the rim around the label. What differs from it is the object:
+    with alpha = |difference| / contrast and the residue as its colour, pasting the sprite back gives the photograph.
+    """
+    u, v, w, h = box
+    half = np.array([w, h]) * 0.75 + 4
+    middle = np.array([u, v])
+    x0, y0 = np.round(middle - half).astype(int)
+    x1, y1 = np.round(middle + half).astype(int) + 1
+    if x0 < 0 or y0 < 0 or x1 > image.shape[1] or y1 > image.shape[0]:
+        return None
+    patch = image[y0:y1, x0:x1].astype(np.float64)
+    ys, xs = np.mgrid[0 : patch.shape[0], 0 : patch.shape[1]]
+    xs, ys = (xs + x0 - u) / half[0], (ys + y0 - v) / half[1]
+    rim = (np.abs(xs) > w / 2 / half[0]) | (np.abs(ys) > h / 2 / half[1])
+    basis = np.stack([np.ones_like(xs), xs, ys, xs * xs, xs * ys, ys * ys], axis=-1)
+    surface = np.linalg.lstsq(basis[rim], patch[rim], rcond=None)[0]
+    sky = basis @ surface
+    difference = np.linalg.norm(patch - sky, axis=2)
+    noise, contrast = difference[rim].std() + difference[rim].mean(), np.percentile(difference[~rim], 98)
+    if noise > 6 or contrast < 4 * noise or contrast < 15:
+        return None
+    alpha = np.clip((difference - 1.5 * noise) / (0.5 * contrast), 0, 1)
+    colour = np.clip(patch - sky * (1 - alpha[..., None]), 0, 255 * alpha[..., None])
+    sprite = Sprite(colour.astype(np.float32), alpha.astype(np.float32))
+    solid = (alpha > 0.3) & ~rim
+    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
+    if rows.size < 2 or columns.size < 3:
+        return None
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    window = np.s_[top:bottom, left:right]
+    tight = np.array([x0 + (left + right - 1) / 2, y0 + (top + bottom - 1) / 2, right - left, bottom - top])
+    return CutOut(Sprite(sprite.colour[window], sprite.alpha[window]), tight, np.asarray(box))
+
+
+class LabelMargin(NamedTuple):
+    """How much looser a person's box is than the visible drone: label = factor · tight + pixels, per axis (w, h).
+
+    The constant part fades below the sizes it was fitted on: a drone of 5 px has no box of 25 px.
+    """
+
+    factor: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+
+    def apply(self, size: NDArray[np.float64]) -> NDArray[np.float64]:
+        """size (2,) px of what is visible."""
+        return self.factor * size + np.minimum(self.pixels, 1.2 * size)
+
+
+def fit_margin(cutouts: Sequence[CutOut]) -> LabelMargin:
+    """Least squares over the cut-outs; the identity where there are too few to say."""
+    if len(cutouts) < 10:
+        return LabelMargin(np.array([1.1, 1.1]), np.zeros(2))
+    tight, label = (np.array([getattr(c, name)[2:] for c in cutouts]) for name in ("tight", "label"))
+    lines = np.array([np.polyfit(tight[:, axis], label[:, axis], 1) for axis in (0, 1)])
+    return LabelMargin(np.maximum(lines[:, 0], 1.0), np.clip(lines[:, 1], 0.0, 20.0))
+
+
+class SampleSource:
+    """Draws endless samples by a recipe. Without frames everything is procedural."""
+
+    BANK = 240  # sprites kept at hand: drawing one takes longer than all the rest of a sample
+
+    def __init__(self, frames: Sequence[LabelledFrame], recipe: Recipe, rng: Rng) -> None:
+        self._recipe, self._rng = recipe, rng
+        self._with_drones = [frame for frame in frames if len(frame.drones)]
+        self._without = [frame for frame in frames if not len(frame.drones)]
+        drones = [cut_out(frame.image, box) for frame in frames for box in frame.drones]
+        others = [cut_out(frame.image, box) for frame in frames for box in frame.distractors]
+        self._drones = [cut for cut in drones if cut is not None]
+        self._others = [cut for cut in others if cut is not None]
+        self.margin = fit_margin(self._drones)
+        self._drawn = [render.multirotor(rng) for _ in range(self.BANK)]
+        names = list(render.DISTRACTORS)
+        self._mistaken = [render.DISTRACTORS[names[i % len(names)]](rng) for i in range(self.BANK // 2)]
+
+    def sample(self) -> tuple[NDArray[np.uint8], Boxes]:
+        """One picture (crop, crop, 3) BGR uint8 and its drones (n, 4)."""
+        rng, recipe = self._rng, self._recipe
+        self._refresh()
+        kind = rng.random()
+        boxes: list[NDArray[np.float64]] = []
+        if kind < recipe.real_frame and self._with_drones:
+            image, boxes = self._crop_frame(self._with_drones, around_drones=0.9)
+        else:
+            if kind < recipe.real_frame + recipe.real_background and self._without:
+                some = self._without if rng.random() < recipe.drone_free else self._with_drones
+                image, boxes = self._crop_frame(some or self._without, around_distractors=0.5)
+            else:
+                image = render.background(rng, recipe.crop, recipe.crop)
+            for _ in range(int(rng.choice(4, p=[0.3, 0.35, 0.25, 0.1]))):
+                self._add_distractor(image, boxes)
+            if rng.random() >= recipe.empty:
+                for _ in range(int(rng.choice([1, 2, 3, 4], p=[0.4, 0.3, 0.2, 0.1]))):
+                    boxes.extend(self._add_drone(image, boxes))
+        image, drones = _flip(rng, image, np.array(boxes).reshape(-1, 4))
+        return render.photograph(rng, image), drones
+
+    def _refresh(self) -> None:
+        if self._rng.random() < 0.1:
+            self._drawn[self._rng.integers(len(self._drawn))] = render.multirotor(self._rng)
+        if self._rng.random() < 0.04:
+            draw = list(render.DISTRACTORS.values())[self._rng.integers(len(render.DISTRACTORS))]
+            self._mistaken[self._rng.integers(len(self._mistaken))] = draw(self._rng)
+
+    def _size(self) -> float:
+        """Longer side, log-uniform px: as many halvings of distance between 5 and 10 px as between 75 and 150."""
+        return float(np.exp(self._rng.uniform(np.log(self._recipe.size_min), np.log(self._recipe.size_max))))
+
+    def _add_distractor(self, image: FloatImage, present: Sequence[NDArray[np.float64]]) -> None:
+        """Draw one thing that is no drone, clear of those that are."""
+        rng = self._rng
+        if self._others and rng.random() < 0.45:
+            cut = self._others[rng.integers(len(self._others))]
+            sprite, size = cut.sprite, float(max(cut.tight[2:]) * np.exp(rng.normal(0, 0.35)))
+        else:
+            sprite, size = self._mistaken[rng.integers(len(self._mistaken))], self._size()
+        centre = rng.uniform(0, self._recipe.crop, 2)
+        if not _crowded(centre, size, present, 0.6):
+            render.paste_into(rng, image, sprite, centre, size)
+
+    def _add_drone(
+        self, image: FloatImage, present: Sequence[NDArray[np.float64]]
+    ) -> list[NDArray[np.float64]]:
+        """Draw one drone, its centre inside, not quite on top of another; returns its labelled box, if it fitted."""
+        rng, recipe = self._rng, self._recipe
+        if self._drones and rng.random() < recipe.real_cutout:
+            cut = self._drones[rng.integers(len(self._drones))]
+            native = float(max(cut.tight[2:]))
+            size = native * float(np.exp(rng.normal(-0.1, 0.4)))
+            sprite = _repaint(rng, cut.sprite)
+        else:
+            sprite, size = self._drawn[rng.integers(len(self._drawn))], self._size()
+        centre = rng.uniform(0, recipe.crop - 1, 2)
+        if _crowded(centre, size, present, 0.3):
+            return []
+        box = render.paste_into(rng, image, sprite, centre, size)
+        if box is None:
+            return []
+        box[2:] = self.margin.apply(box[2:])
+        return [box]
+
+    def _crop_frame(
+        self, frames: Sequence[LabelledFrame], *, around_drones: float = 0.0, around_distractors: float = 0.0
+    ) -> tuple[FloatImage, list[NDArray[np.float64]]]:
+        """A crop of one of the frames and the drones in it; with the given chance it holds one of what is named."""
+        rng = self._rng
+        frame = frames[int(rng.integers(len(frames)))]
+        aims, chance = frame.distractors, around_distractors
+        if around_drones:
+            aims, chance = frame.drones, around_drones
+        aim = aims[rng.integers(len(aims))] if len(aims) and rng.random() < chance else None
+        image, zoom, corner = self._crop(frame.image, aim)
+        centre = (frame.drones[:, :2] - corner + 0.5) * zoom - 0.5
+        inside = ((centre >= 0) & (centre <= self._recipe.crop - 1)).all(axis=1)
+        return image, list(np.concatenate([centre, frame.drones[:, 2:] * zoom], axis=1)[inside])
+
+    def _crop(
+        self, image: NDArray[np.uint8], aim: NDArray[np.float64] | None
+    ) -> tuple[FloatImage, float, NDArray[np.float64]]:
+        """A square of the image, resized to the recipe's; it holds the centre of the box `aim`, if one is given.
+
+        Returns the crop, its zoom, and its top left corner (2,) in the image.
+        """
+        rng, side = self._rng, self._recipe.crop
+        limit = min(image.shape[:2])
+        source = int(min(limit, side / np.exp(rng.uniform(np.log(0.5), np.log(1.7)))))
+        room = np.array([image.shape[1] - source, image.shape[0] - source])
+
+        def busy(corner: NDArray[np.int64]) -> float:
+            """Most of a frame is sky, where drones are easy to see: half the crops are the busiest of four."""
+            return float(image[corner[1] : corner[1] + source : 4, corner[0] : corner[0] + source : 4].std())
+
+        if aim is not None:
+            corner = np.clip(aim[:2] - rng.uniform(0.08, 0.92, 2) * source, 0, room).astype(int)
+        else:
+            corner = max((rng.integers(0, room + 1) for _ in range(int(rng.choice([1, 4])))), key=busy)
+        x, y = int(corner[0]), int(corner[1])
+        how = cv2.INTER_AREA if source > side else cv2.INTER_LINEAR
+        crop = cv2.resize(image[y : y + source, x : x + source], (side, side), interpolation=how)
+        return crop.astype(np.float32), side / source, np.array([x, y], float)
+
+
+def _crowded(
+    centre: NDArray[np.float64], size: float, present: Sequence[NDArray[np.float64]], share: float
+) -> bool:
+    """Whether something of `size` px at `centre` would be nearer to a box than `share` of both sizes."""
+    return any(np.hypot(*(box[:2] - centre)) < share * (size + max(box[2:])) for box in present)
+
+
+def _repaint(rng: Rng, sprite: Sprite) -> Sprite:
+    """Other paint for a photographed drone: its brightness scaled, sometimes inverted within its outline."""
+    colour = sprite.colour
+    if rng.random() < 0.25:
+        colour = 255 * sprite.alpha[..., None] - colour
+    colour = np.clip(colour * np.float32(rng.uniform(0.5, 1.5)), 0, 255 * sprite.alpha[..., None])
+    return Sprite(colour, sprite.alpha)
+
+
+def _flip(rng: Rng, image: FloatImage, boxes: Boxes) -> tuple[FloatImage, Boxes]:
+    if rng.random() < 0.5:
+        image, boxes = np.ascontiguousarray(image[:, ::-1]), boxes.copy()
+        boxes[:, 0] = image.shape[1] - 1 - boxes[:, 0]
+    return image, boxes
+
+
+class Targets(NamedTuple):
+    """What the net should answer, on cells of `stride` px. Cell i looks at pixel i · stride.
+
+    heat (1, h, w) 0…1; offset (2, h, w): from the cell to the centre, in cells; log_size (2, h, w): natural
+    logarithm of width and height in cells; weight (1, h, w): where the two are defined, in all one per drone.
+    """
+
+    heat: FloatImage
+    offset: FloatImage
+    log_size: FloatImage
+    weight: FloatImage
+
+
+def targets(boxes: Boxes, side: int, stride: int) -> Targets:
+    """CenterNet's targets (Zhou, Wang & Krähenbühl 2019, section 3); offset and size are taught around peaks too."""
+    n = side // stride
+    heat, weight = np.zeros((n, n), np.float32), np.zeros((n, n), np.float32)
+    offset, log_size = np.zeros((2, n, n), np.float32), np.zeros((2, n, n), np.float32)
+    rows, columns = np.mgrid[0:n, 0:n].astype(np.float32)
+    for u, v, w, h in boxes:
+        x, y = u / stride, v / stride
+        column, row = np.clip(np.round([x, y]).astype(int), 0, n - 1)
+        # Around the nearest cell, not the centre itself: the peak must reach exactly one. The widths follow the box.
+        sigma = np.maximum(0.12 * np.array([w, h]) / stride, 0.55)
+        peak = np.exp(-(((columns - column) / sigma[0]) ** 2 + ((rows - row) / sigma[1]) ** 2) / 2)
+        around = (np.abs(columns - column) <= 1) & (np.abs(rows - row) <= 1)
+        near = around & (peak > np.maximum(heat, 0.3)) | ((rows == row) & (columns == column))
+        weight[near] = peak[near] / peak[near].sum()
+        offset[:, near] = np.stack([x - columns, y - rows])[:, near]
+        log_size[:, near] = np.log(np.maximum([w, h], 1) / stride)[:, None]
+        heat = np.maximum(heat, peak)
+    return Targets(heat[None], offset, log_size, weight[None])

@@ -1,0 +1,75 @@
+"""Writes a trained net as ONNX, with everything a detector must know about it inside the file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from swarmtrack.training.network import COARSEST, STRIDE, CenterNet
+
+OPSET = 17
+
+
+class _Deployed(nn.Module):
+    """The net as it flies: scores instead of logits."""
+
+    def __init__(self, network: CenterNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        heat, offset, log_size = self.network(images)
+        return heat.sigmoid(), offset, log_size
+
+
+def export(network: CenterNet, path: Path, metadata: Mapping[str, str]) -> None:
+    """Write `network` to `path`; any image size that is a multiple of 32 will do. `metadata` is added to ours.
+
+    The file appears whole or not at all: whoever reads `path` meanwhile sees the old one.
+    """
+    deployed = _Deployed(network).eval()
+    partial = path.with_suffix(".partial")
+    free = {0: "batch", 2: "height", 3: "width"}
+    torch.onnx.export(
+        deployed,
+        (torch.zeros(1, 3, 2 * COARSEST, 3 * COARSEST),),
+        str(partial),
+        input_names=["images"],
+        output_names=["heat", "offset", "size"],
+        opset_version=OPSET,
+        dynamo=False,
+        dynamic_axes=dict.fromkeys(("images", "heat", "offset", "size"), free),
+    )
+    model = onnx.load(str(partial))
+    ours = {
+        "head": "centernet",
+        "stride": str(STRIDE),
+        "multiple": str(COARSEST),
+        "size_encoding": "log_cells",
+        "names": json.dumps(["drone"]),
+        "scale": repr(1 / 255),
+        "mean": json.dumps([0.0, 0.0, 0.0]),
+        "channel_order": "BGR",
+        "pad_value": "114",
+        "score_threshold": "0.3",
+    }
+    for key, value in {**ours, **metadata}.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = f"swarmtrack.{key}", value
+    onnx.save(model, str(partial))
+    partial.replace(path)
+
+
+def annotate(path: Path, changes: Mapping[str, str]) -> None:
+    """Change metadata of a written model, such as a score threshold chosen after its evaluation."""
+    model = onnx.load(str(path))
+    present = {entry.key: entry for entry in model.metadata_props}
+    for key, value in changes.items():
+        entry = present.get(f"swarmtrack.{key}") or model.metadata_props.add()
+        entry.key, entry.value = f"swarmtrack.{key}", value
+    onnx.save(model, str(path))

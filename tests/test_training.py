@@ -1,0 +1,202 @@
+"""Procedural pictures, targets, the numbers of an evaluation, and a training of a few steps."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from swarmtrack.detection.detector import Detector
+from swarmtrack.detection.heads import centernet
+from swarmtrack.messages import Detections
+from swarmtrack.training import dataset, evaluate, render
+from swarmtrack.training.__main__ import main
+from swarmtrack.training.dataset import DataError, Recipe, SampleSource
+
+
+def test_a_seed_names_a_picture():
+    first, again, other = (SampleSource([], Recipe(), np.random.default_rng(seed)) for seed in (4, 4, 5))
+    images, boxes = zip(*(first.sample() for _ in range(5)), strict=True)
+    images_again, boxes_again = zip(*(again.sample() for _ in range(5)), strict=True)
+    assert all(np.array_equal(a, b) for a, b in zip(images, images_again, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(boxes, boxes_again, strict=True))
+    assert not np.array_equal(images[0], other.sample()[0])
+
+
+@pytest.mark.parametrize("name", ["multirotor", *render.DISTRACTORS])
+def test_every_sprite_is_visible_and_its_colour_is_within_its_alpha(name):
+    draw = {"multirotor": render.multirotor, **render.DISTRACTORS}[name]
+    for seed in range(10):
+        sprite = draw(np.random.default_rng(seed))
+        assert sprite.alpha.max() > 0.04
+        assert sprite.alpha.min() >= 0
+        assert sprite.alpha.max() <= 1.001
+        assert (sprite.colour <= 255 * sprite.alpha[..., None] + 0.5).all()
+
+
+def test_a_pasted_sprite_is_where_its_box_says():
+    image = np.full((120, 160, 3), 255, np.float32)
+    black = render.Sprite(np.zeros((64, 64, 3), np.float32), np.ones((64, 64), np.float32))
+    box = render.paste_into(np.random.default_rng(0), image, black, np.array([60.0, 50.0]), 33)
+    assert box is not None
+    rows, columns = np.mgrid[0:120, 0:160]
+    dark = 255 - image[..., 0]
+    assert (dark * columns).sum() / dark.sum() == pytest.approx(box[0], abs=0.05)
+    assert (dark * rows).sum() / dark.sum() == pytest.approx(box[1], abs=0.05)
+    assert box[2:].tolist() == [33, 33]
+
+
+def test_targets_decode_to_the_boxes_they_were_made_of():
+    """The trainer's encoding and the detector's decoding are written apart; they must be inverses."""
+    boxes = np.array([[30.3, 41.8, 24.0, 15.0], [101.2, 90.5, 60.0, 33.0]])
+    wanted = dataset.targets(boxes, 160, 4)
+    metadata = Detector("default").metadata
+    found = centernet([wanted.heat[None], wanted.offset[None], wanted.log_size[None]], metadata, 0.9)
+    order = np.argsort(found.centre[:, 0])
+    assert found.centre[order] == pytest.approx(boxes[:, :2], abs=1e-4)
+    assert found.size[order] == pytest.approx(boxes[:, 2:], rel=1e-4)
+
+
+def test_a_cut_out_pasted_onto_its_own_sky_gives_the_photograph_back():
+    rng = np.random.default_rng(3)
+    sky = np.full((120, 160, 3), (220, 170, 120), np.float32) + np.linspace(0, 20, 160)[None, :, None]
+    scene = sky.astype(np.float32).copy()
+    box = render.paste_into(rng, scene, render.multirotor(rng), np.array([80.0, 60.0]), 36)
+    assert box is not None
+    photograph = (scene + rng.normal(0, 1, scene.shape)).clip(0, 255).astype(np.uint8)
+    label = np.array([*box[:2], *(box[2:] + 12)])
+    cut = dataset.cut_out(photograph, label)
+    assert cut is not None
+    assert cut.tight[:2] == pytest.approx(box[:2], abs=3)
+    h, w = cut.sprite.alpha.shape
+    left, top = (round(cut.tight[0] - (w - 1) / 2), round(cut.tight[1] - (h - 1) / 2))
+    window = np.s_[top : top + h, left : left + w]
+    pasted = sky[window] * (1 - cut.sprite.alpha[..., None]) + cut.sprite.colour
+    assert np.abs(pasted - photograph[window]).mean() < 4
+
+
+def test_a_label_on_clutter_gives_no_cut_out():
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (100, 100, 3)).astype(np.uint8)
+    assert dataset.cut_out(noise, np.array([50.0, 50.0, 20.0, 20.0])) is None
+
+
+# --- data directories
+
+
+def data_directory(root: Path, frames: int = 4) -> Path:
+    """A small one, rendered: a drone in each image but the last."""
+    rng = np.random.default_rng(1)
+    (root / "images").mkdir(parents=True)
+    images, labels = [], []
+    for i in range(frames):
+        picture = render.background(rng, 200, 240)
+        if i < frames - 1:
+            u, v, w, h = render.paste_into(rng, picture, render.multirotor(rng), np.array([120.0, 90.0]), 40)
+            labels.append([f"{i}.png", u - w / 2, v - h / 2, w, h, "drone"])
+        cv2.imwrite(str(root / "images" / f"{i}.png"), picture.astype(np.uint8))
+        images.append([f"{i}.png", 240, 200, "rendered", "scene" if i < frames - 1 else "negative", i])
+    for name, header, rows in (
+        ("images.csv", "image,width,height,source,scene,frame", images),
+        ("labels.csv", "image,x,y,w,h,label", labels),
+    ):
+        with (root / name).open("w", newline="") as file:
+            csv.writer(file).writerows([header.split(","), *rows])
+    return root
+
+
+def test_the_hash_of_data_changes_with_a_single_label(tmp_path):
+    frames = dataset.load_frames(data_directory(tmp_path))
+    before = dataset.data_hash(frames)
+    assert dataset.data_hash(frames[::-1]) == before
+    frames[0].drones[0, 0] += 0.1
+    assert dataset.data_hash(frames) != before
+
+
+def test_wrong_data_is_named_by_file_and_line(tmp_path):
+    with pytest.raises(DataError, match=r"labels\.csv: no such file"):
+        dataset.load_frames(tmp_path)
+    root = data_directory(tmp_path / "a")
+    (root / "images" / "1.png").write_bytes(b"no image")
+    with pytest.raises(DataError, match=r"images\.csv:3: .*1\.png"):
+        dataset.load_frames(root)
+    root = data_directory(tmp_path / "b")
+    (root / "labels.csv").write_text("image,x,y,w,h,label\n0.png,1,2,three,4,drone\n")
+    with pytest.raises(DataError, match=r"labels\.csv:2: .*three"):
+        dataset.load_frames(root)
+
+
+# --- evaluation
+
+
+def looked(centres: list[tuple[float, float]], scores: list[float], drones: list[tuple[float, float]]):
+    n = len(scores)
+    found = Detections(
+        0.0, 0, np.array(centres, float).reshape(n, 2), np.full((n, 2), 20.0), np.array(scores)
+    )
+    boxes = np.array([(*drone, 20.0, 20.0) for drone in drones], float).reshape(-1, 4)
+    return evaluate.Looked(found, boxes)
+
+
+def test_average_precision_of_a_worked_example():
+    """Two drones; detections by score: hit, false, hit. Precision 1 up to recall 0.5, then 2/3."""
+    looks = [looked([(50, 50), (150, 150)], [0.9, 0.5], [(52, 50)]), looked([(10, 10)], [0.3], [(10, 12)])]
+    matches = evaluate.match(looks, evaluate.by_centre)
+    assert matches.hit.tolist() == [True, False, True]
+    assert matches.average_precision() == pytest.approx((51 * 1 + 50 * 2 / 3) / 101)
+    assert matches.recall_at(0.1) == 0.5
+    assert matches.recall_at(0.5) == 1.0
+
+
+def test_a_label_is_hit_once():
+    matches = evaluate.match([looked([(50, 50), (51, 50)], [0.9, 0.8], [(50, 50)])], evaluate.by_centre)
+    assert matches.hit.tolist() == [True, False]
+
+
+def test_nothing_found_is_zero_and_not_an_error():
+    report = evaluate.summary([looked([], [], [(5, 5)])], 0.3)
+    assert (report["centre_ap"], report["recall"], report["false_per_image"]) == (0.0, 0.0, 0.0)
+
+
+# --- training
+
+
+def test_a_training_of_a_few_steps_writes_a_model_that_loads_and_is_the_same_twice(tmp_path, capsys):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    root = data_directory(tmp_path / "data")
+    out = [tmp_path / "a.onnx", tmp_path / "b.onnx"]
+    for path in out:
+        common = ["train", "--data", str(root), "--out", str(path), "--licence", "CC0-1.0"]
+        assert main([*common, "--iterations", "3", "--batch", "4", "--network", "nano", "--crop", "96"]) == 0
+    metadata = Detector(out[0]).metadata
+    assert metadata.entries["licence"] == "CC0-1.0"
+    assert metadata.entries["data_sha256"] == dataset.data_hash(dataset.load_frames(root))
+    assert out[0].read_bytes() == out[1].read_bytes()
+    assert main(["evaluate", str(out[0]), str(root)]) == 0
+    assert '"centre_ap"' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--crop", "100"], "--crop 100: expected a multiple of 32"),
+        (["--network", "resnet"], "expected one of plain, nano"),
+        (["--start", "nowhere.pt"], "nowhere.pt: no such file"),
+        (["--batch", "0"], "at least 1"),
+    ],
+)
+def test_wrong_options_are_refused_before_any_work(tmp_path, capsys, arguments, sentence):
+    pytest.importorskip("torch")
+    assert main(["train", "--out", str(tmp_path / "m.onnx"), "--iterations", "1", *arguments]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_missing_data_is_said_in_one_line(tmp_path, capsys):
+    pytest.importorskip("torch")
+    code = main(["train", "--data", str(tmp_path), "--out", str(tmp_path / "m.onnx"), "--iterations", "1"])
+    assert code == 1
+    assert capsys.readouterr().err.count("\n") == 1
