@@ -115,7 +115,9 @@ class FakeAutopilot:
                 case "SETUP_SIGNING":
                     self.signing_setups += 1
 
-    def _set_interval(self, message_id: int, interval_us: float, now: float, system: int, component: int) -> None:
+    def _set_interval(
+        self, message_id: int, interval_us: float, now: float, system: int, component: int
+    ) -> None:
         self.commands.append((message_id, interval_us))
         if not self.understands_intervals:
             return
@@ -138,7 +140,12 @@ class FakeAutopilot:
             frames.append(
                 self.frame(
                     common.MAVLink_heartbeat_message(
-                        common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, common.MAV_STATE_ACTIVE, 3
+                        common.MAV_TYPE_QUADROTOR,
+                        common.MAV_AUTOPILOT_ARDUPILOTMEGA,
+                        0,
+                        0,
+                        common.MAV_STATE_ACTIVE,
+                        3,
                     )
                 )
             )
@@ -183,7 +190,9 @@ class _Socket(asyncio.DatagramProtocol):
 
 
 @contextlib.asynccontextmanager
-async def serve_udp(autopilot: FakeAutopilot, host: str, port: int) -> AsyncIterator[asyncio.DatagramTransport]:
+async def serve_udp(
+    autopilot: FakeAutopilot, host: str, port: int
+) -> AsyncIterator[asyncio.DatagramTransport]:
     """Fly `autopilot` in real time, speaking from a socket of its own to host:port (a `udpin:` link)."""
     loop = asyncio.get_running_loop()
     transport, _ = await loop.create_datagram_endpoint(lambda: _Socket(autopilot), local_addr=(host, 0))

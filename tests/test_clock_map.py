@@ -15,7 +15,9 @@ def truth(stamp: np.ndarray | float, skew: float = 0.0) -> np.ndarray | float:
     return OFFSET + stamp * (1.0 + skew)
 
 
-def play(clock_map: ClockMap, seconds: float, *, latency, skew: float = 0.0, start: float = 40.0, timesync=None):
+def play(
+    clock_map: ClockMap, seconds: float, *, latency, skew: float = 0.0, start: float = 40.0, timesync=None
+):
     """Feed `seconds` of IMU stamps that arrive `latency(n)` late; return the stamps and the mapped times.
 
     timesync: (up, down) latencies of one exchange a second, or None.

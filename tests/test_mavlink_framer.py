@@ -21,7 +21,21 @@ FRAMES = 2000
 
 def highres(i: int) -> object:
     return common.MAVLink_highres_imu_message(
-        1_000_000 + 5000 * i, 0.1, 0.2, -9.8, 0.01 * i, 0.02, 0.03, 0.2, 0.1, 0.4, 1013.0, 0.0, 100.0, 25.0, 0xFFF
+        1_000_000 + 5000 * i,
+        0.1,
+        0.2,
+        -9.8,
+        0.01 * i,
+        0.02,
+        0.03,
+        0.2,
+        0.1,
+        0.4,
+        1013.0,
+        0.0,
+        100.0,
+        25.0,
+        0xFFF,
     )
 
 
@@ -78,7 +92,10 @@ def test_two_megabytes_of_noise_yield_no_frame():
     assert framer.bad_bytes == len(noise)
 
 
-@given(st.lists(st.one_of(st.binary(max_size=40), st.sampled_from(packed(4) + packed(4, version=1)))), st.integers(1, 50))
+@given(
+    st.lists(st.one_of(st.binary(max_size=40), st.sampled_from(packed(4) + packed(4, version=1)))),
+    st.integers(1, 50),
+)
 def test_every_byte_is_in_a_frame_or_counted_and_pieces_do_not_matter(parts, size):
     stream = b"".join(parts)
     whole, pieces = Framer(), Framer()

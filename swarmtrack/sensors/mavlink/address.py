@@ -91,7 +91,7 @@ def _unknown_scheme(text: str, name: str) -> SourceError:
         return _mistake(
             text, "tcpin waits for the autopilot to call, which is not offered: let us call it with tcp:"
         )
-    if re.fullmatch(r"(\S+:)?\d+", text):
+    if re.fullmatch(r"([^:]+:)?\d+", text):
         return _mistake(text, "has no scheme: udpin: listens here, udpout: and tcp: call that address")
     near = difflib.get_close_matches(name.lower(), SCHEMES, n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""

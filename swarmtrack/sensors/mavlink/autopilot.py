@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.errors import SourceError
 from swarmtrack.geometry.rotation import from_quaternion
 from swarmtrack.messages import Array, EgoPose, ImuSample, LinkStatus
 from swarmtrack.runtime.clock import Clock
@@ -57,6 +58,7 @@ SILENT_TCP = 5.0  # s without a byte: the other end went without saying so
 RETRY_FIRST, RETRY_LAST = 0.5, 5.0  # s between attempts to connect, doubling
 PREFER = 2.0  # s a better source of angular velocity must be silent before a lesser one is used
 SAY_AGAIN = 10.0  # s before the same trouble is logged again
+FASTEST_IMU = 8000.0  # Hz: what the sensors themselves reach
 FASTEST_GYRO = 100.0  # rad/s: no sensor measures more; what claims it is corrupt
 POSITION_AGE = 0.5  # s that a position is carried on by its velocity
 POSE_MISMATCH = 5.0  # s between a pose's mapped time and its arrival: it is stamped by another clock
@@ -65,6 +67,7 @@ TIMESYNC_FIRST, TIMESYNC_FIRST_EVERY = 10, 0.2  # the first exchanges come faste
 RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
 RATE_WINDOW = 2.0  # s over which the IMU's rate is counted
 EARLY_FRAMES = 1000  # kept until a heartbeat tells whose they are: more than a second of a fast link
+OPENING = "opening"
 NAMED_SOURCES = 8  # other systems remembered by name
 
 
@@ -82,8 +85,11 @@ class State(enum.StrEnum):
 class MavlinkAutopilot:
     """An `Autopilot` (sensors/base.py) at a MAVLink address.
 
-    link: an address such as udpin:0.0.0.0:14540, or a link already made. system_id: the vehicle to listen to, None for the first one heard; component_id: ours (191 … 194 are onboard
-    computers); signing_key: a file of mode 0600, see signing.py. Raises `SourceError` for what can never work.
+    link: an address such as `udpin:0.0.0.0:14540`, or a link already made; system_id: the vehicle to listen to, None
+    for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
+    see signing.py. Raises `SourceError` for what can never work.
+
+    Beside `run`, `opened`, `received` and `tick` are all there is to it: told the time, it needs no event loop.
     """
 
     def __init__(
@@ -96,6 +102,12 @@ class MavlinkAutopilot:
         component_id: int = 191,
         signing_key: Path | None = None,
     ) -> None:
+        if not 0.0 < imu_rate_hz <= FASTEST_IMU:
+            raise SourceError(
+                f"autopilot imu_rate_hz: found {imu_rate_hz:g}, expected more than 0, at most 8000"
+            )
+        if system_id is not None and not 1 <= system_id <= 255:
+            raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
         self._clock = clock
         self._link = open_link(link, clock) if isinstance(link, str) else link
         self._expected_system = system_id
@@ -119,7 +131,7 @@ class MavlinkAutopilot:
         }
 
         self._state = State.SEARCHING
-        self._down: str | None = "not yet opened"  # why there is no connection; None: there is one
+        self._down: str | None = OPENING  # why there is no connection; None: there is one
         self._opened_at = 0.0
         self._bytes = 0  # of this connection
         self._frames_before = 0  # good frames of earlier connections
@@ -190,6 +202,11 @@ class MavlinkAutopilot:
             self._take(now, self._framer.flush())
         if self._down is None and not self._link.recording:
             self._speak(now)
+            if (
+                self._link.address.scheme == "tcp"
+                and now - max(self._opened_at, self._received_at) > SILENT_TCP
+            ):
+                self._link.drop(f"silent for {SILENT_TCP:g} s")
         if now - self._window_start >= RATE_WINDOW:
             self._imu_rate_hz = self._window_count / (now - self._window_start)
             self._window_start, self._window_count = now, 0
@@ -458,12 +475,14 @@ class MavlinkAutopilot:
     def _judge(self, now: float) -> None:
         """Set the state; log one line where it, or the reason for it, has changed."""
         self._state = self._state_at(now)
-        if self._state is State.STALE:
-            return  # counts as a hiccup until it is called lost
+        if self._state is State.STALE or self._down == OPENING:
+            return  # a hiccup until it is called lost; nothing to say until the first attempt is over
         if self._state is State.STREAMING:
             if self._trouble and self._imu_rate_hz:  # the line tells the rate, so wait until it is known
                 self._trouble = ""
-                self._say(logging.INFO, "streaming", "%s: %s", self._link.address, self._sentence(now)[1])
+                self._say(
+                    logging.INFO, "streaming", "%s: streaming: %s", self._link.address, self._sentence(now)[1]
+                )
             return
         name, text = self._sentence(now)
         patient = self._down is None and now - max(self._opened_at, self._known_at) < DIAGNOSE_AFTER
@@ -484,7 +503,7 @@ class MavlinkAutopilot:
     def _sentence(self, now: float) -> tuple[str, str]:
         """(name, text) of the present state; the name does not change while only a number does."""
         if self._down is not None:
-            return self._down, f"{self._down}; trying again"
+            return self._down, self._down if self._down == OPENING else f"{self._down}; trying again"
         match self._state:
             case State.SEARCHING:
                 return self._why_no_autopilot()

@@ -18,14 +18,13 @@ import socket
 import termios
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, cast
 
 import serial
 
 from swarmtrack.errors import SourceError
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.mavlink.address import LinkAddress, parse_address
-from swarmtrack.sensors.mavlink.framer import CRC_LENGTH, HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, V1
 
 log = logging.getLogger(__name__)
 
@@ -164,8 +163,7 @@ class UdpLink(asyncio.DatagramProtocol):
         return network_trouble(error, self.address)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.DatagramTransport)
-        self._transport = transport
+        self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         arrival = self._clock.now()
@@ -229,8 +227,7 @@ class TcpLink(asyncio.Protocol):
             self._transport = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
+        self._transport = cast(asyncio.Transport, transport)
 
     def data_received(self, data: bytes) -> None:
         arrival = self._clock.now()
@@ -412,34 +409,24 @@ LONGEST_PAUSE = 86_400.0  # s between two records; what claims more is not a sta
 
 
 def records(data: mmap.mmap | bytes) -> Iterator[tuple[float, bytes]]:
-    """(UTC [s], bytes) of each record of a telemetry log, garbage between records as a record of its own.
+    """(UTC [s], bytes) of each record of a telemetry log.
 
-    A record is a plausible stamp with a magic byte behind it. Whether its frame is any good is the framer's to judge.
+    A record ends where the next plausible stamp stands with a magic byte behind it, not where its own header claims:
+    so a damaged one costs no other. Whether the bytes are a frame is the framer's to judge.
     """
-    last: float | None = None
-    position = done = 0
+    last: tuple[float, int] | None = None  # stamp, and where the bytes after it begin
+    position = 0
     while (match := RECORD.search(data, position)) is not None:
         start = match.start()
         stamp = int.from_bytes(data[start : start + STAMP_LENGTH], "big") * 1e-6
-        frame = start + STAMP_LENGTH
-        if len(data) - frame < 3 or (last is not None and abs(stamp - last) > LONGEST_PAUSE):
-            position = start + 1
-            continue
-        if done < start and last is not None:
-            yield last, data[done:start]
-        last = stamp
-        position = done = frame + claimed_length(data, frame)
-        yield stamp, data[frame:done]
-    if last is not None and done < len(data):
-        yield last, data[done:]
-
-
-def claimed_length(data: mmap.mmap | bytes, start: int) -> int:
-    """Bytes of the frame whose magic stands at `start`, by its header's own account."""
-    magic, payload, flags = data[start], data[start + 1], data[start + 2]
-    if magic == V1:
-        return payload + HEADER_V1 + CRC_LENGTH
-    return payload + HEADER_V2 + CRC_LENGTH + (SIGNATURE_LENGTH if flags & SIGNED else 0)
+        position = start + 1
+        if last is None or abs(stamp - last[0]) < LONGEST_PAUSE:
+            if last is not None:
+                yield last[0], data[last[1] : start]
+            position = start + STAMP_LENGTH
+            last = (stamp, position)
+    if last is not None:
+        yield last[0], data[last[1] :]
 
 
 class Holder:
@@ -499,8 +486,8 @@ def serial_trouble(path: str, number: int | None, text: str) -> str:
         )
     if number in (errno.EBUSY, errno.EAGAIN):
         return f"busy, held by {_first_of(holders_of(os.path.realpath(path)))}"
-    if number == errno.ENOTTY:
-        return f"{path} is not a serial port"
+    if number == errno.ENOTTY or "configure port" in text:
+        return f"{path} is not a serial port ({text})"
     return text
 
 
