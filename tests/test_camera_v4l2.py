@@ -197,7 +197,8 @@ def test_a_slow_consumer_gets_the_newest_frame_and_the_others_are_counted(watch:
     watch.script(formats="GREY")
     watch.start(consumer_seconds=0.1)
     frames = watch.frames(8)
-    assert all(frame["now"] - frame["t"] < 0.012 + 1.5 * PERIOD for frame in frames)
+    # In order, the last of them would be seven times 0.1 s late, less the seven periods that passed.
+    assert min(frame["now"] - frame["t"] for frame in frames[4:]) < 0.1
     status = watch.status()
     skipped = frames[-1]["sequence"] - frames[0]["sequence"] + 1 - len(frames)
     assert skipped >= len(frames)
@@ -211,10 +212,10 @@ def test_what_waited_while_the_loop_stood_still_is_thrown_away_and_counted(watch
     watch.start("buffers=4")
     last = watch.frames(5)[-1]
     watch.send("block 0.5")
-    while (frame := watch.frame())["sequence"] == last["sequence"] + 1:
+    while (frame := watch.frame())["sequence"] < last["sequence"] + 6:
         last = frame
-    # 15 exposures: the first ones filled the buffers, the others found none.
-    assert frame["now"] - frame["t"] < 0.012 + 1.5 * PERIOD
+    # 15 exposures: the first ones filled the buffers and are 0.37 s old or more, the others found none.
+    assert frame["now"] - frame["t"] < 0.3
     status = watch.status()
     assert status["stale"] >= 2
     assert status["lost"] >= 5
@@ -296,6 +297,23 @@ def test_buffers_the_driver_marks_as_damaged_are_counted_not_shown(watch: Watch)
 
 
 @needs_cc
+def test_a_driver_that_wakes_us_without_a_frame_is_opened_again(watch: Watch) -> None:
+    watch.script(formats="GREY", stuck=1)
+    watch.start()
+    watch.status_that(lambda status: "reports an error and no frame" in status["text"])
+    watch.script(formats="GREY")
+    watch.frame()
+
+
+@needs_cc
+def test_a_camera_without_the_wanted_controls_works_and_says_so(watch: Watch) -> None:
+    watch.script(formats="GREY", controls=0)
+    watch.start("exposure_us=2000&gain=3")
+    watch.frame()
+    assert "camera refused exposure_us and gain" in watch.status()["text"]
+
+
+@needs_cc
 def test_structures_and_requests_are_those_of_the_kernels_header(tmp_path: Path) -> None:
     names = [name for name in vars(abi) if name.startswith("VIDIOC_")]
     lines = "".join(f'printf("%u\\n", (unsigned){name});' for name in names)
@@ -330,7 +348,7 @@ def test_a_stamp_of_the_end_of_the_frame_or_of_another_clock_is_known_for_what_i
 
 
 def test_an_honest_latency_is_not_staleness_and_a_lasting_change_of_it_is_learnt() -> None:
-    freshness = Freshness(PERIOD)
+    freshness = Freshness(PERIOD, depth=20)
 
     def stale(sequences: range, age: float) -> list[bool]:
         return [freshness.is_stale(n * PERIOD, n, n * PERIOD + age) for n in sequences]
@@ -339,6 +357,13 @@ def test_an_honest_latency_is_not_staleness_and_a_lasting_change_of_it_is_learnt
     assert all(stale(range(100, 110), age=0.4))
     assert not any(stale(range(140, 150), age=0.2))
     assert not any(stale(range(150, 250), age=0.4)[Freshness.MEMORY :])
+
+
+def test_no_more_frames_in_a_row_are_stale_than_can_have_waited() -> None:
+    freshness = Freshness(PERIOD, depth=4)
+    assert not freshness.is_stale(0.0, 0, 0.01)
+    late = [freshness.is_stale(n * PERIOD, n, n * PERIOD + 0.2) for n in range(1, 11)]
+    assert late == [True] * 4 + [False] + [True] * 4 + [False]
 
 
 def test_who_holds_a_device_is_named(tmp_path: Path) -> None:

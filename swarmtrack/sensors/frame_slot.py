@@ -253,8 +253,11 @@ class Freshness:
     LIMIT = 1.5  # periods older than the youngest
     MEMORY = 32  # frames; after so many, a latency that grew for good is the new normal
 
-    def __init__(self, period: float) -> None:
-        self.period = period  # s between frames, measured once frames come
+    def __init__(self, period: float, depth: int) -> None:
+        """period [s]: between frames, measured once they come; depth: frames that the queue can hold."""
+        self._period = period
+        self._depth = depth
+        self._in_a_row = 0
         self._ages: deque[float] = deque(maxlen=self.MEMORY)
         self._last: tuple[float, int] | None = None
 
@@ -262,7 +265,10 @@ class Freshness:
         """Call for every frame in order; t: its exposure, sequence: the camera's count."""
         if self._last is not None and sequence > self._last[1] and t > self._last[0]:
             measured = (t - self._last[0]) / (sequence - self._last[1])
-            self.period += 0.1 * (measured - self.period)
+            self._period += 0.1 * (measured - self._period)
         self._last = (t, sequence)
         self._ages.append(now - t)
-        return now - t > min(self._ages) + self.LIMIT * self.period
+        late = now - t > min(self._ages) + self.LIMIT * self._period
+        # More in a row than can have waited: not the queue is late but we are, and an old frame is better than none.
+        self._in_a_row = self._in_a_row + 1 if late and self._in_a_row < self._depth else 0
+        return self._in_a_row > 0

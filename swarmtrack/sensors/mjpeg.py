@@ -74,7 +74,7 @@ class MjpegCamera:
         self._task: asyncio.Task[None] | None = None
         self._sequence = 0
         self._bad_stamps = 0
-        self._freshness = Freshness(period=1 / 30)
+        self._freshness = Freshness(period=1 / 30, depth=30)  # a second in the sockets' buffers
 
     def frames(self) -> AsyncIterator[Frame]:
         self._task = self._task or start(self._run(), self._slot)

@@ -8,7 +8,7 @@ given in the environment variable OPENCV_FFMPEG_CAPTURE_OPTIONS, for example `rt
 from __future__ import annotations
 
 import asyncio
-import os
+import contextlib
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable
@@ -23,12 +23,10 @@ from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
 from swarmtrack.sensors.frame_slot import BACKOFF_FIRST, BACKOFF_LONGEST, FrameSlot, RawFrame, already
 from swarmtrack.sensors.mjpeg import NetworkOptions
+from swarmtrack.sensors.video import open_video
 
 DEFAULT_PORT = 554
 CLOSE_WAIT = 0.8  # s: a read in progress ends by its own timeout, which may be longer than anybody waits
-
-# FFmpeg writes its complaints to stderr; ours says the same in a sentence.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 class RtspCamera:
@@ -71,11 +69,11 @@ class RtspCamera:
 
         try:
             self._keep_streaming(tell)
-        except RuntimeError:
-            if not loop.is_closed():  # a closed loop has nobody left to tell
-                raise
         except Exception as bug:  # not lost with the thread: the consumer raises it
-            tell(self._slot.end, bug)
+            with contextlib.suppress(
+                RuntimeError
+            ):  # the loop is gone, and with it everybody who could want to know
+                tell(self._slot.end, bug)
 
     def _keep_streaming(self, tell: Callable[..., None]) -> None:
         backoff = BACKOFF_FIRST
@@ -106,7 +104,7 @@ class RtspCamera:
             return None, "closed"
         limit_ms = int(1e3 * self._options.timeout_s)
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
-        capture = cv2.VideoCapture(self._url, cv2.CAP_FFMPEG, limits)
+        capture = open_video(self._url, limits)
         if capture.isOpened():
             return capture, ""
         capture.release()

@@ -174,7 +174,7 @@ class Stream:
         self._clock = clock
         self._options = options
         self._camera_sequence: int | None = None
-        self._freshness = Freshness(capture.period)
+        self._freshness = Freshness(capture.period, depth=len(capture.maps))
         self._flowing = False
         self._empty = 0
         self._lost: asyncio.Future[str] = asyncio.get_running_loop().create_future()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, 
 from swarmtrack.sensors.frame_slot import FrameSlot, WrongSize, check_size
 from swarmtrack.sensors.playback import PACES, Picture, Playback
 
-# FFmpeg writes its own complaints to stderr, before and instead of the sentence that we say. Read once, at first use.
+# FFmpeg writes its complaints to stderr, before the sentence that we say. Read once, at OpenCV's first use of it.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 DEFAULT_FPS = 30.0  # where a file does not tell
@@ -37,6 +37,16 @@ class VideoOptions:
         in_range("fps", self.fps, 0.01, 1000)
 
 
+def open_video(source: str, parameters: Sequence[int] = ()) -> cv2.VideoCapture:
+    """Ask OpenCV's FFmpeg for a file or stream, without OpenCV's own warning where it fails."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.VideoCapture(source, cv2.CAP_FFMPEG, parameters)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
 class VideoFile:
     """A video file that was found to hold at least one frame. size: (width, height) px."""
 
@@ -52,7 +62,7 @@ class VideoFile:
             )
         if not os.access(path, os.R_OK):
             raise SourceError(f"video file {path}: permission denied")
-        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        capture = open_video(str(path))
         try:
             if not capture.isOpened():
                 raise SourceError(
@@ -70,7 +80,7 @@ class VideoFile:
         self.period = 1 / (fps or (file_fps if 0.01 <= file_fps <= 1000 else DEFAULT_FPS))
 
     def play(self) -> Iterator[Picture]:
-        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        capture = open_video(str(self._path))
         try:
             origin, last, sequence = 0.0, -self.period, 0
             while True:

@@ -6,6 +6,7 @@
  *
  *   plugged 1      0: the device vanishes: open says ENOENT, ioctls ENODEV, poll reports a hang-up
  *   silent 0       1: exposes no frames, as a camera that hangs
+ *   stuck 0        1: poll reports a hang-up for ever, DQBUF has nothing
  *   busy 0         1: somebody else streams: EBUSY
  *   open_errno 0   what open fails with
  *   driver NAME    of QUERYCAP
@@ -48,7 +49,7 @@
 #define NEXT(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 
 struct script {
-    int plugged, silent, busy, open_errno, width, height, lead_us, damaged, controls;
+    int plugged, silent, stuck, busy, open_errno, width, height, lead_us, damaged, controls;
     double fps;
     char driver[16], formats[64], stamp[16], jpeg[512];
 };
@@ -94,6 +95,7 @@ static struct script read_script(void) {
         if (sscanf(line, "%31s %511s", key, value) != 2) continue;
         if (!strcmp(key, "plugged")) s.plugged = atoi(value);
         else if (!strcmp(key, "silent")) s.silent = atoi(value);
+        else if (!strcmp(key, "stuck")) s.stuck = atoi(value);
         else if (!strcmp(key, "busy")) s.busy = atoi(value);
         else if (!strcmp(key, "open_errno")) s.open_errno = atoi(value);
         else if (!strcmp(key, "width")) s.width = atoi(value);
@@ -126,10 +128,14 @@ static uint32_t expose(struct device *d, uint8_t *image, const struct script *s)
     return d->pix.sizeimage;
 }
 
-static void unplug(struct device *d) {
-    d->unplugged = 1;
+static void hang_up(struct device *d) {
     if (d->write_fd >= 0) NEXT(close)(d->write_fd); /* poll reports a hang-up for ever */
     d->write_fd = -1;
+}
+
+static void unplug(struct device *d) {
+    d->unplugged = 1;
+    hang_up(d);
 }
 
 static void *run(void *argument) {
@@ -145,7 +151,8 @@ static void *run(void *argument) {
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL);
         pthread_mutex_lock(&lock);
         if (!s.plugged && !d->unplugged) unplug(d);
-        if (!d->streaming || d->unplugged) {
+        if (s.stuck) hang_up(d);
+        if (!d->streaming || d->write_fd < 0) {
             pthread_mutex_unlock(&lock);
             return NULL;
         }
