@@ -13,7 +13,8 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 from urllib.parse import quote
@@ -23,6 +24,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    PrivateAttr,
     Strict,
     TypeAdapter,
     ValidationError,
@@ -33,7 +35,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from swarmtrack.calibration import Calibration, load_calibration
-from swarmtrack.errors import ConfigError
+from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
@@ -250,6 +252,7 @@ class NetworkSection(Section):
     )
     connect: tuple[Text, ...] = Field(default=(), description="endpoints of teammates to dial")
     multicast: Switch = Field(default=False, description="also find teammates by multicast")
+    interface: Text = Field(default="auto", description="that multicast uses, such as wlan0")
     insecure: Switch = Field(default=False, description="true: speak without TLS beyond this machine")
     lease_s: Annotated[Number, Field(ge=0.5, le=60.0)] = Field(
         default=2.0, description="a teammate that is silent for so long is gone"
@@ -293,6 +296,18 @@ class DroneConfig(Section):
     network: NetworkSection = NetworkSection()
     output: OutputSection = OutputSection()
     motion: MotionSection = MotionSection()
+    _layers: Layers | None = PrivateAttr(default=None)
+
+    @contextmanager
+    def blamed(self, *key: str) -> Iterator[None]:
+        """What goes wrong inside for the user to mend is said of this entry: a ConfigError with its file and line."""
+        try:
+            yield
+        except ConfigError:
+            raise
+        except SwarmtrackError as error:
+            text = f"{'.'.join(key)}: {error}"
+            raise ConfigError([str(self._layers.problem(key, text)) if self._layers else text]) from error
 
 
 class MountedCamera(NamedTuple):
@@ -313,6 +328,7 @@ def load_config(path: str | Path) -> DroneConfig:
         problems += [_problem(layers, details) for details in error.errors(include_url=False)]
     if problems:
         raise ConfigError([str(problem) for problem in sorted(problems)])
+    config._layers = layers
     return config
 
 

@@ -55,40 +55,40 @@ class Parts:
 def assemble(config: DroneConfig) -> Parts:
     """Make the parts; nothing is opened or connected yet.
 
-    Raises SourceError, CalibrationError, ModelError or TransportError, each with what to mend.
+    Raises ConfigError at the entry that leads to something that can never work.
     """
     system = SystemClock()
     clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
     boot = new_boot()
-    simulation = (
-        open_simulation(config.camera.source, config.drone.id, clock) if config.camera.simulated else None
-    )
-    camera: Camera
+    with config.blamed("camera", "source"):
+        simulation = _simulation(config, clock)
     if simulation is not None:
-        mounted, camera = _simulated_mount(config, simulation), simulation.camera
+        mounted = _simulated_mount(config, simulation)
     else:
-        mounted = mount_camera(config.camera)
-        size = (mounted.camera.width, mounted.camera.height)
-        camera = open_camera(config.camera.source, clock=clock, size=size)
+        with config.blamed("camera", "calibration"):
+            mounted = mount_camera(config.camera)
+    with config.blamed("camera", "source"):
+        camera = _camera(config, mounted, clock, simulation)
+    with config.blamed("autopilot", "link"):
+        autopilot = _autopilot(config, clock, simulation)
+    with config.blamed("detector", "model"):
+        detector = _detector(config)
     hub = MemoryHub()
+    with config.blamed("network"):
+        transport = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
     return Parts(
-        config,
-        clock,
-        boot,
-        mounted.camera,
-        camera,
-        _autopilot(config, clock, simulation),
-        Detector(
-            config.detector.model,
-            score_threshold=config.detector.score_threshold,
-            input_scale=config.detector.input_scale,
-            threads=config.detector.threads,
-        ),
-        _onboard(config, mounted, start),
-        _transport(config, boot, clock, hub),
-        start,
-        _teammates(config, simulation, hub, clock),
+        config=config,
+        clock=clock,
+        boot=boot,
+        lens=mounted.camera,
+        camera=camera,
+        autopilot=autopilot,
+        detector=detector,
+        onboard=_onboard(config, mounted, start),
+        transport=transport,
+        start=start,
+        simulated_teammates=_teammates(config, simulation, hub, clock),
     )
 
 
@@ -96,9 +96,23 @@ def _as_fast_as_it_goes(config: DroneConfig) -> bool:
     return ("pace", "fast") in parse_address(config.camera.source).query
 
 
+def _simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
+    if not config.camera.simulated:
+        return None
+    return open_simulation(config.camera.source, config.drone.id, clock)
+
+
 def _simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamera:
     camera = simulation.camera
     return MountedCamera(camera.camera, camera.body_from_camera, config.camera.time_offset_s or 0.0)
+
+
+def _camera(
+    config: DroneConfig, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
+) -> Camera:
+    if simulation is not None:
+        return simulation.camera
+    return open_camera(config.camera.source, clock=clock, size=(mounted.camera.width, mounted.camera.height))
 
 
 def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
@@ -148,6 +162,16 @@ def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None)
     )
 
 
+def _detector(config: DroneConfig) -> Detector:
+    section = config.detector
+    return Detector(
+        section.model,
+        score_threshold=section.score_threshold,
+        input_scale=section.input_scale,
+        threads=section.threads,
+    )
+
+
 def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> Transport:
     network = config.network
     if network.transport == "memory":
@@ -156,7 +180,8 @@ def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> 
         team=network.team,
         listen=network.listen,
         connect=network.connect,
-        multicast=bool(network.multicast),
+        multicast=network.multicast,
+        interface=network.interface,
         insecure=network.insecure,
         lease_s=network.lease_s,
     )
