@@ -1,0 +1,86 @@
+"""`swarmtrack bench NAME`: re-make a published table, NAME.json + NAME.md + plots in the folder `--out`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+DEFAULT_OUT = Path("bench")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    from swarmtrack.tracking import TRACKERS
+
+    names = parser.add_subparsers(dest="benchmark", required=True, metavar="NAME")
+    agent = names.add_parser("agent", help="what an agent costs, beside the design's budgets")
+    clips = names.add_parser("clips", help="real drones on labelled clips, through the agent")
+    rotation = names.add_parser("rotation", help="what the gyro is worth to an observer that turns")
+    for name in (agent, clips, rotation):
+        name.add_argument(
+            "--out",
+            type=Path,
+            default=DEFAULT_OUT,
+            metavar="DIR",
+            help="for the results (default: %(default)s)",
+        )
+        name.add_argument(
+            "--tracker", default="kalman", choices=list(TRACKERS), help="(default: %(default)s)"
+        )
+        name.add_argument("--quick", action="store_true", help="a fraction of the work, for orientation")
+    clips.add_argument(
+        "data", type=Path, metavar="DATA", help="a folder with pairs of NAME.mp4 and NAME_gt.csv"
+    )
+    clips.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="of the agent's config; tracker.KEY if bare",
+    )
+    clips.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
+
+
+def run(args: argparse.Namespace) -> int:
+    BENCHMARKS[args.benchmark](args)
+    print((args.out / f"{args.benchmark}.md").read_text(encoding="utf-8"))
+    print(f"{args.out}: {args.benchmark}.json, {args.benchmark}.md")
+    return 0
+
+
+# Each imports its benchmark only when called: `swarmtrack bench --help` answers at once.
+
+
+def _agent(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import agent_budget
+
+    agent_budget.run(args.out, tracker=args.tracker, quick=args.quick)
+
+
+def _clips(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import real_clips
+
+    real_clips.run(
+        args.out,
+        args.data,
+        tracker=args.tracker,
+        settings=real_clips.parse_settings(args.set),
+        limit=2 if args.quick else None,
+        video=args.video,
+    )
+
+
+def _rotation(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import rotating_observer
+
+    if args.quick:
+        rotating_observer.run(args.out, seeds=4, tracker=args.tracker, experiment=rotating_observer.QUICK)
+    else:
+        rotating_observer.run(args.out, tracker=args.tracker)
+
+
+BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "agent": _agent,
+    "clips": _clips,
+    "rotation": _rotation,
+}

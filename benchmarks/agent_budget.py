@@ -1,0 +1,423 @@
+"""What an agent costs, beside the budgets of the design: tracker, detector, and whole processes.
+
+Functions are timed in this process, median of many calls. The agent is a process of its own, with a MAVLink autopilot
+played over UDP (200 Hz of gyro) and a listener on Zenoh; what it costs is read from /proc and from its health, and its
+latency is measured from outside: from the exposure of a frame to the arrival of the first message with its tracks at
+another process. Start-up is that of the real program on the simulation, from fork to the first confirmed track.
+
+    python -m swarmtrack.benchmarks.agent_budget --out DIR [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import copy
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from swarmtrack import codec
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.real_clips import agent_environment
+from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.detection.detector import Detector
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Frame, Scan, StampKind
+from swarmtrack.tracking import create_tracker
+from swarmtrack.tracking.base import Tracker
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_listener import ZenohListener
+
+NAME = "agent"
+CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
+IMU_HZ, POSE_HZ, FPS = 200, 50, 15.0
+SETTLE_S = 3.0  # after the first tracks: caches warm, the clock map converged
+PATIENCE_S = 60.0  # for an agent to show its first track
+UPDATE_BUDGET_MS = {"kalman": 0.3, "jpdaf": 0.6, "gmphd": 0.8, "mbm": 2.0}
+
+
+class Line(NamedTuple):
+    """One figure, and the budget that the design gives it; None: it gives none."""
+
+    what: str
+    value: float
+    unit: str
+    budget: float | None = None
+
+    @property
+    def ok(self) -> bool | None:
+        return None if self.budget is None else self.value <= self.budget
+
+
+def run(out: Path, *, tracker: str = "kalman", quick: bool = False) -> dict[str, Any]:
+    """Measure everything; agent.json and agent.md into `out`. quick: a tenth of the time, figures for orientation."""
+    repeats, seconds = (50, 3.0) if quick else (1000, 20.0)
+    parts: list[tuple[str, Callable[[], list[Line]]]] = [
+        ("tracker", lambda: tracker_lines(tracker, repeats)),
+        ("detector", lambda: detector_lines(max(repeats // 10, 10))),
+        ("agent without detector", lambda: agent_lines(tracker, seconds, detector=False)),
+        ("agent with detector", lambda: agent_lines(tracker, seconds, detector=True)),
+        ("start-up", lambda: startup_lines(1 if quick else 3)),
+    ]
+    lines: list[Line] = []
+    with report.progress("agent", len(parts)) as advance:
+        for name, measure in parts:
+            lines += measure()
+            advance(name)
+    result = {
+        "tracker": tracker,
+        "lines": [
+            {"what": line.what, "value": line.value, "unit": line.unit, "budget": line.budget, "ok": line.ok}
+            for line in lines
+        ],
+    }
+    report.write(out, NAME, result, _markdown(lines))
+    return result
+
+
+# --- functions in this process -----------------------------------------------------------------------
+
+
+def median_seconds(function: Callable[[], object], repeats: int) -> float:
+    """Median duration of a call, the first ones not counted."""
+    for _ in range(3):
+        function()
+    durations = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        function()
+        durations.append(time.perf_counter() - began)
+    return float(np.median(durations))
+
+
+def tracker_lines(name: str, repeats: int) -> list[Line]:
+    turn = np.eye(3)  # a rotation is always given in flight
+    lines = []
+    for n, budget in ((10, 50.0), (200, None)):
+        tracker = _tracking(name, n)
+        duration = median_seconds(partial(tracker.at, 0.05, turn, 1e-6), repeats)
+        lines.append(Line(f"`at(now)`, {n} tracks, {name}", 1e6 * duration, "µs", budget))
+    crowd, scan = _crowd(name)
+    durations = []
+    for _ in range(repeats):
+        fresh = copy.deepcopy(crowd)  # an update changes the tracker: each must meet the same one
+        began = time.perf_counter()
+        fresh.update(scan)
+        durations.append(time.perf_counter() - began)
+    what = f"update, 8 tracks × 18 detections in one gate, {name}"
+    return [*lines, Line(what, 1e3 * float(np.median(durations)), "ms", UPDATE_BUDGET_MS.get(name))]
+
+
+def _tracking(name: str, n: int) -> Tracker:
+    """A tracker with n confirmed tracks all over the image."""
+    tracker = create_tracker(name, camera=CAMERA)
+    tracker.initiate(0.0, np.random.default_rng(2).uniform((20, 20), (620, 460), (n, 2)))
+    return tracker
+
+
+def _crowd(name: str) -> tuple[Tracker, Scan]:
+    """A tracker with 8 tracks within a few pixels, and a scan of 18 detections that all lie in the gates of all."""
+    rng = np.random.default_rng(3)
+    tracker = create_tracker(name, camera=CAMERA)
+    tracker.initiate(0.0, np.array([320.0, 240.0]) + rng.normal(0.0, 1.0, (8, 2)))
+    tracker.predict(1.0 / FPS, np.eye(3))
+    return tracker, Scan(1.0 / FPS, np.array([320.0, 240.0]) + rng.normal(0.0, 2.0, (18, 2)))
+
+
+def detector_lines(repeats: int) -> list[Line]:
+    detector = Detector()
+    rng = np.random.default_rng(4)
+    lines = []
+    for width, height, budget in ((320, 240, 10.0), (640, 512, None)):
+        detector.warm_up(width, height)
+        image = rng.integers(90, 160, (height, width, 3), dtype=np.uint8)
+        frame = Frame(0.0, 0.0, 0, image, StampKind.MEDIA)
+        duration = median_seconds(partial(detector.detect, frame), repeats)
+        lines.append(
+            Line(f"detector, default model, {width} × {height}, one thread", 1e3 * duration, "ms", budget)
+        )
+    return lines
+
+
+# --- a process of its own ----------------------------------------------------------------------------
+
+
+@dataclass
+class Heard:
+    """What an agent's messages told a listener. Latencies in s, from exposure to arrival here, one a scan."""
+
+    first_track_at: float | None = None
+    latencies: list[float] = field(default_factory=list)
+    health: codec.HealthMessage | None = None
+    _exposure: float = 0.0
+
+    def take(self, kind: Kind, payload: bytes) -> None:
+        arrived_utc, arrived = time.time(), time.monotonic()
+        if kind is Kind.HEALTH:
+            self.health = codec.decode_health(payload)
+        elif kind is Kind.TRACKS:
+            message = codec.decode_tracks(payload)
+            exposure = message.t_utc_s - message.scan_age_s
+            if any(track.status == "confirmed" for track in message.tracks) and self.first_track_at is None:
+                self.first_track_at = arrived
+            if (
+                message.tracks and exposure > self._exposure + 0.5 / FPS
+            ):  # the first message with a new scan in it
+                self._exposure = exposure
+                self.latencies.append(arrived_utc - exposure)
+
+
+def agent_lines(tracker: str, seconds: float, *, detector: bool) -> list[Line]:
+    """An agent at 200 Hz of gyro and 15 Hz of frames, with five tracks."""
+    port, team = _free_udp_port(), f"bench-{os.getpid()}"
+    entries = {
+        "drone.id": 1,
+        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
+        "tracker.name": tracker,
+        "autopilot.link": f"udpin:127.0.0.1:{port}",
+        "network.team": team,
+        **{
+            f"camera.intrinsics.{name}": getattr(CAMERA, name)
+            for name in ("fx", "fy", "cx", "cy", "width", "height")
+        },
+    }
+    module = [
+        "swarmtrack.benchmarks.scripted_agent",
+        "--fps",
+        str(FPS),
+        *(["--detector"] if detector else []),
+    ]
+    with agent_process(module, entries) as process:
+        heard, cpu_percent, rss_mb = asyncio.run(_observe(process, team, port, seconds))
+    health = heard.health
+    latencies = np.array(heard.latencies)
+    if health is None or len(latencies) < 2:
+        raise BenchmarkError("agent: no health or no tracks arrived, expected both on Zenoh")
+    p50, p95 = (1e3 * float(latency) for latency in np.percentile(latencies, [50, 95]))
+    if detector:
+        took = health.latencies["detector"]
+        return [
+            Line("agent with the detector at 640 × 480: CPU", cpu_percent, "% of a core"),
+            Line("agent with the detector: memory", rss_mb, "MB"),
+            Line("agent with the detector: frame exposed → tracks heard elsewhere, median", p50, "ms"),
+            Line("agent with the detector: in the detector, median", 1e3 * took.p50_s, "ms"),
+        ]
+    imu = health.rates["imu"].got_hz
+    return [
+        Line("agent without the detector, 5 tracks: gyro samples reaching Onboard", imu, "Hz"),
+        Line("agent without the detector, 5 tracks: CPU", cpu_percent, "% of a core", 6.0),
+        Line("agent without the detector, 5 tracks: memory, the idle model included", rss_mb, "MB", 150.0),
+        Line("frame exposed → tracks heard elsewhere, beyond the detector, median", p50, "ms"),
+        Line("frame exposed → tracks heard elsewhere, beyond the detector, p95", p95, "ms", 10.0),
+    ]
+
+
+async def _observe(
+    process: subprocess.Popen[bytes], team: str, port: int, seconds: float
+) -> tuple[Heard, float, float]:
+    """Play the autopilot and listen, until `seconds` after the agent has settled; what was heard then, CPU and RSS."""
+    async with listening(process, team) as heard, _autopilot(port):
+        await _until_tracking(process, heard)
+        await asyncio.sleep(SETTLE_S)
+        heard.latencies.clear()
+        began, used = time.monotonic(), cpu_seconds(process.pid)
+        await asyncio.sleep(seconds)
+        cpu_percent = 100.0 * (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
+        return heard, cpu_percent, rss_mb(process.pid)
+
+
+def startup_lines(times: int) -> list[Line]:
+    """The real program on the simulation, from fork to the first confirmed track heard."""
+    durations = []
+    for _ in range(times):
+        team = f"bench-{os.getpid()}"
+        entries = {
+            "drone.id": 1,
+            "camera.source": "sim://hover-triangle?seed=1",
+            "autopilot.link": "sim",
+            "network.team": team,
+        }
+
+        async def first_track(team: str = team, entries: dict[str, Any] = entries) -> float:
+            # The listener is up first, so that finding each other is all that is added to the agent's own start.
+            async with listening(None, team) as heard:
+                began = time.monotonic()
+                with agent_process(["swarmtrack.agents.vehicle", "--quiet"], entries) as process:
+                    await _until_tracking(process, heard)
+                    assert heard.first_track_at is not None
+                    return heard.first_track_at - began
+
+        durations.append(asyncio.run(first_track()))
+    return [
+        Line(
+            "start of the program → first confirmed track heard, simulation", float(np.median(durations)), "s"
+        )
+    ]
+
+
+async def _until_tracking(process: subprocess.Popen[bytes], heard: Heard) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while heard.first_track_at is None:
+        if process.poll() is not None:
+            raise BenchmarkError(f"agent: ended with {process.returncode} before its first track")
+        if time.monotonic() > deadline:
+            raise BenchmarkError(f"agent: no confirmed track was heard within {PATIENCE_S:g} s")
+        await asyncio.sleep(0.02)
+
+
+@contextmanager
+def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subprocess.Popen[bytes]]:
+    """`python -m MODULE… --config` with these dotted keys as its config, ended on leaving."""
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / "drone.toml"
+        config.write_text(
+            "".join(f"{key} = {json.dumps(value)}\n" for key, value in entries.items()), encoding="utf-8"
+        )
+        command = [sys.executable, "-m", *module, "--config", str(config)]
+        process = subprocess.Popen(command, env=agent_environment(), stdout=subprocess.DEVNULL)
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@asynccontextmanager
+async def listening(process: subprocess.Popen[bytes] | None, team: str) -> AsyncIterator[Heard]:
+    """Hear a team meanwhile."""
+    heard = Heard()
+    listener = ZenohListener(NetworkSettings(team=team), keys.key(team, "**"))
+    await listener.open()
+
+    async def listen() -> None:
+        async for sample in listener.samples():
+            address = keys.parse(sample.key)
+            if address is not None and sample.payload:
+                heard.take(address.kind, sample.payload)
+
+    task = asyncio.create_task(listen())
+    try:
+        yield heard
+    finally:
+        task.cancel()
+        await listener.close()
+
+
+@asynccontextmanager
+async def _autopilot(port: int) -> AsyncIterator[None]:
+    """An autopilot that hovers: heartbeat, gyro and pose over UDP, on time."""
+    task = asyncio.create_task(_play_autopilot(port))
+    try:
+        yield
+    finally:
+        task.cancel()
+
+
+async def _play_autopilot(port: int) -> None:
+    mav = common.MAVLink(None, srcSystem=1, srcComponent=1)
+    rng = np.random.default_rng(5)
+    start = time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.setblocking(False)
+        sample = 0
+        while True:
+            for message in _due_messages(sample, rng):
+                with_header = message.pack(mav)
+                mav.seq = (mav.seq + 1) % 256
+                udp.sendto(with_header, ("127.0.0.1", port))
+            sample += 1
+            await asyncio.sleep(max(start + sample / IMU_HZ - time.monotonic(), 0.0))
+
+
+def _due_messages(sample: int, rng: np.random.Generator) -> list[Any]:
+    t_us = 10_000_000 + sample * 1_000_000 // IMU_HZ
+    x, y, z = rng.normal(0.0, 2e-3, 3)
+    messages: list[Any] = [
+        common.MAVLink_highres_imu_message(t_us, 0.0, 0.0, -9.81, x, y, z, 0, 0, 0, 1013.0, 0, 0, 20.0, 63)
+    ]
+    if sample % (IMU_HZ // POSE_HZ) == 0:
+        t_ms = t_us // 1000
+        messages.append(common.MAVLink_attitude_quaternion_message(t_ms, 1.0, 0.0, 0.0, 0.0, x, y, z))
+        messages.append(common.MAVLink_local_position_ned_message(t_ms, 0.0, 0.0, -2.5, 0.0, 0.0, 0.0))
+    if sample % IMU_HZ == 0:
+        kind, maker = common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4
+        messages.append(common.MAVLink_heartbeat_message(kind, maker, 0, 0, common.MAV_STATE_ACTIVE, 3))
+    return messages
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        return int(udp.getsockname()[1])
+
+
+def cpu_seconds(pid: int) -> float:
+    """User and system time of a process, all its threads."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf(
+        "SC_CLK_TCK"
+    )  # utime, stime: proc(5), fields 14 and 15
+
+
+def rss_mb(pid: int) -> float:
+    """Resident memory, 10⁶ bytes."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGESIZE") / 1e6
+
+
+def _markdown(lines: list[Line]) -> str:
+    rows = [
+        [
+            line.what,
+            f"{line.value:.3g} {line.unit}",
+            "–" if line.budget is None else f"{line.budget:g} {line.unit}",
+            {None: "", True: "ok", False: "**over**"}[line.ok],
+            "–" if line.budget is None else f"{line.value / line.budget:.2f}",
+        ]
+        for line in lines
+    ]
+    header = ["what", "found", "budget", "", "found / budget"]
+    return "\n".join(
+        [
+            "# Agent",
+            "",
+            f"Agent: {IMU_HZ} Hz of gyro by MAVLink over UDP, {FPS:g} Hz of frames, tracks and health on Zenoh.",
+            "",
+            report.table(header, rows),
+        ]
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="agent_budget", description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
+    parser.add_argument("--tracker", default="kalman")
+    parser.add_argument("--quick", action="store_true", help="a tenth of the time, figures for orientation")
+    options = parser.parse_args(arguments)
+    run(options.out, tracker=options.tracker, quick=options.quick)
+    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,113 @@
+"""What every benchmark leaves behind: NAME.json for programs, NAME.md for people, plots; and its line of progress."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from swarmtrack.errors import SwarmtrackError
+
+VERSIONS_OF = ("swarmtrack", "numpy", "scipy", "onnxruntime", "opencv-python-headless")
+
+
+class BenchmarkError(SwarmtrackError):
+    """A benchmark that cannot be run: a missing file, a missing extra, an agent that failed."""
+
+
+@contextmanager
+def progress(description: str, total: int) -> Iterator[Callable[[str], None]]:
+    """A progress line on stderr; yields a function that advances it by one and says what comes next."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("{task.fields[now]}"), console=Console(stderr=True)) as line:
+        task = line.add_task(description, total=total, now="")
+
+        def advance(now: str = "") -> None:
+            line.update(task, advance=1, now=now)
+
+        yield advance
+
+
+def write(out: Path, name: str, result: dict[str, Any], markdown: str) -> None:
+    """NAME.json (with the machine and the versions) and NAME.md in the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    document = {"benchmark": name, "machine": machine(), **_finite(result)}
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+    (out / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    (out / f"{name}.md").write_text(f"{markdown.rstrip()}\n\n{_machine_line()}\n", encoding="utf-8")
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table, the first column to the left, numbers to the right."""
+    lines = [header, ["---"] + ["---:"] * (len(header) - 1), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def number(value: float, digits: int = 2) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
+
+
+def machine() -> dict[str, Any]:
+    """Where the figures come from."""
+    return {
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "load_1min": round(os.getloadavg()[0], 2),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "versions": {package: found for package in VERSIONS_OF if (found := _version(package))},
+    }
+
+
+def pyplot() -> Any:
+    """matplotlib, drawing into files."""
+    try:
+        import matplotlib  # noqa: PLC0415  # only who draws needs it: an extra
+    except ImportError as error:
+        raise BenchmarkError("plots: matplotlib is missing, install swarmtrack[bench]") from error
+    matplotlib.use("Agg")
+    from matplotlib import pyplot  # noqa: PLC0415
+
+    return pyplot
+
+
+def _machine_line() -> str:
+    facts = machine()
+    versions = ", ".join(f"{name} {found}" for name, found in facts["versions"].items())
+    return f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_1min']}; Python {facts['python']}, {versions}."
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith(("model name", "Model"))]
+    return names[0] if names else "unknown"
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None  # from a checkout, not installed
+
+
+def _finite(value: Any) -> Any:
+    """NaN and infinity as null: JSON has no other word for them."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
