@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -35,16 +36,19 @@ def export(network: CenterNet, path: Path, metadata: Mapping[str, str]) -> None:
     deployed = _Deployed(network).eval()
     partial = path.with_suffix(".partial")
     free = {0: "batch", 2: "height", 3: "width"}
-    torch.onnx.export(
-        deployed,
-        (torch.zeros(1, 3, 2 * COARSEST, 3 * COARSEST),),
-        str(partial),
-        input_names=["images"],
-        output_names=["heat", "offset", "size"],
-        opset_version=OPSET,
-        dynamo=False,
-        dynamic_axes=dict.fromkeys(("images", "heat", "offset", "size"), free),
-    )
+    with warnings.catch_warnings():
+        # The newer exporter fixes sizes that must stay free; that the older one is on its way out is known.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            deployed,
+            (torch.zeros(1, 3, 2 * COARSEST, 3 * COARSEST),),
+            str(partial),
+            input_names=["images"],
+            output_names=["heat", "offset", "size"],
+            opset_version=OPSET,
+            dynamo=False,
+            dynamic_axes=dict.fromkeys(("images", "heat", "offset", "size"), free),
+        )
     model = onnx.load(str(partial))
     ours = {
         "head": "centernet",
