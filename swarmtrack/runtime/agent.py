@@ -172,15 +172,16 @@ class Agent:
 
     async def _publish_tracks(self) -> None:
         """At `tracks_hz`, and at once when a scan was tracked."""
-        parts = self._parts
-        period = 1.0 / parts.config.output.tracks_hz
+        period = 1.0 / self._parts.config.output.tracks_hz
+        due = self._wall.now() + period
         while True:
-            began = asyncio.get_running_loop().time()
             with suppress(TimeoutError):
-                async with asyncio.timeout(period):
+                async with asyncio.timeout(due - self._wall.now()):
                     await self._fresh.wait()
-            waited = asyncio.get_running_loop().time() - began
-            self.health.loop_lag.add(max(waited - period, 0.0))
+            now = self._wall.now()
+            if not self._fresh.is_set():
+                self.health.loop_lag.add(now - due)
+            due = max(due, now) + period if self._fresh.is_set() else max(due + period, now)
             self._fresh.clear()
             self._publish_once()
 
