@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
 
 Quaternion = tuple[float, float, float, float]
@@ -52,7 +51,7 @@ def rotation_between(then: Orientation, now: Orientation) -> CameraRotation:
     """How the camera turned from one instant to another; variance is never negative, whichever comes first."""
     w, x, y, z = now.quaternion
     turned = _multiply((w, -x, -y, -z), then.quaternion)
-    return CameraRotation(rotation.from_quaternion(np.array(turned)), abs(now.variance - then.variance))
+    return CameraRotation(_matrix(turned), abs(now.variance - then.variance))
 
 
 class GyroHistory:
@@ -195,3 +194,16 @@ def _exp(phi: Vector) -> Quaternion:
     angle = math.sqrt(x * x + y * y + z * z)
     k = 0.5 - angle * angle / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
     return math.cos(0.5 * angle), k * x, k * y, k * z
+
+
+def _matrix(q: Quaternion) -> Array:
+    """(3, 3) of a unit quaternion that a hundred thousand products have left a little off one."""
+    w, x, y, z = q
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return np.array(
+        [
+            [1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)],
+        ]
+    )
