@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import math
+import threading
 from pathlib import Path
 
 import pytest
@@ -71,6 +74,23 @@ def test_no_text_whatever_makes_anything_but_a_camera_or_a_sentence(source: str)
 def test_options_of_ours_are_taken_out_of_a_url_and_the_servers_own_are_sent_on() -> None:
     address = parse_address("http://cam/video?resolution=640x480&resize=1&sigma_ms=20")
     assert server_url(address, NetworkOptions) == "http://cam/video?resolution=640x480"
+
+
+@pytest.mark.parametrize("source", ["v4l2:///dev/video99", "http://127.0.0.1:9/", "rtsp://127.0.0.1:9/"])
+async def test_a_closed_camera_stays_closed(source: str) -> None:
+    threads = threading.enumerate()
+    camera = open_camera(source, clock=ManualClock())
+    await camera.close()
+    assert [frame async for frame in camera.frames()] == []
+    assert asyncio.all_tasks() == {asyncio.current_task()}
+    assert threading.enumerate() == threads
+
+
+@pytest.mark.parametrize("source", ["v4l2:///dev/video99", "http://127.0.0.1:9/", "rtsp://127.0.0.1:9/"])
+def test_the_numbers_of_a_camera_that_never_gave_a_frame_are_finite(source: str) -> None:
+    status = open_camera(source, clock=ManualClock()).status()
+    assert not status.ok
+    assert all(math.isfinite(value) for _, value in status.counters)
 
 
 def test_relative_files_start_from_the_folder_of_the_config(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 RATE_WINDOW = 2.0  # s over which rates are counted
 BACKOFF_FIRST, BACKOFF_LONGEST = 0.5, 5.0  # s between two attempts to open a camera that is away
-CLOSE_TIMEOUT = 1.0  # s
+CLOSE_TIMEOUT = 0.8  # s: a read in progress ends by its own timeout, which may be longer than anybody waits
 
 
 class BadImage(Exception):
@@ -89,10 +89,9 @@ class FrameSlot:
         self._ok, self._text = False, "not opened yet"
         self._wrong_size_said = ""
         self._put_times: deque[float] = deque(maxlen=512)
-        self._taken: deque[tuple[float, float]] = deque(
-            maxlen=256
-        )  # (now, age) of frames given to the consumer
-        self._t_sigma = float("nan")
+        # (now, age) of the frames given to the consumer
+        self._taken: deque[tuple[float, float]] = deque(maxlen=256)
+        self._t_sigma = 0.0
 
     # the producer's side ------------------------------------------------------------------------------------------
 
@@ -118,6 +117,10 @@ class FrameSlot:
         self._ended = True
         self._error = self._error or error
         self._changed.set()
+
+    @property
+    def ended(self) -> bool:
+        return self._ended
 
     def clear(self) -> None:
         """Give back the frame that waits, unseen: its camera is gone."""
@@ -172,11 +175,14 @@ class FrameSlot:
     def status(self) -> LinkStatus:
         now = self._clock.now()
         fps = _rate(self._put_times, now)
-        ages_ms = [1e3 * age for _, age in self._taken]
-        age_p50, age_p95 = np.percentile(ages_ms, (50, 95)) if ages_ms else (float("nan"), float("nan"))
         text = self._wrong_size_said or self._text
         if self._ok and self._put_times:
-            text += f"; {fps:.1f} fps" + (f", age {age_p50:.0f} ms" if ages_ms else "")
+            text += f"; {fps:.1f} fps"
+        ages: tuple[tuple[str, float], ...] = ()
+        if self._taken:
+            p50, p95 = (float(age) for age in np.percentile([1e3 * age for _, age in self._taken], (50, 95)))
+            ages = (("age_p50_ms", p50), ("age_p95_ms", p95), ("t_sigma_ms", 1e3 * self._t_sigma))
+            text += f", age {p50:.0f} ms" if self._ok else ""
         counts = self.counts
         numbers = (
             ("fps", fps),
@@ -188,17 +194,17 @@ class FrameSlot:
             ("corrupt", counts.corrupt),
             ("wrong_size", counts.wrong_size),
             ("reconnects", counts.reconnects),
-            ("age_p50_ms", float(age_p50)),
-            ("age_p95_ms", float(age_p95)),
-            ("t_sigma_ms", 1e3 * self._t_sigma),
+            *ages,
         )
         ok = self._ok and not self._wrong_size_said
         return LinkStatus(name=self._name, ok=ok, text=text, counters=numbers)
 
 
-def start(run: Coroutine[Any, Any, None], slot: FrameSlot) -> asyncio.Task[None]:
-    """Run a producer as a task; its end, or its failure, is the end of the slot's frames."""
-    task = asyncio.create_task(run, name="camera")
+def start(run: Callable[[], Coroutine[Any, Any, None]], slot: FrameSlot) -> asyncio.Task[None] | None:
+    """Run a producer as a task; its end, or its failure, is the end of the slot's frames. Not after the end."""
+    if slot.ended:
+        return None
+    task = asyncio.create_task(run(), name="camera")
     task.add_done_callback(lambda task: slot.end(None if task.cancelled() else task.exception()))
     return task
 

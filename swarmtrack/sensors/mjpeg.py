@@ -77,7 +77,7 @@ class MjpegCamera:
         self._freshness = Freshness(period=1 / 30, depth=30)  # a second in the sockets' buffers
 
     def frames(self) -> AsyncIterator[Frame]:
-        self._task = self._task or start(self._run(), self._slot)
+        self._task = self._task or start(self._run, self._slot)
         return self._slot.frames()
 
     def status(self) -> LinkStatus:

@@ -21,12 +21,18 @@ import numpy as np
 from swarmtrack.messages import Frame, LinkStatus, StampKind
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
-from swarmtrack.sensors.frame_slot import BACKOFF_FIRST, BACKOFF_LONGEST, FrameSlot, RawFrame, already
+from swarmtrack.sensors.frame_slot import (
+    BACKOFF_FIRST,
+    BACKOFF_LONGEST,
+    CLOSE_TIMEOUT,
+    FrameSlot,
+    RawFrame,
+    already,
+)
 from swarmtrack.sensors.mjpeg import NetworkOptions
 from swarmtrack.sensors.video import open_video
 
 DEFAULT_PORT = 554
-CLOSE_WAIT = 0.8  # s: a read in progress ends by its own timeout, which may be longer than anybody waits
 
 
 class RtspCamera:
@@ -59,7 +65,7 @@ class RtspCamera:
         self._slot.clear()
         self._slot.end()
         if self._thread is not None:
-            await asyncio.to_thread(self._thread.join, CLOSE_WAIT)
+            await asyncio.to_thread(self._thread.join, CLOSE_TIMEOUT)
 
     # in the thread ------------------------------------------------------------------------------------------------
 

@@ -54,9 +54,7 @@ LIBCAMERA_DRIVERS = ("unicam", "rp1-cfe")
 KERNEL_STAMP_SIGMA = 1e-3  # s: the kernel stamps when it handles the first packet or interrupt of a frame
 PLAUSIBLE_AGE = (-0.1, 60.0)  # s: a stamp outside is of another clock, whatever its flags say
 SILENT_PERIODS, SILENT_AT_LEAST = 10, 0.5  # periods and s without a frame until it is said
-REOPEN_AFTER = (
-    3.0  # s of silence; many USB cameras recover only so, and they take up to two for the first frame
-)
+REOPEN_AFTER = 3.0  # s of silence: many USB cameras recover only so; the first frame may take them two
 DEFAULT_PERIOD = 1 / 30  # s, where the driver does not tell
 
 
@@ -116,7 +114,7 @@ class V4l2Camera:
         self._task: asyncio.Task[None] | None = None
 
     def frames(self) -> AsyncIterator[Frame]:
-        self._task = self._task or start(self._run(), self._slot)
+        self._task = self._task or start(self._run, self._slot)
         return self._slot.frames()
 
     def status(self) -> LinkStatus:
@@ -283,12 +281,10 @@ def exposure_time(
     if not monotonic or not PLAUSIBLE_AGE[0] < now - t < PLAUSIBLE_AGE[1]:
         return StampKind.ARRIVAL, now, period
     half_exposure = 0.5e-6 * exposure_us if exposure_us is not None else 0.0
-    # An unknown exposure lies anywhere between none and a period, its middle between none and half of one.
-    sigma = (
-        KERNEL_STAMP_SIGMA
-        if exposure_us is not None
-        else math.hypot(KERNEL_STAMP_SIGMA, period / 2 / 12**0.5)
-    )
+    sigma = KERNEL_STAMP_SIGMA
+    if exposure_us is None:
+        # It lies anywhere between none and a period, its middle between none and half of one.
+        sigma = math.hypot(sigma, period / 2 / 12**0.5)
     if buffer.flags & abi.BUF_FLAG_TSTAMP_SRC_MASK == abi.BUF_FLAG_TSTAMP_SRC_SOE:
         return StampKind.EXPOSURE, t + half_exposure, sigma
     # The end of the frame comes after exposure *and* readout, and the readout, up to a period, is nobody's to know.
