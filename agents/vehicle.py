@@ -88,11 +88,14 @@ def _check(path: Path) -> int:
 
 
 def _fly(arguments: argparse.Namespace) -> int:
+    import cv2
+
     from swarmtrack.config import load_config
     from swarmtrack.runtime.agent import Agent
     from swarmtrack.runtime.assembly import assemble
     from swarmtrack.runtime.console import Console
 
+    cv2.setNumThreads(1)  # its pool costs more than it gains on images of this size
     parts = assemble(load_config(arguments.config))
 
     async def fly() -> None:

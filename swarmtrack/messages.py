@@ -56,17 +56,19 @@ class ImuSample:
 class EgoPose:
     """Where this drone is, by its own autopilot, in the frame the autopilot started in (NED).
 
-    position (3,) m; world_from_body (3, 3); sigmas are one standard deviation per axis [m], [rad].
+    position (3,) m, None where the autopilot knows its attitude only (ArduPilot before its EKF has an origin);
+    world_from_body (3, 3); sigmas are one standard deviation per axis [m], [rad].
     """
 
     t: float
-    position: Array
+    position: Array | None
     world_from_body: Array
     position_sigma: float = 0.1
     attitude_sigma: float = 0.02
 
     def __post_init__(self) -> None:
-        _expect("EgoPose.position", self.position, (3,))
+        if self.position is not None:
+            _expect("EgoPose.position", self.position, (3,))
         _expect("EgoPose.world_from_body", self.world_from_body, (3, 3))
 
 

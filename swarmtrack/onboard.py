@@ -26,7 +26,7 @@ from swarmtrack.messages import (
     Scan,
     TrackList,
 )
-from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
 from swarmtrack.tracking.base import Tracker
 
@@ -119,7 +119,7 @@ class Onboard:
         carried = self._tracker.at(now, turn.matrix, turn.variance)
         return TrackList(now, self._tracker.t, self._identities.label(carried))
 
-    def ego_pose(self, t: float) -> EgoPose | None:
+    def ego_pose(self, t: float) -> TeamPose | None:
         """Where this drone itself was at t, in the team frame."""
         return self._ego.at(t)
 

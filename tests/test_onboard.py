@@ -203,4 +203,15 @@ def test_the_local_frame_of_the_autopilot_is_moved_to_where_the_drone_starts():
     for t, north in ((0.0, 0.0), (1.0, 2.0)):  # its own frame: facing north, then 2 m ahead
         drone.on_pose(EgoPose(t, np.array([north, 0.0, 0.0]), np.eye(3)))
     assert drone.ego_pose(0.5).position == pytest.approx([10.0, 21.0, -1.5])
+    assert drone.ego_pose(1.0).position_sigma == 0.1
     assert drone.ego_pose(1.0).world_from_body @ [1, 0, 0] == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_an_autopilot_without_a_position_still_gives_the_attitude_at_the_start():
+    drone = onboard(start=Pose(np.eye(3), np.array([1.0, 2.0, -1.5])))
+    tilted = rotation.from_euler(0.1, 0.0, 0.0)
+    drone.on_pose(EgoPose(0.0, None, tilted))
+    assert drone.ego_pose(0.0).position == pytest.approx([1.0, 2.0, -1.5])
+    assert drone.ego_pose(0.0).world_from_body == pytest.approx(tilted)
+    drone.on_pose(EgoPose(0.1, np.array([50.0, 0.0, 0.0]), tilted))  # its EKF has found an origin, elsewhere
+    assert drone.ego_pose(0.1).position == pytest.approx([1.0, 2.0, -1.5])

@@ -16,7 +16,8 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.matching import Assignment, gated_one_to_one, nearest
 from swarmtrack.identity.reprojection import reproject
-from swarmtrack.messages import Announcement, EgoPose, IdentifiedTrack, Track, TrackStatus
+from swarmtrack.messages import Announcement, IdentifiedTrack, Track, TrackStatus
+from swarmtrack.motion.ego import TeamPose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +82,7 @@ class Identities:
         }
         return True
 
-    def observe(self, tracks: Iterable[Track], observer: EgoPose) -> None:
+    def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
         """Look at the tracks of a scan, with this drone's own pose at its exposure."""
         alive = {track.id: track for track in tracks}
         self._given = {id: given for id, given in self._given.items() if id in alive}
@@ -113,7 +114,7 @@ class Identities:
         candidate = self._candidates.get(track_id)
         return candidate.scans if candidate and candidate.drone_id == drone else 0
 
-    def _match(self, tracks: list[Track], announced: list[Announcement], observer: EgoPose) -> Assignment:
+    def _match(self, tracks: list[Track], announced: list[Announcement], observer: TeamPose) -> Assignment:
         if not tracks or not announced:
             return {}
         projected = reproject(

@@ -9,7 +9,8 @@ import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement, Array, EgoPose
+from swarmtrack.messages import Announcement, Array
+from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.motion_model import optical_flow
 
 
@@ -23,7 +24,7 @@ class Reprojections(NamedTuple):
 
 def reproject(
     announcements: Sequence[Announcement],
-    observer: EgoPose,
+    observer: TeamPose,
     *,
     camera: PinholeCamera,
     body_from_camera: Pose,

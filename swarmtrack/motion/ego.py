@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, insort
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,14 +14,30 @@ from swarmtrack.messages import Array, EgoPose
 
 SPEED_SIGMA = 1.0  # m/s: how fast a drone may be moving where no pose says so
 RATE_SIGMA = 0.5  # rad/s, likewise
+HELD_POSITION_SIGMA = (
+    0.3  # m: of a drone that hovers where it was put, by an autopilot that knows no position
+)
+LEVEL_SIGMA = 0.05  # rad: how far a hovering drone tilts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TeamPose:
+    """This drone in the team frame at t: position (3,) m, world_from_body (3, 3), one sigma per axis [m], [rad]."""
+
+    t: float
+    position: Array
+    world_from_body: Array
+    position_sigma: float
+    attitude_sigma: float
 
 
 class EgoHistory:
     """Ego poses of the autopilot, moved into the team frame by where the drone was told it starts.
 
-    The autopilot's local frame begins wherever it was switched on. `start` says where that is for the team; both
-    frames are level, so one yaw and one translation, taken from the first pose, connect them. Without an autopilot the
-    drone stays at `start`; without `start` the autopilot's own frame is the team's, moved to `origin` (3,) m.
+    The autopilot's local frame begins wherever it was switched on. `start` says where that is for the team; both frames
+    are level, so one yaw and one translation, taken from the first attitude and the first position, connect them. Until
+    the autopilot knows a position, and without an autopilot, the drone is where it started. Without `start` the
+    autopilot's own frame is the team's, moved to `origin` (3,) m.
     """
 
     def __init__(
@@ -31,29 +47,37 @@ class EgoHistory:
         self.origin = np.zeros(3) if origin is None else origin
         self.history_s = history_s
         self.out_of_order = 0
-        self._team_from_local: Pose | None = None
-        self._poses: list[EgoPose] = []
+        self.without_position = 0
+        self._turn: Array | None = None
+        self._shift: Array | None = None
+        self._poses: list[TeamPose] = []
 
     def append(self, pose: EgoPose) -> None:
         """Add a pose in the autopilot's frame. One that is older than the history is dropped and counted."""
         if self._poses and pose.t <= self._poses[-1].t - self.history_s:
             self.out_of_order += 1
             return
-        if self._team_from_local is None:
-            self._team_from_local = self._align(pose)
-        moved = self._team_from_local @ Pose(pose.world_from_body, pose.position)
+        if self._turn is None:
+            self._turn = self._heading_change(pose.world_from_body)
+        position, sigma = self._place(pose)
+        if position is None:
+            self.without_position += 1
+            return
+        turned = self._turn @ pose.world_from_body
         insort(
             self._poses,
-            replace(pose, position=moved.position, world_from_body=moved.rotation),
+            TeamPose(pose.t, position, turned, sigma, pose.attitude_sigma),
             key=lambda kept: kept.t,
         )
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
             del self._poses[0]
 
-    def at(self, t: float) -> EgoPose | None:
+    def at(self, t: float) -> TeamPose | None:
         """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings."""
         if not self._poses:
-            return None if self.start is None else EgoPose(t, self.start.position, self.start.rotation)
+            if self.start is None:
+                return None
+            return TeamPose(t, self.start.position, self.start.rotation, HELD_POSITION_SIGMA, LEVEL_SIGMA)
         k = bisect_left(self._poses, t, key=lambda kept: kept.t)
         if k in (0, len(self._poses)):
             nearest = self._poses[min(k, len(self._poses) - 1)]
@@ -67,7 +91,7 @@ class EgoHistory:
         before, after = self._poses[k - 1], self._poses[k]
         fraction = (t - before.t) / (after.t - before.t) if after.t > before.t else 1.0
         turn = rotation.log(before.world_from_body.T @ after.world_from_body)
-        return EgoPose(
+        return TeamPose(
             t,
             before.position + fraction * (after.position - before.position),
             before.world_from_body @ rotation.exp(fraction * turn),
@@ -75,12 +99,22 @@ class EgoHistory:
             max(before.attitude_sigma, after.attitude_sigma),
         )
 
-    def _align(self, first: EgoPose) -> Pose:
+    def _place(self, pose: EgoPose) -> tuple[Array | None, float]:
+        """Position in the team frame and its sigma; None where nobody can tell."""
+        if pose.position is None:
+            held = None if self.start is None else self.start.position
+            return (self._poses[-1].position if self._poses else held), HELD_POSITION_SIGMA
+        assert self._turn is not None
+        if self._shift is None:
+            self._shift = (
+                self.origin if self.start is None else self.start.position - self._turn @ pose.position
+            )
+        return self._turn @ pose.position + self._shift, pose.position_sigma
+
+    def _heading_change(self, world_from_body: Array) -> Array:
         if self.start is None:
-            return Pose(np.eye(3), self.origin)
-        turn = _heading(self.start.rotation) - _heading(first.world_from_body)
-        team_from_local = rotation.from_euler(0.0, 0.0, turn)
-        return Pose(team_from_local, self.start.position - team_from_local @ first.position)
+            return np.eye(3)
+        return rotation.from_euler(0.0, 0.0, _heading(self.start.rotation) - _heading(world_from_body))
 
 
 def _heading(world_from_body: Array) -> float:

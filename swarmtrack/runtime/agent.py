@@ -100,7 +100,8 @@ class Agent:
     def on_pose(self, pose: EgoPose) -> None:
         """From the autopilot, on the event loop."""
         self._parts.onboard.on_pose(pose)
-        self._posed.set()
+        if pose.position is not None:
+            self._posed.set()
 
     async def _feed_camera(self) -> None:
         """Every frame through the detector, in its thread, into Onboard; returns where a recording ends."""

@@ -424,10 +424,12 @@ class MavlinkAutopilot:
             return
         if self._position is None or abs(stamp - self._position[0]) > POSITION_AGE:
             self._poses_without_position += 1
-            return
-        at, position, velocity = self._position
+            where = None
+        else:
+            at, position, velocity = self._position
+            where = position + (stamp - at) * velocity
         self._poses += 1
-        self._listener.on_pose(EgoPose(ours, position + (stamp - at) * velocity, from_quaternion(q)))
+        self._listener.on_pose(EgoPose(ours, where, from_quaternion(q)))
 
     def _rebooted(self, stamp: float) -> None:
         self._reboots += 1
