@@ -185,6 +185,14 @@ def fit_margin(cutouts: Sequence[CutOut]) -> LabelMargin:
     return LabelMargin(np.maximum(lines[:, 0], 1.0), np.clip(lines[:, 1], 0.0, 20.0))
 
 
+class Sample(NamedTuple):
+    """image (crop, crop, 3) BGR uint8; drones (n, 4); doubtful (m, 4): drones one may miss."""
+
+    image: NDArray[np.uint8]
+    drones: Boxes
+    doubtful: Boxes
+
+
 class SampleSource:
     """Draws endless samples by a recipe. Without frames everything is procedural."""
 
@@ -203,12 +211,12 @@ class SampleSource:
         names = list(render.DISTRACTORS)
         self._mistaken = [render.DISTRACTORS[names[i % len(names)]](rng) for i in range(self.BANK // 2)]
 
-    def sample(self) -> tuple[NDArray[np.uint8], Boxes]:
-        """One picture (crop, crop, 3) BGR uint8 and its drones (n, 4)."""
+    def sample(self) -> Sample:
         rng, recipe = self._rng, self._recipe
         self._refresh()
         kind = rng.random()
         boxes: list[NDArray[np.float64]] = []
+        doubtful: list[NDArray[np.float64]] = []
         if kind < recipe.real_frame and self._with_drones:
             image, boxes = self._crop_frame(self._with_drones, around_drones=0.9)
         else:
@@ -221,9 +229,15 @@ class SampleSource:
                 self._add_distractor(image, boxes)
             if rng.random() >= recipe.empty:
                 for _ in range(int(rng.choice([1, 2, 3, 4], p=[0.4, 0.3, 0.2, 0.1]))):
-                    boxes.extend(self._add_drone(image, boxes))
-        image, drones = _flip(rng, image, np.array(boxes).reshape(-1, 4))
-        return render.photograph(rng, image), drones
+                    box, visible = self._add_drone(image, [*boxes, *doubtful])
+                    if box is not None:
+                        (boxes if visible else doubtful).append(box)
+        drones, unsure = (np.array(some).reshape(-1, 4) for some in (boxes, doubtful))
+        if rng.random() < 0.5:
+            image = np.ascontiguousarray(image[:, ::-1])
+            for mirrored in (drones, unsure):
+                mirrored[:, 0] = recipe.crop - 1 - mirrored[:, 0]
+        return Sample(render.photograph(rng, image), drones, unsure)
 
     def _refresh(self) -> None:
         if self._rng.random() < 0.1:
@@ -250,24 +264,28 @@ class SampleSource:
 
     def _add_drone(
         self, image: FloatImage, present: Sequence[NDArray[np.float64]]
-    ) -> list[NDArray[np.float64]]:
-        """Draw one drone, its centre inside, not quite on top of another; returns its labelled box, if it fitted."""
+    ) -> tuple[NDArray[np.float64] | None, bool]:
+        """Draw one drone, its centre inside, not quite on top of another.
+
+        Returns its labelled box, or None if it did not fit, and whether one can see it.
+        """
         rng, recipe = self._rng, self._recipe
         if self._drones and rng.random() < recipe.real_cutout:
             cut = self._drones[rng.integers(len(self._drones))]
-            native = float(max(cut.tight[2:]))
-            size = native * float(np.exp(rng.normal(-0.1, 0.4)))
             sprite = _repaint(rng, cut.sprite)
+            size = float(max(cut.tight[2:]) * np.exp(rng.normal(-0.1, 0.4)))
         else:
             sprite, size = self._drawn[rng.integers(len(self._drawn))], self._size()
         centre = rng.uniform(0, recipe.crop - 1, 2)
         if _crowded(centre, size, present, 0.3):
-            return []
+            return None, False
+        before = image.copy()
         box = render.paste_into(rng, image, sprite, centre, size)
         if box is None:
-            return []
+            return None, False
+        visible = _conspicuous(before, image, box)
         box[2:] = self.margin.apply(box[2:])
-        return [box]
+        return box, visible
 
     def _crop_frame(
         self, frames: Sequence[LabelledFrame], *, around_drones: float = 0.0, around_distractors: float = 0.0
@@ -317,20 +335,21 @@ def _crowded(
     return any(np.hypot(*(box[:2] - centre)) < share * (size + max(box[2:])) for box in present)
 
 
+def _conspicuous(before: FloatImage, after: FloatImage, box: NDArray[np.float64]) -> bool:
+    """Whether a drone stands out: by 20 grey levels if it is 20 px large, by more if it is smaller.
+
+    Taught to fire on what cannot be seen, a net fires on faint clouds.
+    """
+    x0, y0 = np.maximum(box[:2] - box[2:] / 2, 0).astype(int)
+    x1, y1 = (box[:2] + box[2:] / 2).astype(int) + 1
+    change = np.abs(after[y0:y1, x0:x1] - before[y0:y1, x0:x1]).mean(axis=2)
+    return bool(np.percentile(change, 90) * min(max(box[2:]), 20.0) / 20.0 > 20.0)
+
+
 def _repaint(rng: Rng, sprite: Sprite) -> Sprite:
-    """Other paint for a photographed drone: its brightness scaled, sometimes inverted within its outline."""
-    colour = sprite.colour
-    if rng.random() < 0.25:
-        colour = 255 * sprite.alpha[..., None] - colour
-    colour = np.clip(colour * np.float32(rng.uniform(0.5, 1.5)), 0, 255 * sprite.alpha[..., None])
+    """A photographed drone in other light."""
+    colour = np.clip(sprite.colour * np.float32(rng.uniform(0.5, 1.5)), 0, 255 * sprite.alpha[..., None])
     return Sprite(colour, sprite.alpha)
-
-
-def _flip(rng: Rng, image: FloatImage, boxes: Boxes) -> tuple[FloatImage, Boxes]:
-    if rng.random() < 0.5:
-        image, boxes = np.ascontiguousarray(image[:, ::-1]), boxes.copy()
-        boxes[:, 0] = image.shape[1] - 1 - boxes[:, 0]
-    return image, boxes
 
 
 class Targets(NamedTuple):
@@ -346,7 +365,10 @@ class Targets(NamedTuple):
     weight: FloatImage
 
 
-def targets(boxes: Boxes, side: int, stride: int) -> Targets:
+DOUBT = 0.95  # heat of a doubtful drone: no peak, and by (1 − heat)^4 in the loss hardly punished either
+
+
+def targets(boxes: Boxes, side: int, stride: int, doubtful: Boxes | None = None) -> Targets:
     """CenterNet's targets (Zhou, Wang & Krähenbühl 2019, section 3); offset and size are taught around peaks too."""
     n = side // stride
     heat, weight = np.zeros((n, n), np.float32), np.zeros((n, n), np.float32)
@@ -364,4 +386,8 @@ def targets(boxes: Boxes, side: int, stride: int) -> Targets:
         offset[:, near] = np.stack([x - columns, y - rows])[:, near]
         log_size[:, near] = np.log(np.maximum([w, h], 1) / stride)[:, None]
         heat = np.maximum(heat, peak)
+    for u, v, w, h in [] if doubtful is None else doubtful:
+        sigma = np.maximum(0.25 * np.array([w, h]) / stride, 1.0)
+        bump = np.exp(-(((columns - u / stride) / sigma[0]) ** 2 + ((rows - v / stride) / sigma[1]) ** 2) / 2)
+        heat = np.maximum(heat, np.float32(DOUBT) * bump)
     return Targets(heat[None], offset, log_size, weight[None])

@@ -382,7 +382,7 @@ def paste_into(
     if rng.random() < 0.3:
         layer = cv2.filter2D(layer, -1, motion_kernel(rng, min(rng.exponential(size * 0.12), margin)))
     layer = cv2.GaussianBlur(layer, (0, 0), abs(rng.normal(0, 0.6)) + 0.2)
-    layer *= np.float32(rng.uniform(0.45, 1.0))  # haze: the background shines through
+    layer *= np.float32(rng.uniform(0.55, 1.0))  # haze: the background shines through
 
     left, top = int(np.round(centre[0] - (w - 1) / 2)), int(np.round(centre[1] - (h - 1) / 2))
     x, y = left - margin, top - margin

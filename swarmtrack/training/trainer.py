@@ -185,8 +185,8 @@ def _average_into(average: CenterNet, network: CenterNet, memory: float) -> None
 def draw_batch(source: SampleSource, recipe: Recipe, size: int) -> Batch:
     """Images (size, crop, crop, 3) uint8 BGR, then the fields of `Targets`, each with a leading batch axis."""
     samples = [source.sample() for _ in range(size)]
-    wanted = [dataset.targets(boxes, recipe.crop, STRIDE) for _, boxes in samples]
-    images = np.stack([image for image, _ in samples])
+    wanted = [dataset.targets(sample.drones, recipe.crop, STRIDE, sample.doubtful) for sample in samples]
+    images = np.stack([sample.image for sample in samples])
     return (images, *(np.stack(field) for field in zip(*wanted, strict=True)))
 
 
