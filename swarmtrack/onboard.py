@@ -3,7 +3,8 @@
 Theory of operation. The gyro history grows by every IMU sample. The tracker stands at the exposure of the last scan;
 the next scan moves it from exposure to exposure by the gyro's rotation between the two. A scan whose exposure the
 gyro has not reached yet waits for the sample that brackets it (a few milliseconds, at most `MAX_WAIT`), so that its
-result never depends on who arrived first. What holds *now* is that state carried on by the gyro, without being committed.
+result never depends on who arrived first. What holds *now* is that state carried on by the gyro, without being
+committed.
 """
 
 from __future__ import annotations
