@@ -361,6 +361,17 @@ async def test_a_busy_consumer_gets_the_newest_frame_and_the_skipped_ones_are_co
     assert counters["dropped"] == sequences[-1] + 1 - len(sequences)
 
 
+async def test_a_camera_reports_finite_numbers_from_the_start_and_yields_nothing_once_closed():
+    sim, _ = simulation("fps=10")
+    for status in (sim.camera.status(), sim.autopilot.status()):
+        assert all(math.isfinite(value) for _, value in status.counters)
+    frames = sim.camera.frames()
+    assert (await anext(frames)).sequence == 0
+    await sim.camera.close()
+    assert [frame async for frame in frames] == []
+    assert [frame async for frame in sim.camera.frames()] == []
+
+
 async def test_two_runs_of_a_seed_deliver_the_same_frames_and_samples_bit_for_bit():
     runs = []
     for _ in range(2):

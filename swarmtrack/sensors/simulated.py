@@ -109,9 +109,13 @@ class Simulation:
         self._scenario = scenario
         self._drone_id = drone_id
         self._seed = address.seed
+        # Drawing needs textures, which take a while to make: the flight must not begin unseen meanwhile.
+        renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
         self.epoch = clock.now() if address.epoch_s is None else address.epoch_s
         timing = _Timing(clock, sleep, self.epoch, math.inf if address.seconds is None else address.seconds)
-        self.camera = SimulatedCamera(scenario, drone_id, timing, address.fps, address.latency_ms / 1000.0)
+        self.camera = SimulatedCamera(
+            renderer, drone_id, timing, fps=address.fps, latency=address.latency_ms / 1000.0
+        )
         self.autopilot = SimulatedAutopilot(scenario, drone_id, timing, ImuParameters(rate_hz=address.imu_hz))
 
     @property
@@ -183,16 +187,17 @@ class SimulatedCamera:
     """Implements `Camera`. `camera` and `body_from_camera` are its true calibration."""
 
     def __init__(
-        self, scenario: Scenario, drone_id: int, timing: _Timing, fps: float, latency: float
+        self, renderer: Renderer, drone_id: int, timing: _Timing, *, fps: float, latency: float
     ) -> None:
-        self.camera: PinholeCamera = scenario.camera
-        self.body_from_camera: Pose = scenario.body_from_camera
-        self._renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+        self.camera: PinholeCamera = renderer.camera
+        self.body_from_camera: Pose = renderer.body_from_camera
+        self._renderer = renderer
         self._drone_id = drone_id
         self._timing = timing
         self._fps = fps
         self._latency = latency
         self._delivered: deque[float] = deque(maxlen=31)  # times of exposure
+        self._opened = timing.clock.now()
         self._dropped = 0
         self._closed = False
 
@@ -213,6 +218,8 @@ class SimulatedCamera:
             await timing.until(t)
             image = await asyncio.to_thread(self._renderer.image, self._drone_id, t, index)
             await timing.until(t + self._latency)
+            if self._closed:
+                return
             self._delivered.append(timing.epoch + t)
             yield Frame(timing.epoch + t, STAMP_SIGMA, index, image, StampKind.EXPOSURE)
 
@@ -220,7 +227,7 @@ class SimulatedCamera:
         times = self._delivered
         span = times[-1] - times[0] if times else 0.0
         fps = (len(times) - 1) / span if span > 0.0 else 0.0
-        age = self._timing.clock.now() - times[-1] if times else math.inf
+        age = self._timing.clock.now() - (times[-1] if times else self._opened)
         ok = age < 1.0 + self._latency + 2.0 / self._fps and not self._closed
         counters: dict[str, float] = {
             "fps": fps,
@@ -249,7 +256,7 @@ class SimulatedAutopilot:
         self._timing = timing
         self._imu_delivered = 0
         self._poses_delivered = 0
-        self._last = -math.inf  # world time of the newest sample
+        self._last = timing.world_time()  # of the newest sample, or of opening
 
     async def run(self, listener: AutopilotListener) -> None:
         """After a late wake-up, everything that became due is delivered in order: a gyro sample is never dropped."""

@@ -55,8 +55,9 @@ class Imu:
         white = math.sqrt(p.rate_hz) * self._world.chance("imu", self._drone_id, index).standard_normal(
             (2, 3)
         )
-        gyro = self._gyro_scale * self._world.body_rate(self._drone_id, t) + self.gyro_bias
-        accel = self._world.specific_force(self._drone_id, t) + self._accel_bias
+        body_rate, specific_force = self._world.drones[self._drone_id].inertial(t)
+        gyro = self._gyro_scale * body_rate + self.gyro_bias
+        accel = specific_force + self._accel_bias
         return ImuSample(t, gyro + p.gyro_noise_density * white[0], accel + p.accel_noise_density * white[1])
 
 

@@ -80,7 +80,14 @@ class Trajectory:
 
     def specific_force(self, t: float) -> Array:
         """Acceleration minus gravity, (3,) m/s² in body axes: what a perfect accelerometer reads."""
-        return np.asarray(self.attitude(t).T @ (self.acceleration(t) - GRAVITY))
+        return self.inertial(t)[1]
+
+    def inertial(self, t: float) -> tuple[Array, Array]:
+        """`body_rate` and `specific_force` at once, as an IMU needs them, for the price of one."""
+        flat = self.path.derivatives(t)
+        yaw, yaw_rate = self.yaw_profile.yaw(t, flat)
+        attitude, rate = attitude_and_rate(flat[2], flat[3], yaw, yaw_rate)
+        return rate, attitude.T @ (flat[2] - GRAVITY)
 
     def _attitude_and_rate(self, t: float) -> tuple[Array, Array]:
         flat = self.path.derivatives(t)
