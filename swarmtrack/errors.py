@@ -22,7 +22,7 @@ class ModelError(SwarmtrackError):
 
 
 class SourceError(SwarmtrackError):
-    """A camera or autopilot address that can never work (wrong scheme, missing file), as opposed to one that is away."""
+    """A camera or autopilot address that can never work (wrong scheme, missing file), not one that is away."""
 
 
 class TransportError(SwarmtrackError):

@@ -152,7 +152,7 @@ metres = st.floats(-1e4, 1e4)
     rotation_vector=st.tuples(*[st.floats(-3, 3)] * 3),
     factor=st.lists(st.floats(-10, 10), min_size=9, max_size=9),
 )
-def test_an_announcement_comes_back_as_it_went(  # noqa: PLR0917
+def test_an_announcement_comes_back_as_it_went(
     drone_id: int, sequence: int, t: float, position: Any, rotation_vector: Any, factor: Any
 ) -> None:
     A = np.reshape(factor, (3, 3))

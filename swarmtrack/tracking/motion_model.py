@@ -45,7 +45,8 @@ def turn_exactly(
     """A finite rotation of every bearing: the homography K R K⁻¹ for the position, its derivative for the velocity.
 
     With M = K R K⁻¹, h = M·[u v 1], w = M·[vu vv 0] and k = 1 / h₃: p' = k h₁₂, v' = k (w₁₂ − w₃ p') = J v,
-    J = ∂p'/∂p = k (M₁₂ − p' M₃), and ∂v'/∂p = −k (w₃ J + v' M₃). Hartley & Zisserman (2004), section 8.4, differentiated.
+    J = ∂p'/∂p = k (M₁₂ − p' M₃), and ∂v'/∂p = −k (w₃ J + v' M₃).
+    Hartley & Zisserman (2004), section 8.4, differentiated.
     """
     M = _homography(camera_from_before, camera)
     m3 = M[2, :2]

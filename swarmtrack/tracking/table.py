@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from itertools import repeat
 
@@ -61,8 +62,6 @@ class TrackTable:
             TENTATIVE if not ever else LOST if r < LOST_BELOW else CONFIRMED
             for ever, r in zip(self.confirmed.tolist(), self.existence.tolist(), strict=True)
         ]
-        missed = [
-            None if since != since else since for since in self.missed_since.tolist()
-        ]  # NaN is not itself
+        missed = [None if math.isnan(since) else since for since in self.missed_since.tolist()]
         ids, existence, instant = self.id.tolist(), self.existence.tolist(), repeat(t, len(self))
         return tuple(map(Track, ids, instant, mean, cov, status, existence, self.size, missed))

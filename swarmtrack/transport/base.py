@@ -25,7 +25,7 @@ class Transport(Protocol):
     async def open(self) -> None: ...
 
     async def announce(self, announcement: Announcement) -> None:
-        """Make our announcement known to all, now and to those who come later. Again with a higher `sequence`: replaces it."""
+        """Make our announcement known to all, now and later; one with a higher `sequence` replaces it."""
         ...
 
     def publish(self, kind: Kind, payload: bytes) -> None:
