@@ -47,6 +47,7 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 NAME = "agent"
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 IMU_HZ, POSE_HZ, FPS = 200, 50, 15.0
+LOOK_MS = 20.0  # what the default model takes at 640 × 480 on one core of a server
 SETTLE_S = 3.0  # after the first tracks: caches warm, the clock map converged
 PATIENCE_S = 60.0  # for an agent to show its first track
 UPDATE_BUDGET_MS = {"kalman": 0.3, "jpdaf": 0.6, "gmphd": 0.8, "mbm": 2.0}
@@ -71,8 +72,9 @@ def run(out: Path, *, tracker: str = "kalman", quick: bool = False) -> dict[str,
     parts: list[tuple[str, Callable[[], list[Line]]]] = [
         ("tracker", lambda: tracker_lines(tracker, repeats)),
         ("detector", lambda: detector_lines(max(repeats // 10, 10))),
-        ("agent without detector", lambda: agent_lines(tracker, seconds, detector=False)),
-        ("agent with detector", lambda: agent_lines(tracker, seconds, detector=True)),
+        ("agent without the detector", lambda: agent_lines(tracker, seconds)),
+        ("agent with a prompt detector", lambda: prompt_lines(tracker, seconds / 2.0)),
+        ("agent with the detector", lambda: detecting_lines(tracker, seconds)),
         ("start-up", lambda: startup_lines(1 if quick else 3)),
     ]
     lines: list[Line] = []
@@ -158,6 +160,15 @@ def detector_lines(repeats: int) -> list[Line]:
 # --- a process of its own ----------------------------------------------------------------------------
 
 
+class Measured(NamedTuple):
+    """One agent's cost: CPU in % of a core, RSS in 10⁶ bytes, latency (median, p95) from exposure to arrival."""
+
+    cpu_percent: float
+    rss_mb: float
+    latency_ms: tuple[float, float]
+    health: codec.HealthMessage
+
+
 @dataclass
 class Heard:
     """What an agent's messages told a listener. Latencies in s, from exposure to arrival here, one a scan."""
@@ -183,63 +194,70 @@ class Heard:
                 self.latencies.append(arrived_utc - exposure)
 
 
-def agent_lines(tracker: str, seconds: float, *, detector: bool) -> list[Line]:
-    """An agent at 200 Hz of gyro and 15 Hz of frames, with five tracks."""
+def agent_lines(tracker: str, seconds: float) -> list[Line]:
+    """An agent without the detector: one that sleeps as long as the default model takes stands in for it."""
+    measured = measure_agent(tracker, seconds, ["--look-ms", str(LOOK_MS)])
+    p50, p95 = (latency - LOOK_MS for latency in measured.latency_ms)
+    who = "agent without the detector, 5 tracks:"
+    return [
+        Line(f"{who} gyro samples reaching Onboard", measured.health.rates["imu"].got_hz, "Hz"),
+        Line(f"{who} CPU", measured.cpu_percent, "% of a core", 6.0),
+        Line(f"{who} memory, the idle model included", measured.rss_mb, "MB", 150.0),
+        Line("frame exposed → tracks heard elsewhere, beyond the detector, median", p50, "ms"),
+        Line("frame exposed → tracks heard elsewhere, beyond the detector, p95", p95, "ms", 10.0),
+    ]
+
+
+def prompt_lines(tracker: str, seconds: float) -> list[Line]:
+    """The same with a detector that answers at once, so that every scan waits for the gyro to reach its exposure."""
+    _, p95 = measure_agent(tracker, seconds, ["--look-ms", "0"]).latency_ms
+    return [Line("the same, p95, with a detector that takes no time at all", p95, "ms")]
+
+
+def detecting_lines(tracker: str, seconds: float) -> list[Line]:
+    """An agent whose detector looks at every frame."""
+    measured = measure_agent(tracker, seconds, ["--detector"])
+    p50, p95 = measured.latency_ms
+    who = f"agent with the detector at {CAMERA.width} × {CAMERA.height}:"
+    return [
+        Line(f"{who} CPU", measured.cpu_percent, "% of a core"),
+        Line(f"{who} memory", measured.rss_mb, "MB"),
+        Line(f"{who} frame exposed → tracks heard elsewhere, median", p50, "ms"),
+        Line(f"{who} frame exposed → tracks heard elsewhere, p95", p95, "ms"),
+        Line(f"{who} in the detector, median", 1e3 * measured.health.latencies["detector"].p50_s, "ms"),
+    ]
+
+
+def measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
+    """The scripted agent with these options, at 200 Hz of gyro and 15 Hz of frames, for `seconds` of its life."""
     port, team = _free_udp_port(), f"bench-{os.getpid()}"
+    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
     entries = {
         "drone.id": 1,
         "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
         "tracker.name": tracker,
         "autopilot.link": f"udpin:127.0.0.1:{port}",
         "network.team": team,
-        **{
-            f"camera.intrinsics.{name}": getattr(CAMERA, name)
-            for name in ("fx", "fy", "cx", "cy", "width", "height")
-        },
+        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
     }
-    module = [
-        "swarmtrack.benchmarks.scripted_agent",
-        "--fps",
-        str(FPS),
-        *(["--detector"] if detector else []),
-    ]
+    module = ["swarmtrack.benchmarks.scripted_agent", "--fps", str(FPS), *options]
     with agent_process(module, entries) as process:
-        heard, cpu_percent, rss_mb = asyncio.run(_observe(process, team, port, seconds))
-    health = heard.health
-    latencies = np.array(heard.latencies)
-    if health is None or len(latencies) < 2:
-        raise BenchmarkError("agent: no health or no tracks arrived, expected both on Zenoh")
-    p50, p95 = (1e3 * float(latency) for latency in np.percentile(latencies, [50, 95]))
-    if detector:
-        took = health.latencies["detector"]
-        return [
-            Line("agent with the detector at 640 × 480: CPU", cpu_percent, "% of a core"),
-            Line("agent with the detector: memory", rss_mb, "MB"),
-            Line("agent with the detector: frame exposed → tracks heard elsewhere, median", p50, "ms"),
-            Line("agent with the detector: in the detector, median", 1e3 * took.p50_s, "ms"),
-        ]
-    imu = health.rates["imu"].got_hz
-    return [
-        Line("agent without the detector, 5 tracks: gyro samples reaching Onboard", imu, "Hz"),
-        Line("agent without the detector, 5 tracks: CPU", cpu_percent, "% of a core", 6.0),
-        Line("agent without the detector, 5 tracks: memory, the idle model included", rss_mb, "MB", 150.0),
-        Line("frame exposed → tracks heard elsewhere, beyond the detector, median", p50, "ms"),
-        Line("frame exposed → tracks heard elsewhere, beyond the detector, p95", p95, "ms", 10.0),
-    ]
+        return asyncio.run(_observe(process, team, port, seconds))
 
 
-async def _observe(
-    process: subprocess.Popen[bytes], team: str, port: int, seconds: float
-) -> tuple[Heard, float, float]:
-    """Play the autopilot and listen, until `seconds` after the agent has settled; what was heard then, CPU and RSS."""
-    async with listening(process, team) as heard, _autopilot(port):
+async def _observe(process: subprocess.Popen[bytes], team: str, port: int, seconds: float) -> Measured:
+    """Play the autopilot and listen, from when the agent has settled."""
+    async with listening(team) as heard, _autopilot(port):
         await _until_tracking(process, heard)
         await asyncio.sleep(SETTLE_S)
         heard.latencies.clear()
         began, used = time.monotonic(), cpu_seconds(process.pid)
         await asyncio.sleep(seconds)
         cpu_percent = 100.0 * (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
-        return heard, cpu_percent, rss_mb(process.pid)
+        if heard.health is None or len(heard.latencies) < 2:
+            raise BenchmarkError("agent: no health or no tracks arrived, expected both on Zenoh")
+        p50, p95 = (1e3 * float(latency) for latency in np.percentile(heard.latencies, [50, 95]))
+        return Measured(cpu_percent, rss_mb(process.pid), (p50, p95), heard.health)
 
 
 def startup_lines(times: int) -> list[Line]:
@@ -256,7 +274,7 @@ def startup_lines(times: int) -> list[Line]:
 
         async def first_track(team: str = team, entries: dict[str, Any] = entries) -> float:
             # The listener is up first, so that finding each other is all that is added to the agent's own start.
-            async with listening(None, team) as heard:
+            async with listening(team) as heard:
                 began = time.monotonic()
                 with agent_process(["swarmtrack.agents.vehicle", "--quiet"], entries) as process:
                     await _until_tracking(process, heard)
@@ -303,7 +321,7 @@ def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subpro
 
 
 @asynccontextmanager
-async def listening(process: subprocess.Popen[bytes] | None, team: str) -> AsyncIterator[Heard]:
+async def listening(team: str) -> AsyncIterator[Heard]:
     """Hear a team meanwhile."""
     heard = Heard()
     listener = ZenohListener(NetworkSettings(team=team), keys.key(team, "**"))

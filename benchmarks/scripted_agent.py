@@ -1,10 +1,10 @@
 """The agent of a drone with a scripted camera and a scripted detector: what remains is the agent's own cost.
 
 Everything else is as in flight: the task group, a MAVLink link, Onboard, Zenoh. The camera exposes the same picture at
-an even rate and delivers it at once; the detector answers at once with five drones on slow paths. With `--detector`
-the real one looks at the picture first, and its answer is thrown away.
+an even rate and delivers it at once; the detector sleeps for `--look-ms`, then finds five drones on slow paths. With
+`--detector` the real one looks at the picture instead of the sleep, and its answer is thrown away.
 
-    python -m swarmtrack.benchmarks.scripted_agent --config FILE --fps 15 [--detector]
+    python -m swarmtrack.benchmarks.scripted_agent --config FILE [--fps 15] [--look-ms 20 | --detector]
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import argparse
 import asyncio
 import signal
 import sys
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import cast
@@ -55,10 +56,11 @@ class ScriptedCamera:
 
 
 class ScriptedDetector:
-    """Finds five drones wherever it is shown an image; with `real`, only after that one has looked at it."""
+    """Finds five drones in whatever it is shown, after `look_s` seconds; with `real`, after that one has looked."""
 
-    def __init__(self, real: Detector | None, width: int, height: int) -> None:
+    def __init__(self, real: Detector | None, look_s: float, width: int, height: int) -> None:
         self._real = real
+        self._look_s = look_s
         self._centre = np.array([width, height]) * [
             [0.2, 0.3],
             [0.5, 0.25],
@@ -71,6 +73,8 @@ class ScriptedDetector:
     def detect(self, frame: Frame) -> Detections:
         if self._real is not None:
             self._real.detect(frame)
+        else:
+            time.sleep(self._look_s)  # in the detector's own thread, as the real one
         phase = 0.7 * frame.t + np.arange(DRONES)
         path = 30.0 * np.stack([np.sin(phase), np.cos(phase)], axis=1)
         centre = self._centre + path + CENTRE_SIGMA * self._rng.standard_normal((DRONES, 2))
@@ -88,14 +92,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripted_agent", description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--config", type=Path, required=True)
     parser.add_argument("--fps", type=float, default=15.0)
-    parser.add_argument(
-        "--detector", action="store_true", help="let the real detector look at every frame, too"
-    )
+    parser.add_argument("--look-ms", type=float, default=0.0, help="how long the scripted detector takes")
+    parser.add_argument("--detector", action="store_true", help="let the real detector look at every frame")
     options = parser.parse_args(arguments)
     parts = assemble(load_config(options.config))
     size = parts.lens.width, parts.lens.height
     parts.camera = ScriptedCamera(parts.clock, options.fps, *size)
-    scripted = ScriptedDetector(parts.detector if options.detector else None, *size)
+    scripted = ScriptedDetector(parts.detector if options.detector else None, 1e-3 * options.look_ms, *size)
     parts.detector = cast(Detector, scripted)  # it has what the agent asks of one
 
     async def fly() -> None:

@@ -171,7 +171,7 @@ def test_latency_is_taken_at_the_first_message_with_a_new_scan(monkeypatch):
 
 def test_an_agent_of_its_own_process_is_heard_and_measured(monkeypatch):
     monkeypatch.setattr(agent_budget, "SETTLE_S", 0.5)
-    lines = agent_budget.agent_lines("kalman", 1.5, detector=False)
+    lines = agent_budget.agent_lines("kalman", 1.5)
     found = {line.unit: line.value for line in lines}
     assert 0.0 < found["% of a core"] < 100.0
     assert 50.0 < found["MB"] < 1000.0
