@@ -65,9 +65,8 @@ class Agent:
     async def run(self, seconds: float | None = None) -> None:
         """Run all tasks; if a bug kills one, all stop and its exception comes out. seconds: stop after so long."""
         parts = self._parts
-        await asyncio.get_running_loop().run_in_executor(
-            self._worker, parts.detector.warm_up, parts.lens.width, parts.lens.height
-        )
+        # The first job of the detector's thread: the team hears of us meanwhile, the first frame waits for it.
+        warm = self._worker.submit(parts.detector.warm_up, parts.lens.width, parts.lens.height)
         try:
             await parts.transport.open()
             async with asyncio.TaskGroup() as tasks:
@@ -79,6 +78,7 @@ class Agent:
                     tasks.create_task(self._publish_tracks(), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
                 ]
+                await asyncio.wrap_future(warm)
                 self._notifier.ready()
                 stop = tasks.create_task(self._stop.wait(), name="stop")
                 await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
