@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 
 import numpy as np
@@ -75,11 +75,9 @@ class Agent:
                     tasks.create_task(self._feed_autopilot(), name="autopilot"),
                     tasks.create_task(self._feed_peers(), name="peers"),
                     tasks.create_task(self._announce(), name="announce"),
-                    tasks.create_task(self._publish_tracks(), name="tracks"),
+                    tasks.create_task(self._publish_tracks(warm), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
                 ]
-                await asyncio.wrap_future(warm)
-                self._notifier.ready()
                 stop = tasks.create_task(self._stop.wait(), name="stop")
                 await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
                 for task in (camera, stop, *others):
@@ -96,6 +94,7 @@ class Agent:
         """From the autopilot, on the event loop."""
         self.health.imu.tick()
         self._parts.onboard.on_imu(sample)
+        self._report()  # a scan may have waited for this very sample
 
     def on_pose(self, pose: EgoPose) -> None:
         """From the autopilot, on the event loop."""
@@ -118,13 +117,14 @@ class Agent:
             if self._video:
                 self._video.keep(frame)
             parts.onboard.on_detections(detections)
-            await self._report()
-        parts.onboard.tracks(
-            parts.clock.now() + 1.0
-        )  # nothing more will come: what still waits is tracked now
-        await self._report()
+            self._report()
+            if self._video:
+                await self._video.drain()
+        # Nothing more will come: what still waits for a gyro sample is tracked now.
+        parts.onboard.tracks(parts.clock.now() + 1.0)
+        self._report()
 
-    async def _report(self) -> None:
+    def _report(self) -> None:
         """Hand the finished scans to whoever writes or shows them, and wake the publisher."""
         for report in self._parts.onboard.take_reports():
             self.health.scans.tick()
@@ -136,8 +136,7 @@ class Agent:
             if self._video:
                 self._video.write(report, seen)
                 self.health.drops["video_frames"] = self._video.dropped
-                await self._video.drain()
-        self._fresh.set()
+            self._fresh.set()
 
     async def _feed_peers(self) -> None:
         async for event in self._parts.transport.events():
@@ -171,8 +170,10 @@ class Agent:
         for transport, announcement in parts.simulated_teammates:
             await _speak_for(transport, announcement)
 
-    async def _publish_tracks(self) -> None:
+    async def _publish_tracks(self, warm: Future[None]) -> None:
         """At `tracks_hz`, and at once when a scan was tracked."""
+        await asyncio.wrap_future(warm)
+        self._notifier.ready()
         period = 1.0 / self._parts.config.output.tracks_hz
         due = self._wall.now() + period
         while True:
