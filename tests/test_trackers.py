@@ -193,3 +193,16 @@ def test_the_matching_is_the_best_of_all(n, m, seed):
                 best = max(best, sum(gain[i, j] for i, j in zip(rows, columns, strict=True)))
     rows, columns = most_likely_matching(gain)
     assert gain[rows, columns].sum() == pytest.approx(best)
+
+
+@every_tracker
+def test_a_doubtful_detection_carries_a_track_on_but_starts_none(name):
+    tracker = create_tracker(name, camera=CAMERA, birth_score=0.5)
+    for k in range(20):
+        score = 0.8 if k < 8 else 0.3
+        z = np.array([[100.0 + 2 * k, 100.0], [400.0, 300.0]])
+        tracker.predict(k / 15)
+        tracker.update(Scan(k / 15, z, score=np.array([score, 0.3])))
+    (track,) = tracker.tracks
+    assert track.mean[::2] == pytest.approx([138.0, 100.0], abs=3.0)
+    assert track.coasting_since is None

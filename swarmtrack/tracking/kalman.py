@@ -7,7 +7,7 @@ What no track explains starts a tentative one; a track lives by its probability 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ class KalmanParameters(CommonParameters):
     """Existence above which a tentative track is confirmed."""
     max_coast_s: float = 1.0
     """s: a confirmed track is dropped when it has not been detected for so long."""
+    birth_score: float = 0.5
+    """A detection of a lower score carries a track on but starts none: keep low, give birth high."""
     score_weight: float = 1.0
     """How far a detection's score is believed: its clutter intensity is scaled by ((1 − s) / s) to this power."""
 
@@ -47,6 +49,22 @@ class KalmanParameters(CommonParameters):
         CommonParameters.__post_init__(self)
         if self.profile not in TURNS:
             raise ValueError(f"tracker.profile: found {self.profile!r}, expected one of {', '.join(TURNS)}")
+        if not 0.0 <= self.birth_score <= 1.0:
+            raise ValueError(f"tracker.birth_score: found {self.birth_score!r}, expected a score in 0…1")
+
+
+class Measurements(NamedTuple):
+    """What can be used of a scan: z (m, 2), R (m, 2, 2), size (m, 2), odds (m,) of being no clutter, fit (m,) to
+    start a track."""
+
+    z: Array
+    R: Array
+    size: Array
+    odds: Array
+    fit: NDArray[np.bool_]
+
+    def select(self, rows: NDArray[np.bool_]) -> Measurements:
+        return Measurements(self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.fit[rows])
 
 
 class KalmanTracker:
@@ -104,10 +122,10 @@ class KalmanTracker:
             return False
         self.predict(scan.t)
         self._last_scan = scan.t
-        z, R, size, odds = self._usable(scan)
-        taken = self._associate(scan.t, z, R, size, odds)
+        measured = self._usable(scan)
+        taken = self._associate(scan.t, measured)
         self._drop(scan.t)
-        self._give_birth(scan.t, z[~taken], R[~taken], size[~taken], odds[~taken])
+        self._give_birth(scan.t, measured.select(measured.fit & ~taken))
         return True
 
     def at(
@@ -129,31 +147,33 @@ class KalmanTracker:
             turn=self._turn,
         )
 
-    def _usable(self, scan: Scan) -> tuple[Array, Array, Array, Array]:
-        """z, R, size and the odds of being no clutter, of the measurements that are finite and near the image."""
+    def _usable(self, scan: Scan) -> Measurements:
+        """Those that are finite and near the image."""
         m = len(scan.z)
         R = np.tile(self._R, (m, 1, 1)) if scan.R is None else np.asarray(scan.R, dtype=float)
         size = np.full((m, 2), np.nan) if scan.size is None else np.asarray(scan.size, dtype=float)
-        odds = np.ones(m)
+        odds, fit = np.ones(m), np.ones(m, np.bool_)
         if scan.score is not None and self._parameters.profile != "paper":
             score = np.clip(scan.score, 0.01, 0.99)
             odds = (score / (1.0 - score)) ** self._parameters.score_weight
+            fit = scan.score >= self._parameters.birth_score
         reach = [self._camera.width, self._camera.height]
         near = (np.abs(scan.z / reach - 0.5) < 1.0).all(axis=1)  # NaN compares as False
         determinant = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
         sound = np.isfinite(R).all(axis=(1, 2)) & (R[:, 0, 0] > 0.0) & (determinant > 0.0) & np.isfinite(odds)
         good = near & sound
         self.counters["unusable_detections"] += m - int(good.sum())
-        return scan.z[good], R[good], size[good], odds[good]
+        return Measurements(scan.z, R, size, odds, fit).select(good)
 
-    def _associate(self, t: float, z: Array, R: Array, size: Array, odds: Array) -> NDArray[np.bool_]:
+    def _associate(self, t: float, measured: Measurements) -> NDArray[np.bool_]:
         """Give each track its detection or none, and update; returns which detections (m,) were taken or shadowed."""
         table, parameters = self._table, self._parameters
+        z, R = measured.z, measured.R
         p_detection = parameters.p_detection * lifecycle.probability_in_view(
             table.mean, table.cov, self._camera
         )
         distance, log_density = innovations(table.mean, table.cov, z, R)
-        ratio = np.exp(log_density) / self._clutter_intensity(odds)
+        ratio = np.exp(log_density) / self._clutter_intensity(measured.odds)
         with np.errstate(divide="ignore"):
             log_ratio = np.log(p_detection[:, None] * ratio / (1.0 - p_detection[:, None]))
         log_ratio[distance > self._gate] = -np.inf
@@ -166,7 +186,7 @@ class KalmanTracker:
         floor = np.where(table.confirmed, lifecycle.MIN_CONFIRMED_EXISTENCE, 0.0)
         table.existence = np.maximum(table.existence, floor)
         table.mean[rows], table.cov[rows] = update(table.mean[rows], table.cov[rows], z[columns], R[columns])
-        table.size[rows] = _blend(table.size[rows], size[columns])
+        table.size[rows] = _blend(table.size[rows], measured.size[columns])
         table.last_seen[rows] = t
         missed = np.ones(len(table), np.bool_)
         missed[rows] = False
@@ -201,9 +221,9 @@ class KalmanTracker:
         faded = table.existence < 0.05 * self._birth_existence(np.ones(1))
         table.keep(~(coasted | faded))
 
-    def _give_birth(self, t: float, z: Array, R: Array, size: Array, odds: Array) -> None:
-        born = self._born(t, z, R, size)
-        born.existence = self._birth_existence(odds)
+    def _give_birth(self, t: float, measured: Measurements) -> None:
+        born = self._born(t, measured.z, measured.R, measured.size)
+        born.existence = self._birth_existence(measured.odds)
         self._table.append(born)
 
     def _birth_existence(self, odds: Array) -> Array:
