@@ -142,7 +142,7 @@ def evaluate(
                 by_scene.setdefault(frame.scene, []).append(look)
         report["images"] = _summaries(by_scene, threshold)
     clips = {
-        clip.stem: list(_look_at_clip(detector, clip, every)) for clip in sorted(data.glob("tracks/*.mp4"))
+        clip.stem: list(look_at_clip(detector, clip, every)) for clip in sorted(data.glob("tracks/*.mp4"))
     }
     if clips:
         report["clips"] = _summaries(clips, threshold)
@@ -161,7 +161,7 @@ def _detect(detector: Detector, image: NDArray[np.uint8]) -> Detections:
     return detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
 
 
-def _look_at_clip(detector: Detector, clip: Path, every: int) -> Iterator[Looked]:
+def look_at_clip(detector: Detector, clip: Path, every: int) -> Iterator[Looked]:
     """Frames of NAME.mp4 with the labels of NAME_gt.csv (frame, id, x, y, w, h)."""
     labels: dict[int, list[list[float]]] = {}
     table = clip.with_name(f"{clip.stem}_gt.csv")
