@@ -222,3 +222,24 @@ def test_wrong_numbers_of_coefficients_are_refused():
         RadTan((0.1, 0.2, 0.3))
     with pytest.raises(ValueError, match="expected 4 finite numbers"):
         Equidistant((0.1, 0.2, 0.3, float("nan")))
+
+
+@pytest.mark.parametrize(
+    "distortion", [None, RadTan((-0.28, 0.07, 0.001, 0.0)), Equidistant((0.0, 0.0, 0.0, 0.0))]
+)
+def test_the_ideal_bounds_hold_all_that_the_image_shows_and_little_more(distortion):
+    camera = PinholeCamera(300.0, 310.0, 322.0, 238.0, 640, 480, distortion)
+    rng = np.random.default_rng(3)
+    shown = camera.undistort(rng.uniform([-0.5, -0.5], [639.5, 479.5], (20_000, 2)))
+    low, high = camera.ideal_bounds
+    assert ((shown >= low) & (shown <= high)).all()
+    assert np.abs([shown.min(axis=0) - low, shown.max(axis=0) - high]).max() < 0.03 * (high - low).max()
+
+
+def test_the_ideal_bounds_of_an_image_wider_than_its_lens_model_end_with_the_model():
+    camera = PinholeCamera(150.0, 150.0, 320.0, 240.0, 640, 480, Equidistant((0.0, 0.0, 0.0, 0.0)))
+    assert np.isnan(camera.undistort(np.array([[0.0, 0.0]]))).all()
+    low, high = camera.ideal_bounds
+    reach = 150.0 * camera.distortion.max_radius
+    assert low == pytest.approx([320.0 - reach, 240.0 - reach])
+    assert high == pytest.approx([320.0 + reach, 240.0 + reach])

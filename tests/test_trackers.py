@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.geometry import rotation
-from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 from swarmtrack.tracking.association import most_likely_matching
 
@@ -70,6 +70,38 @@ def test_a_target_that_leaves_is_dropped_in_a_second(name):
     tracker = create_tracker(name, camera=CAMERA)
     here = np.array([[200.0, 200.0]])
     play(tracker, lambda t: here if t < 3.0 else here[:0], np.random.default_rng(1), seconds=4.2, clutter=0.0)
+    assert tracker.tracks == ()
+
+
+@every_tracker
+@pytest.mark.parametrize("lens", [RadTan((-0.28, 0.07, 0.0, 0.0)), Equidistant((0.0, 0.0, 0.0, 0.0))])
+def test_a_target_in_the_corner_of_a_wide_image_is_tracked_as_one(name, lens):
+    camera = PinholeCamera(400.0, 400.0, 320.0, 240.0, 640, 480, lens)
+    tracker = create_tracker(name, camera=camera)
+    rng = np.random.default_rng(2)
+    corner = camera.undistort(np.array([[15.0, 12.0]]))
+    assert (corner < -50.0).all()  # undistorted, it lies outside of width x height
+    for k in range(30):
+        tracker.predict(k / 15)
+        tracker.update(Scan(k / 15, corner + rng.normal(0.0, 1.0, (1, 2))))
+    assert [track.status for track in tracker.tracks] == ["confirmed"]
+
+
+@every_tracker
+@pytest.mark.parametrize("hz", [7.0, 60.0])
+def test_a_target_the_camera_turns_away_from_stays_finite_until_it_is_dropped(name, hz):
+    tracker = create_tracker(name, camera=CAMERA)
+    for k in range(10):
+        tracker.predict(k / hz)
+        tracker.update(Scan(k / hz, np.array([[320.0, 240.0], [100.0, 200.0]])))
+    assert len(confirmed(tracker.tracks)) == 2
+    step = rotation.exp(np.array([0.0, -3.0 / hz, 0.0]))  # 3 rad/s: they are behind it in half a second
+    for k in range(10, 10 + int(0.9 * hz)):
+        tracker.predict(k / hz, step)
+        tracker.update(Scan(k / hz, np.empty((0, 2))))
+        for track in (*tracker.tracks, *tracker.at((k + 1) / hz, step)):
+            assert np.abs(track.mean).max() < 1e6
+            assert np.abs(track.cov).max() < 1e12
     assert tracker.tracks == ()
 
 

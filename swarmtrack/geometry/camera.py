@@ -232,6 +232,25 @@ class PinholeCamera:
         """The intrinsic matrix (3, 3): normalised to undistorted pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @cached_property
+    def ideal_bounds(self) -> Array:
+        """[[u_min, v_min], [u_max, v_max]] (2, 2): the upright box, in ideal pixels, around all that the image shows.
+
+        A lens that bends outer rays inwards shows more than width x height ideal pixels: at the border of a wide
+        image, targets have negative ones.
+        """
+        low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
+        if self.distortion is None:
+            return np.stack([low, high])
+        columns, rows = np.linspace(low, high, 33).T
+        pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+        ideal = self.undistort(pixels)
+        # Where the image goes on beyond the lens model's reach, what is shown ends with that reach.
+        focal, centre = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+        outermost = centre + np.sign(pixels - centre) * focal * self.distortion.max_radius
+        ideal = np.where(np.isnan(ideal), outermost, ideal)
+        return np.stack([ideal.min(axis=0), ideal.max(axis=0)])
+
     def project(self, points: Array) -> tuple[Array, Array, Mask]:
         """points (n, 3) m, camera frame -> distorted pixels (n, 2), d pixel / d point (n, 2, 3), valid (n,).
 

@@ -39,7 +39,7 @@ class KalmanParameters(CommonParameters):
     """Existence above which a tentative track is confirmed."""
     max_coast_s: float = 1.0
     """s: a confirmed track is dropped when it has not been detected for so long."""
-    birth_score: float = 0.5
+    birth_score: float = 0.55
     """A detection of a lower score carries a track on but starts none: keep low, give birth high."""
     score_weight: float = 1.0
     """How far a detection's score is believed: its clutter intensity is scaled by ((1 − s) / s) to this power."""
@@ -157,8 +157,8 @@ class KalmanTracker:
             score = np.clip(scan.score, 0.01, 0.99)
             odds = (score / (1.0 - score)) ** self._parameters.score_weight
             fit = scan.score >= self._parameters.birth_score
-        reach = [self._camera.width, self._camera.height]
-        near = (np.abs(scan.z / reach - 0.5) < 1.0).all(axis=1)  # NaN compares as False
+        low, high = self._camera.ideal_bounds
+        near = (np.abs(scan.z - 0.5 * (low + high)) < high - low).all(axis=1)  # NaN compares as False
         determinant = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
         sound = np.isfinite(R).all(axis=(1, 2)) & (R[:, 0, 0] > 0.0) & (determinant > 0.0) & np.isfinite(odds)
         good = near & sound
@@ -219,7 +219,7 @@ class KalmanTracker:
         table, parameters = self._table, self._parameters
         coasted = t - table.last_seen > parameters.max_coast_s
         faded = table.existence < 0.05 * self._birth_existence(np.ones(1))
-        table.keep(~(coasted | faded))
+        table.keep(~(coasted | faded) & lifecycle.within_reach(table.mean, self._camera))
 
     def _give_birth(self, t: float, measured: Measurements) -> None:
         born = self._born(t, measured.z, measured.R, measured.size)

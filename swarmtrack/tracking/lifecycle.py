@@ -7,6 +7,7 @@ with Λ = 1 − p_D for a scan that missed it and Λ = 1 − p_D + p_D N(y; 0, S
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from swarmtrack.geometry.camera import PinholeCamera
@@ -17,6 +18,9 @@ MAX_EXISTENCE = 1.0 - 1e-6
 # A detector misses in bursts (a drone before a tree, behind another), which the recursion takes for proof of absence.
 # Existence of a confirmed track stops here, so that one clear detection brings it back; time ends it, not misses.
 MIN_CONFIRMED_EXISTENCE = 0.05
+# Tangent of 80 degrees off the axis. A pixel further out covers next to nothing, and every turn of the camera would
+# multiply the covariance of what is there, without bound, until it comes back.
+MAX_SLANT = 5.7
 
 
 def survive(existence: Array, dt: float, p_survival: float) -> Array:
@@ -33,6 +37,16 @@ def reweigh(existence: Array, likelihood_ratio: Array) -> Array:
 def probability_in_view(mean: Array, cov: Array, camera: PinholeCamera) -> Array:
     """(n,) that a target's position lies inside the image, its two axes taken as independent."""
     sigma = np.sqrt(np.maximum(cov[:, [0, 2], [0, 2]], 1e-12))
-    upper = ndtr(([camera.width - 0.5, camera.height - 0.5] - mean[:, POSITION]) / sigma)
-    lower = ndtr((-0.5 - mean[:, POSITION]) / sigma)
+    low, high = camera.ideal_bounds
+    upper = ndtr((high - mean[:, POSITION]) / sigma)
+    lower = ndtr((low - mean[:, POSITION]) / sigma)
     return np.asarray((upper - lower).prod(axis=1))
+
+
+def within_reach(mean: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
+    """(n,) that a target's direction is one that the image plane can still hold: in front, not grazing it."""
+    position = mean[:, POSITION]
+    ray = (position - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    low, high = camera.ideal_bounds
+    shown = ((position >= low) & (position <= high)).all(axis=1)
+    return np.asarray(shown | (np.hypot(ray[:, 0], ray[:, 1]) < MAX_SLANT))
