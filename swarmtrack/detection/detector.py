@@ -82,19 +82,23 @@ class Detector:
         # Once now, on a small image: a net whose outputs are not understood must not be discovered in flight.
         self._look(np.full((64, 96, 3), self.metadata.pad_value, np.uint8))
 
-    def detect(self, frame: Frame) -> Detections:
-        """All drones in the frame, best first, in pixels of the image as given."""
+    def detect(self, frame: Frame) -> Detections | None:
+        """All drones in the frame, best first, in pixels of the image as given.
+
+        None where it could not look (counted, and said in `status`): that is not the same as seeing nobody, which
+        would count against every track.
+        """
         trouble = _unusable(frame.image)
         if trouble:
             self._refused += 1
             self._trouble = trouble
-            return _nothing(frame)
+            return None
         try:
             found, seconds = self._look(frame.image)
         except ModelError as error:  # NaN from this image only: the next one may be fine
             self._broken += 1
             self._trouble = str(error)
-            return _nothing(frame)
+            return None
         self._seconds[self._frames % WINDOW] = seconds
         self._frames += 1
         self._found += len(found.score)
@@ -179,7 +183,3 @@ def _unusable(image: NDArray[np.uint8]) -> str:
     ):
         return f"{found} dropped, {expected}"
     return ""
-
-
-def _nothing(frame: Frame) -> Detections:
-    return Detections(frame.t, frame.sequence, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))

@@ -158,7 +158,10 @@ def _summaries(sets: dict[str, list[Looked]], threshold: float) -> dict[str, Any
 
 
 def _detect(detector: Detector, image: NDArray[np.uint8]) -> Detections:
-    return detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
+    seen = detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
+    if seen is None:
+        raise DataError(detector.status().text)
+    return seen
 
 
 def look_at_clip(detector: Detector, clip: Path, every: int) -> Iterator[Looked]:
