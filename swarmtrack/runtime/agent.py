@@ -114,6 +114,8 @@ class Agent:
             self._detecting_since = None
             self._scanned_at = self._wall.now()
             self.health.detector.add(self._scanned_at - began)
+            if detections is None:
+                continue
             if self._video:
                 self._video.keep(frame)
             parts.onboard.on_detections(detections)
