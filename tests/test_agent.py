@@ -13,6 +13,11 @@ from pathlib import Path
 import cv2
 import pytest
 
+from swarmtrack.codec import decode_health, encode_health
+from swarmtrack.config import load_config
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.health import Health
+
 ROOT = Path(__file__).resolve().parents[1]
 CLIP = ROOT.parent / "shared" / "data" / "drones_real" / "tracks" / "V_DRONE_106.mp4"
 LENS = "intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }"
@@ -194,6 +199,25 @@ def test_a_missing_camera_and_a_missing_autopilot_are_said_and_waited_for(tmp_pa
         assert agent.process.poll() is None
         agent.process.send_signal(signal.SIGTERM)
         assert agent.process.wait(PATIENCE) == 0
+
+
+def test_its_health_can_be_sent_before_the_autopilot_was_ever_heard(tmp_path):
+    config = write(
+        tmp_path,
+        f"""
+        drone.id = 1
+        network.transport = "memory"
+        autopilot.link = "udpin:127.0.0.1:14999"
+        [camera]
+        source = "v4l2:///dev/video97"
+        {LENS}
+        """,
+    )
+    health = Health(assemble(load_config(config)))
+    sent = decode_health(encode_health(health.message()))
+    assert sent.clock_offset_s is None
+    assert sent.clock_offset_sigma_s is None
+    assert "autopilot" in {link.name for link in sent.links}
 
 
 def teammate(tmp_path, drone_id, team):

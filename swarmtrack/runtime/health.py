@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from dataclasses import asdict
 
@@ -56,7 +57,12 @@ class Health:
         }
         spreads = {name: meter.read() for name, meter in meters.items()}
         links = self.links()
-        clock = {name: value for link in links if link.name == "autopilot" for name, value in link.counters}
+        clock = {
+            name: value
+            for link in links
+            for name, value in link.counters
+            if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
+        }
         onboard = parts.onboard
         drops = {**asdict(onboard.counters), **onboard.tracker_counters, **self.drops}
         drops |= {
