@@ -2,17 +2,20 @@
 
 import io
 import json
+import os
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.messages import Frame, IdentifiedTrack, StampKind, Track, TrackList, TrackStatus
 from swarmtrack.onboard import ScanReport
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import Latency, Rate
-from swarmtrack.runtime.outputs import AnnotatedVideo, JsonLines, annotate, as_seen
+from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, AnnotatedVideo, JsonLines, annotate, as_seen
 
 LENS = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.001, 0.0)))
 
@@ -45,6 +48,32 @@ def test_a_json_line_has_no_nan_and_time_counts_from_the_first_frame(tmp_path):
     assert [line["t_s"] for line in written] == [0.0, 0.5]
     assert written[0]["tracks"][0]["w_px"] is None
     assert written[0]["tracks"][0]["identity"] == 2
+
+
+def test_a_full_disk_loses_lines_and_nothing_else():
+    lines = JsonLines(Path("/dev/full"))
+    for k in range(3):
+        lines.write(report(0.1 * k), [])
+    lines.close()
+    assert lines.failed == 3
+
+
+@pytest.mark.parametrize("name", ["annotated", "annotated.jpg", "a-file/annotated.mp4"])
+def test_a_video_that_cannot_be_written_is_refused_with_a_sentence(tmp_path, name):
+    (tmp_path / "a-file").touch()
+    with pytest.raises(SourceError, match=r"output\.video: .*annotated.*expected"):
+        AnnotatedVideo(tmp_path / name, lossless=True)
+
+
+@pytest.mark.parametrize("suffix", VIDEO_SUFFIXES)
+def test_a_video_can_be_read_back_in_every_container_we_accept(tmp_path, suffix):
+    path = tmp_path / f"annotated{suffix}"
+    video = AnnotatedVideo(path, lossless=True)
+    for k in range(3):
+        video.keep(frame(k, 0.1 * k))
+        video.write(report(0.1 * k, sequence=k), [])
+    video.close()
+    assert cv2.VideoCapture(str(path)).read()[0]
 
 
 def frame(sequence, t):
@@ -84,6 +113,17 @@ def test_the_console_tells_who_is_seen_and_sums_up():
     assert "sees drone 2 at (320, 240) ± 3.0 px   (gyro 200 Hz)" in text
     assert "drone 2    in  75 % of scans, first at 0.5 s, as 1 track" in text
     assert "one fact" in text
+
+
+def test_a_console_that_nobody_reads_any_more_falls_silent():
+    reader, writer = os.pipe()
+    stream = os.fdopen(writer, "w")
+    console = Console(quiet=False, stream=stream)
+    console.line(["still read"])
+    os.close(reader)
+    console.line(["not read"])
+    console.summary(["nor this"])
+    assert stream.closed
 
 
 def test_meters_tell_rates_and_spreads():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TextIO
 
@@ -87,8 +88,14 @@ class Console:
         return f"{name} at ({seen.centre[0]:.0f}, {seen.centre[1]:.0f}) ± {sigma:.1f} px"
 
     def _print(self, text: str) -> None:
-        if not self._quiet:
+        if self._quiet:
+            return
+        try:
             print(text, file=self._stream, flush=True)
+        except OSError:  # whoever read us (`| head`, a terminal) has gone: no reason to end a flight
+            self._quiet = True
+            with suppress(OSError):
+                self._stream.close()  # or Python tries to write the rest once more at its end, and fails
 
 
 def _name(identity: Identity) -> str:

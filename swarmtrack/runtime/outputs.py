@@ -10,6 +10,7 @@ import json
 import logging
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
@@ -24,6 +25,7 @@ from swarmtrack.onboard import ScanReport
 log = logging.getLogger(__name__)
 
 FRAMES_KEPT = 16  # a scan that waits for its gyro sample is at most a few frames behind
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi")  # containers that take MPEG-4
 MAX_BACKLOG = 8  # frames waiting to be encoded, before a live camera's are dropped
 
 
@@ -83,7 +85,8 @@ class JsonLines:
             self.failed += 1
 
     def close(self) -> None:
-        self._file.close()
+        with suppress(OSError):  # what a full disk did not take was said when it was written
+            self._file.close()
 
 
 def _record(seen: SeenTrack) -> dict[str, Any]:
@@ -175,6 +178,19 @@ def _write(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int,
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
 
 
+def _check_video(path: Path) -> None:
+    """Raise SourceError now where OpenCV would only write nothing later."""
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        raise SourceError(f"output.video: {path}: expected a name that ends in {', '.join(VIDEO_SUFFIXES)}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("ab").close()
+    except OSError as error:
+        raise SourceError(
+            f"output.video: {path}: {error.strerror}, expected a file that can be written"
+        ) from error
+
+
 class AnnotatedVideo:
     """`[output] video`: drawn and encoded in a thread of its own.
 
@@ -183,7 +199,7 @@ class AnnotatedVideo:
     """
 
     def __init__(self, path: Path, *, lossless: bool) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _check_video(path)
         self._path = path
         self._lossless = lossless
         self._frames: deque[Frame] = deque(maxlen=FRAMES_KEPT)
@@ -233,7 +249,7 @@ class AnnotatedVideo:
         codec = cv2.VideoWriter.fourcc(*"mp4v")
         self._writer = cv2.VideoWriter(str(self._path), codec, min(max(fps, 1.0), 240.0), (width, height))
         if not self._writer.isOpened():
-            log.warning("output.video: %s cannot be written, expected a path that ends in .mp4", self._path)
+            log.warning("output.video: OpenCV cannot write %s; frames are being lost", self._path)
         self._writer.write(first)
 
     def _finish(self) -> None:
