@@ -49,6 +49,7 @@ def test_an_address_has_one_normal_form_without_its_password(source: str, normal
         ("v4l2://video0", "expected a device"),
         ("file:///a.mp4?pace=quick", 'pace: found "quick"'),
         ("http:///stream", "no host"),
+        ("rtsp://pilot:secret@cam..local/live", 'found host "cam..local"'),
         ("rtsp://pilot:secret@cam:70000/live", "Port out of range"),
         ("http://cam/stream?sigma_ms=-1", "sigma_ms: found -1.0, expected 0.1"),
         ("", "expected SCHEME://"),

@@ -71,6 +71,8 @@ def test_addresses_of_both_habits_have_one_normal_form(written, normal):
         ("udpin:0.0.0.0:0", r"port in 1…65535"),
         ("udpin:0.0.0.0:99999", r"port in 1…65535"),
         ("udpout::14550", "names no host"),
+        ("udpout:drone..local:14550", "found host 'drone..local'"),
+        ("tcp:127.0.0.1:²", "found port '²'"),
         ("serial:921600:/dev/ttyACM0", "found device '921600"),
         ("serial:/dev/ttyACM0:fast", "found baud rate 'fast'"),
         ("serial:ttyACM0:921600", "expected a path such as /dev/ttyACM0"),

@@ -71,6 +71,12 @@ def parse_address(source: str) -> CameraAddress:
             raise SourceError(
                 f'camera source "{scheme}:{rest}": no host, expected {scheme}://HOST[:PORT]/PATH'
             )
+        try:
+            parts.hostname.encode("idna")
+        except UnicodeError:
+            raise SourceError(
+                f'camera source {scheme}: found host "{parts.hostname}", expected a name or an IP address'
+            ) from None
     else:
         target, _, query = rest.removeprefix("//").partition("?")
         if not target:

@@ -100,15 +100,19 @@ def _unknown_scheme(text: str, name: str) -> SourceError:
 
 def _network(text: str, scheme: Scheme, rest: str) -> LinkAddress:
     host, colon, port = rest.rpartition(":")
-    if not colon and rest.isdigit():
+    if not colon and rest.isdecimal():
         port = rest  # udpin:14540
-    if not port.isdigit() or not 0 < int(port) < 65536:
+    if not port.isdecimal() or not 0 < int(port) < 65536:
         raise _mistake(
             text, f"found port {port if colon else rest!r}, expected HOST:PORT with a port in 1…65535"
         )
     host = host.removeprefix("[").removesuffix("]")
     if not host and scheme != "udpin":
         raise _mistake(text, "names no host to call")
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        raise _mistake(text, f"found host {host!r}, expected a name or an IP address") from None
     return LinkAddress(scheme, host=host or "0.0.0.0", port=int(port))
 
 
@@ -116,13 +120,13 @@ def _serial(text: str, rest: str) -> LinkAddress:
     path, comma, baud = rest.rpartition(",")
     if not comma:
         path, colon, baud = rest.rpartition(":")
-        if not colon or (baud.isdigit() and int(baud) < SLOWEST_BAUD) or "/" in baud or "." in baud:
+        if not colon or (baud.isdecimal() and int(baud) < SLOWEST_BAUD) or "/" in baud or "." in baud:
             path, baud = rest, str(DEFAULT_BAUD)
-    if path.isdigit() or not path.startswith("/"):
+    if path.isdecimal() or not path.startswith("/"):
         raise _mistake(
             text, f"found device {path!r}, expected a path such as /dev/ttyACM0, the baud rate after it"
         )
-    if not baud.isdigit() or int(baud) < SLOWEST_BAUD:
+    if not baud.isdecimal() or int(baud) < SLOWEST_BAUD:
         raise _mistake(text, f"found baud rate {baud!r}, expected a number such as 57600, 115200 or 921600")
     return LinkAddress("serial", path=path, baud=int(baud))
 
