@@ -8,12 +8,16 @@ import logging
 import os
 import signal
 import sys
+import threading
 from pathlib import Path
 
 from swarmtrack import __version__
 from swarmtrack.errors import ConfigError, SwarmtrackError
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
+LAST_WORD = (
+    0.3  # s for the interpreter's own end: with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
+)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -107,6 +111,7 @@ def _fly(arguments: argparse.Namespace) -> int:
             loop.add_signal_handler(number, agent.stop)
         await agent.run(arguments.seconds)
         agent.summarise()
+        _end_soon()
 
     try:
         asyncio.run(fly())
@@ -114,6 +119,13 @@ def _fly(arguments: argparse.Namespace) -> int:
         # A source that can never work says so only when it is opened; the rest of the group are its cancelled siblings.
         raise _first(group) from None
     return DONE
+
+
+def _end_soon() -> None:
+    """Everything is closed and written; a thread that hangs (a net, a name look-up) must not keep the process."""
+    last_word = threading.Timer(LAST_WORD, os._exit, [DONE])
+    last_word.daemon = True
+    last_word.start()
 
 
 def _first(group: BaseExceptionGroup[SwarmtrackError]) -> SwarmtrackError:

@@ -134,6 +134,34 @@ def test_sigterm_ends_it_cleanly_and_systemd_is_told(tmp_path):
         assert said[-1] == b"STOPPING=1"
 
 
+STUCK = """
+import threading, sys
+from swarmtrack.agents import vehicle
+from swarmtrack.detection.detector import Detector
+
+def detect(self, frame):
+    print("stuck", flush=True)
+    threading.Event().wait(3600)
+
+Detector.detect = detect
+sys.exit(vehicle.main(["--config", sys.argv[1], "--quiet"]))
+"""
+
+
+def test_sigterm_ends_it_though_the_detector_hangs(tmp_path):
+    config = write(tmp_path, f'extends = "{ROOT}/configs/sim.toml"')
+    process = subprocess.Popen(
+        [sys.executable, "-c", STUCK, str(config)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    with process:
+        assert process.stdout.readline() == "stuck\n"
+        process.send_signal(signal.SIGTERM)
+        try:
+            assert process.wait(PATIENCE) == 0
+        finally:
+            process.kill()
+
+
 def test_check_says_what_the_config_leads_to(tmp_path):
     result = run(ROOT / "configs" / "sim.toml", "--check")
     assert result.returncode == 0, result.stderr
