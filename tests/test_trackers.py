@@ -106,6 +106,18 @@ def test_a_target_the_camera_turns_away_from_stays_finite_until_it_is_dropped(na
 
 
 @every_tracker
+def test_what_the_camera_turned_its_back_to_is_shown_nowhere(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    points = np.array([[320.0, 240.0], [40.0, 30.0], [630.0, 400.0]])
+    for k in range(10):
+        tracker.predict(k / 15)
+        tracker.update(Scan(k / 15, points))
+    for yaw, pitch in itertools.product(np.linspace(2.4, 3.9, 40), np.linspace(-0.5, 0.5, 21)):
+        assert tracker.at(0.61, rotation.from_euler(pitch, yaw, 0.0)) == ()
+    assert len(tracker.at(0.61, rotation.from_euler(0.0, 0.1, 0.0))) == 3
+
+
+@every_tracker
 def test_a_camera_that_yaws_and_rolls_does_not_disturb_it(name):
     rate = np.array([0.1, 1.5, 0.4])
     start = rotation.exp(np.array([0.0, -0.6, 0.0])) @ np.array([0.1, 0.0, 1.0])

@@ -233,6 +233,17 @@ class PinholeCamera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @cached_property
+    def K_inverse(self) -> Array:
+        """The inverse of K (3, 3), written out: undistorted pixels to normalised."""
+        return np.array(
+            [
+                [1.0 / self.fx, 0.0, -self.cx / self.fx],
+                [0.0, 1.0 / self.fy, -self.cy / self.fy],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+
+    @cached_property
     def ideal_bounds(self) -> Array:
         """[[u_min, v_min], [u_max, v_max]] (2, 2): the upright box, in ideal pixels, around all that the image shows.
 

@@ -76,5 +76,5 @@ class Tracker(Protocol):
     def at(
         self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0
     ) -> tuple[Track, ...]:
-        """The tracks carried on to t; the tracker itself is unchanged."""
+        """The tracks carried on to t, without those behind the camera then; the tracker itself is unchanged."""
         ...

@@ -7,6 +7,7 @@ What no track explains starts a tentative one; a track lives by its probability 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import compress
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -77,6 +78,9 @@ class KalmanTracker:
         self._parameters = parameters
         self._turn = TURNS[parameters.profile]
         self._gate = gate_threshold(parameters.gate_probability)
+        self._surely_before = lifecycle.MAX_SLANT * min(camera.fx, camera.fy) / 2.0 - max(
+            camera.cx, camera.cy
+        )
         self._R = parameters.measurement_sigma**2 * np.eye(2)
         self._table = TrackTable.empty()
         self._t: float | None = None
@@ -133,7 +137,11 @@ class KalmanTracker:
     ) -> tuple[Track, ...]:
         if self._t is None:
             return ()
-        return self._table.tracks(t, *self._carried(t - self._t, rotation, rotation_variance))
+        mean, cov = self._carried(t - self._t, rotation, rotation_variance)
+        tracks = self._table.tracks(t, mean, cov)
+        if np.abs(mean[:, POSITION]).max(initial=0.0) < self._surely_before:
+            return tracks
+        return tuple(compress(tracks, lifecycle.within_reach(mean, self._camera)))
 
     def _carried(self, dt: float, rotation: Array | None, rotation_variance: float) -> tuple[Array, Array]:
         return propagate(

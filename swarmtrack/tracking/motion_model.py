@@ -18,8 +18,10 @@ POSITION = slice(0, None, 2)  # u, v
 VELOCITY = slice(1, None, 2)  # vu, vv
 
 # A target that rotates further off the axis than this cosine-like depth leaves every image; beyond it the projection
-# would fold over, so it is held there: far outside, finite, soon dropped.
+# would fold over and show what is behind the camera in front of it, so it is held there: far outside, finite, soon
+# dropped.
 MIN_DEPTH = 0.05
+FAR = 100.0  # focal lengths off the axis, where the tangent of 89 degrees is 57
 
 Turn = Callable[[Array, Array, Array, PinholeCamera], tuple[Array, Array]]
 """Turns means and covariances with the camera: (mean, cov, rotation (3, 3), camera) -> (mean, cov)."""
@@ -54,6 +56,9 @@ def turn_exactly(
     w = mean[:, VELOCITY] @ M[:, :2].T
     k = 1.0 / np.maximum(h[:, 2:], MIN_DEPTH)
     p = h[:, :2] * k
+    behind = h[:, 2] < MIN_DEPTH
+    if behind.any():
+        p[behind] = _far_outside(h[behind], camera)
     v = (w[:, :2] - p * w[:, 2:]) * k
     J = (M[:2, :2] - p[:, :, None] * m3) * k[:, :, None]
     turned = np.empty_like(mean)
@@ -119,15 +124,17 @@ def propagate(
 
 
 def _homography(camera_from_before: Array, camera: PinholeCamera) -> Array:
-    """K R K⁻¹, with the inverse of K written out."""
-    back = np.array(
-        [
-            [1.0 / camera.fx, 0.0, -camera.cx / camera.fx],
-            [0.0, 1.0 / camera.fy, -camera.cy / camera.fy],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    return np.asarray(camera.K @ camera_from_before @ back)
+    """K R K⁻¹."""
+    return np.asarray(camera.K @ camera_from_before @ camera.K_inverse)
+
+
+def _far_outside(h: Array, camera: PinholeCamera) -> Array:
+    """(n, 2) px for targets at h (n, 3) = K ray that no image shows: the way they went, beyond any lens' reach."""
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    ray = (h[:, :2] - centre * h[:, 2:]) / focal
+    length = np.hypot(ray[:, :1], ray[:, 1:])
+    way = np.where(length > 0.0, ray / np.where(length > 0.0, length, 1.0), [1.0, 0.0])
+    return np.asarray(centre + FAR * focal * way)
 
 
 def _flow_squared(points: Array, camera: PinholeCamera) -> Array:
