@@ -32,6 +32,7 @@ from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
 from swarmtrack.tracking.base import Tracker
 
 MAX_WAIT = 0.05  # s: a gyro that is silent for longer is not waited for
+MAX_SILENCE = 1.0  # s that a scan may stay away beyond the history: by then a target may be anywhere
 
 
 class ScanReport(NamedTuple):
@@ -112,10 +113,12 @@ class Onboard:
             self.counters.announcements_refused += 1
 
     def tracks(self, now: float) -> TrackList:
-        """Everything tracked, carried on to now."""
+        """Everything tracked, carried on to now; nothing once the scans have stayed away for too long."""
         self._settle(now)
         if self._tracker.t is None or self._orientation is None:
             return TrackList(now, now, ())
+        if now - self._tracker.t > self.gyro.history_s + MAX_SILENCE:
+            return TrackList(now, self._tracker.t, ())
         turn = rotation_between(self._orientation, self.gyro.orientation(now))
         carried = self._tracker.at(now, turn.matrix, turn.variance)
         return TrackList(now, self._tracker.t, self._identities.label(carried))

@@ -110,6 +110,14 @@ def test_a_gyro_that_fell_silent_holds_nothing_up():
     assert drone.counters.scans == scans + 1
 
 
+def test_a_camera_that_fell_silent_shows_nothing_in_the_end():
+    drone, scans = flight(0.0)
+    last = scans[-1].t
+    assert drone.tracks(last + 1.0).tracks
+    assert drone.tracks(last + 60.0).tracks == ()
+    assert drone.tracks(last + 60.0).scan_t == last
+
+
 def test_detections_of_a_distorted_image_are_tracked_undistorted():
     camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.0, 0.0)))
     drone = onboard(camera=camera)
