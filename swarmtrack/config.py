@@ -300,13 +300,20 @@ class DroneConfig(Section):
 
     @contextmanager
     def blamed(self, *key: str) -> Iterator[None]:
-        """What goes wrong inside for the user to mend is said of this entry: a ConfigError with its file and line."""
+        """What goes wrong inside for the user to mend is said of this entry: a ConfigError with its file and line.
+
+        An error that names an entry of the same table itself (`network.listen: found …`) is said of that one.
+        """
         try:
             yield
         except ConfigError:
             raise
         except SwarmtrackError as error:
-            text = f"{'.'.join(key)}: {error}"
+            named, colon, _ = str(error).partition(": ")
+            if colon and " " not in named and named.startswith(f"{key[0]}."):
+                key, text = tuple(named.split(".")), str(error)
+            else:
+                text = f"{'.'.join(key)}: {error}"
             raise ConfigError([str(self._layers.problem(key, text)) if self._layers else text]) from error
 
 
@@ -474,6 +481,7 @@ def _problem(layers: Layers, error: ErrorDetails) -> Problem:
         case _:
             # "Input should be greater than 0", "Tuple should have at most 3 items after validation, not 4"
             expected = re.sub(r"^\w+ should (be|have) ", "", error["msg"])
+            expected = re.sub(r"^a valid (tuple|list)$", "a list", expected)  # TOML has no tuples
             text = f"{_found(error['input'])}, expected {expected}"
             text += f" ({description})" if description else ""
     return layers.problem(key, f"{place.removeprefix('.')}: {text}")

@@ -180,13 +180,17 @@ def test_check_says_what_the_config_leads_to(tmp_path):
         ),
         (f"drone.id = 1\n[camera]\nsource = 'teleport://1'\n{LENS}\n", ["teleport"]),
         (
+            f"drone.id = 1\n[camera]\nsource = 'flight.mp4'\n{LENS}\n",
+            ["drone.toml:3: camera.source", "file://flight.mp4"],
+        ),
+        (
             "drone.id = 1\ncamera.source = 'sim://hover-triangle'\nautopilot.link = 'udp in:14540'\n",
             ["udp in"],
         ),
         ("drone.id = 1\ncamera.source = 'sim://hover-triangle'\ndetector.model = 'no.onnx'\n", ["no.onnx"]),
         (
             "drone.id = 1\ncamera.source = 'sim://hover-triangle'\nnetwork.listen = ['tcp/10.1.2.3:7447']\n",
-            ["insecure = true"],
+            ["drone.toml:3: network.listen: tcp/10.1.2.3:7447", "insecure = true"],
         ),
         ("drone.id = 1\ncamera.source = 'sim://hover-triangle'\ntracker.name = 'sort'\n", ["sort", "kalman"]),
     ],

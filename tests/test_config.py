@@ -139,6 +139,7 @@ probability = 2
             '[drone]\nid = 1\nstart = { from = "local", yaw_deg = 3 }' + CAMERA,
             ":3: drone.start: yaw_deg beside",
         ),
+        (MINIMAL + "[network]\nlisten = 7447", ":8: network.listen: 7447, expected a list"),
         ("extends = 3\n" + MINIMAL, ":1: extends: 3, expected a file name"),
         ('extends = ["none.toml"]\n' + MINIMAL, ":1: extends: no file"),
     ],

@@ -70,7 +70,9 @@ def open_session(path: Path, threads: int, providers: Sequence[str]) -> ort.Infe
         have = ", ".join(name for name, long in PROVIDERS.items() if long in available)
         raise ModelError(f"detector providers: none of {', '.join(providers)} is installed here, only {have}")
     if not path.is_file():
-        raise ModelError(f"{path}: no such model file; expected an ONNX file or one of {', '.join(SHIPPED)}")
+        raise ModelError(
+            f'{path}: no such model file; expected an ONNX file, or "default" for the one that is shipped'
+        )
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

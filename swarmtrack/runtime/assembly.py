@@ -58,9 +58,9 @@ def assemble(config: DroneConfig) -> Parts:
     Raises ConfigError at the entry that leads to something that can never work.
     """
     system = SystemClock()
-    clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
     boot = new_boot()
     with config.blamed("camera", "source"):
+        clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
         simulation = _simulation(config, clock)
     if simulation is not None:
         mounted = _simulated_mount(config, simulation)

@@ -55,7 +55,7 @@ class VideoFile:
         self._path = path
         self._fps = fps
         if not path.exists():
-            raise SourceError(f"video file {path}: not found")
+            raise SourceError(f"video file {path}: not found, expected a video that is there")
         if path.is_dir():
             raise SourceError(
                 f"video file {path}: is a folder; a folder of images is written images://{path}"
