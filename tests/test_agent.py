@@ -20,6 +20,7 @@ from swarmtrack.runtime.health import Health
 
 ROOT = Path(__file__).resolve().parents[1]
 CLIP = ROOT.parent / "shared" / "data" / "drones_real" / "tracks" / "V_DRONE_106.mp4"
+TLOG = ROOT.parent / "shared" / "data" / "mavlink" / "ardupilot_sitl.tlog"
 LENS = "intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }"
 PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
 
@@ -103,6 +104,28 @@ def test_a_real_clip_becomes_a_line_and_a_picture_for_every_frame(tmp_path):
     assert "Summary of 10.1 s, 304 scans" in result.stdout
 
 
+@needs_clip
+@pytest.mark.skipif(not TLOG.exists(), reason="../shared/data is not here: no real recording")
+@pytest.mark.parametrize("pace", ["fast", "realtime"])
+def test_a_recorded_gyro_keeps_step_with_frames_at_pace_fast(tmp_path, pace):
+    config = write(
+        tmp_path,
+        f"""
+        drone.id = 1
+        network.transport = "memory"
+        autopilot.link = "tlog:{TLOG}?pace={pace}"
+        [camera]
+        source = "file://{CLIP}?pace=fast"
+        {LENS}
+        [output]
+        jsonl = "{tmp_path}/tracks.jsonl"
+        """,
+    )
+    result = run(config)
+    assert result.returncode == 0, result.stderr
+    assert len((tmp_path / "tracks.jsonl").read_text().splitlines()) == 304
+
+
 def test_the_simulation_shows_every_teammate_by_its_id(tmp_path):
     config = write(
         tmp_path, f'extends = "{ROOT}/configs/sim.toml"\noutput.jsonl = "{tmp_path}/tracks.jsonl"\n'
@@ -166,6 +189,26 @@ def test_check_says_what_the_config_leads_to(tmp_path):
     result = run(ROOT / "configs" / "sim.toml", "--check")
     assert result.returncode == 0, result.stderr
     assert "ok" in result.stdout.splitlines()[-1]
+
+
+def test_check_names_a_device_that_is_not_there_yet_and_an_output_that_cannot_be(tmp_path):
+    source = "drone.id = 1\n[camera]\nsource = 'v4l2:///dev/no-camera?width=640&height=512'\n" + LENS
+    config = write(tmp_path, source + "\n[autopilot]\nlink = 'serial:/dev/no-autopilot:921600'\n")
+    result = run(config, "--check")
+    assert result.returncode == 0, result.stderr
+    said = [line for line in result.stdout.splitlines() if "not there now" in line]
+    assert ["no-camera" in said[0], "no-autopilot" in said[1]] == [True, True]
+
+    for output in (f"jsonl = '{tmp_path}'", "video = 'annotated.txt'"):
+        result = run(write(tmp_path, source + f"\n[output]\n{output}\n"), "--check")
+        assert result.returncode == 2
+        assert f"drone.toml:6: output.{output.split()[0]}: " in result.stderr
+
+
+def test_a_terminal_without_our_signs_is_no_reason_to_stop(tmp_path):
+    result = run(ROOT / "configs" / "sim.toml", "--seconds", "2.5", PYTHONIOENCODING="ascii")
+    assert result.returncode == 0, result.stderr
+    assert "drone 2 at" in result.stdout
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from swarmtrack.runtime.clock import Clock, ManualClock, SystemClock
 from swarmtrack.sensors.base import Autopilot, Camera
 from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.cameras import open_camera
+from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.simulated import Simulation, open_simulation
 from swarmtrack.tracking import create_tracker
@@ -154,12 +155,18 @@ def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None)
             )
         return simulation.autopilot
     return MavlinkAutopilot(
-        section.link,
+        _in_step(section.link) if isinstance(clock, ManualClock) else section.link,
         clock=clock,
         imu_rate_hz=section.imu_rate_hz,
         system_id=section.system_id,
         signing_key=section.signing_key,
     )
+
+
+def _in_step(link: str) -> str:
+    """A recording beside frames at pace `fast` goes at their speed: else the gyro's history runs away from them."""
+    address = parse_link(link)
+    return str(replace(address, speed=1.0)) if address.scheme == "tlog" else link
 
 
 def _detector(config: DroneConfig) -> Detector:
