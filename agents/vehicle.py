@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import io
 import logging
 import os
 import signal
@@ -30,6 +31,8 @@ def main(argv: list[str] | None = None) -> int:
         format="%(asctime)s %(levelname)-7s %(name)s: %(message)s",
         stream=sys.stderr,
     )
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # "±" on a terminal without it is no reason to end a flight
     try:
         return _check(arguments.config) if arguments.check else _fly(arguments)
     except ConfigError as error:
@@ -68,7 +71,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _positive(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
     return value
@@ -77,20 +83,33 @@ def _positive(text: str) -> float:
 def _check(path: Path) -> int:
     from swarmtrack.config import load_config
     from swarmtrack.runtime.assembly import assemble
+    from swarmtrack.runtime.outputs import check_outputs
+    from swarmtrack.sensors.camera_address import parse_address as camera_address
+    from swarmtrack.sensors.mavlink.address import parse_address as link_address
 
     config = load_config(path)
     parts = assemble(config)
+    with config.blamed("output"):
+        check_outputs(config.output.jsonl, config.output.video)
     lens = parts.lens
+    camera, link = camera_address(config.camera.source), config.autopilot.link
     print(f"drone      {config.drone.id} of team {config.network.team}")
-    print(f"camera     {config.camera.source}")
+    print(f"camera     {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
     print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
-    print(
-        f"autopilot  {parts.autopilot.status().text if parts.autopilot else 'none: the camera is taken to be still'}"
-    )
+    if link in ("none", "sim"):
+        print(f"autopilot  {'simulated' if parts.autopilot else 'none: the camera is taken to be still'}")
+    else:
+        autopilot = link_address(link)
+        print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
     print(f"detector   {parts.detector.status().text}")
     print(f"tracker    {config.tracker.name}")
     print(f"{path}: ok")
     return DONE
+
+
+def _absence(device: str) -> str:
+    """A device that may be plugged in later is no mistake, but worth a word."""
+    return "" if Path(device).exists() else "   (not there now: it is waited for)"
 
 
 def _fly(arguments: argparse.Namespace) -> int:

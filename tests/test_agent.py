@@ -206,7 +206,9 @@ def test_check_names_a_device_that_is_not_there_yet_and_an_output_that_cannot_be
 
 
 def test_a_terminal_without_our_signs_is_no_reason_to_stop(tmp_path):
-    result = run(ROOT / "configs" / "sim.toml", "--seconds", "2.5", PYTHONIOENCODING="ascii")
+    result = run(
+        ROOT / "configs" / "sim.toml", "--seconds", "2.5", env={**os.environ, "PYTHONIOENCODING": "ascii"}
+    )
     assert result.returncode == 0, result.stderr
     assert "drone 2 at" in result.stdout
 

@@ -124,7 +124,8 @@ class Detector:
         """One line and the counters for the health message; not ok while the newest frame could not be used."""
         latency = self.latency
         runs_on = ", ".join(name.removesuffix("ExecutionProvider") for name in self._session.get_providers())
-        text = self._trouble or f"{self._path.name} on {runs_on}, {1e3 * latency.infer.p50:.1f} ms a frame"
+        pace = f", {1e3 * latency.infer.p50:.1f} ms a frame" if self._frames else ""
+        text = self._trouble or f"{self._path.name} on {runs_on}{pace}"
         counters = [
             ("frames", self._frames),
             ("detections", self._found),

@@ -48,8 +48,10 @@ class Agent:
         self._notifier = Notifier()
         self._wall = SystemClock()  # of durations, also where the parts' own clock is paced by the frames
         output = parts.config.output
-        self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
-        self._video = AnnotatedVideo(output.video, lossless=parts.paced_by_frames) if output.video else None
+        with parts.config.blamed("output"):
+            self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
+            lossless = parts.paced_by_frames
+            self._video = AnnotatedVideo(output.video, lossless=lossless) if output.video else None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         self._stop = asyncio.Event()
         self._fresh = asyncio.Event()

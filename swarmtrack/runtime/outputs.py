@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -178,10 +179,30 @@ def _write(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int,
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
 
 
-def _check_video(path: Path) -> None:
-    """Raise SourceError now where OpenCV would only write nothing later."""
+def check_outputs(jsonl: Path | None, video: Path | None) -> None:
+    """Raise SourceError for what cannot be written, as far as one can tell without writing anything."""
+    if video:
+        _check_suffix(video)
+    for name, path in (("jsonl", jsonl), ("video", video)):
+        if path is None:
+            continue
+        there = path if path.exists() else next(p for p in path.absolute().parents if p.exists())
+        if there == path and path.is_dir():
+            raise SourceError(f"output.{name}: {path} is a folder, expected a file that can be written")
+        if (there != path and not there.is_dir()) or not os.access(there, os.W_OK):
+            raise SourceError(
+                f"output.{name}: {path}: no permission to write there, expected a file that can be"
+            )
+
+
+def _check_suffix(path: Path) -> None:
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise SourceError(f"output.video: {path}: expected a name that ends in {', '.join(VIDEO_SUFFIXES)}")
+
+
+def _check_video(path: Path) -> None:
+    """Raise SourceError now where OpenCV would only write nothing later."""
+    _check_suffix(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.open("ab").close()
