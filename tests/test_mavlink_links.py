@@ -16,6 +16,7 @@ from fake_autopilot import FakeAutopilot
 
 from swarmtrack.errors import SourceError
 from swarmtrack.runtime.clock import ManualClock, SystemClock
+from swarmtrack.sensors.mavlink import links
 from swarmtrack.sensors.mavlink.address import parse_address
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link, records, serial_trouble
 
@@ -180,6 +181,19 @@ async def test_udpout_speaks_first_and_says_when_nobody_listens():
             link.send(b"hello")
             await asyncio.sleep(0.001)
         assert link.remark == "nobody listens there"
+
+
+@pytest.mark.parametrize("scheme", ["udpout", "tcp"])
+async def test_a_name_server_that_does_not_answer_is_named_in_time(monkeypatch, scheme):
+    async def getaddrinfo(self, *names, **kinds):
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(asyncio.BaseEventLoop, "getaddrinfo", getaddrinfo)
+    monkeypatch.setattr(links, "CONNECT_TIMEOUT", 0.05)
+    link = open_link(f"{scheme}:drone.local:14550", SystemClock())
+    async with asyncio.timeout(10.0):
+        with pytest.raises(LinkDown, match=r"drone\.local"):
+            await link.run(Recorder())
 
 
 async def test_tcp_says_who_refused_and_who_hung_up():

@@ -139,11 +139,14 @@ class UdpLink(asyncio.DatagramProtocol):
         self._receiver, self._lost, self._peer, self.remark = receiver, loop.create_future(), None, ""
         end = (self.address.host, self.address.port)
         try:
-            await loop.create_datagram_endpoint(
-                lambda: self,
-                local_addr=end if self._listens else None,
-                remote_addr=None if self._listens else end,
-            )
+            async with asyncio.timeout(CONNECT_TIMEOUT):
+                await loop.create_datagram_endpoint(
+                    lambda: self,
+                    local_addr=end if self._listens else None,
+                    remote_addr=None if self._listens else end,
+                )
+        except TimeoutError as error:  # nothing else of UDP takes its time
+            raise LinkDown(f"no name server tells within {CONNECT_TIMEOUT:g} s where {end[0]} is") from error
         except OSError as error:
             raise LinkDown(self._why(error)) from error
         try:
