@@ -13,7 +13,7 @@ import threading
 from pathlib import Path
 
 from swarmtrack import __version__
-from swarmtrack.errors import ConfigError, SwarmtrackError
+from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 LAST_WORD = (
@@ -25,6 +25,10 @@ def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage or config, 1 anything else."""
     # Before NumPy is imported: for matrices of 4 x 4 its threads only cost, in time and in memory.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if (
+        argv is None
+    ):  # a program of its own: Ctrl-C while NumPy loads (seconds, on a Pi) ends it without a traceback
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = _parser().parse_args(argv)
     logging.basicConfig(
         level=logging.getLevelNamesMapping()[arguments.log.upper()],
@@ -38,6 +42,9 @@ def main(argv: list[str] | None = None) -> int:
     except ConfigError as error:
         print(error, file=sys.stderr)
         return WRONG_USAGE
+    except TransportError as error:  # the config is right; a port is taken, an interface not up yet
+        print(f"{arguments.config}: {error}", file=sys.stderr)
+        return FAILED
     except SwarmtrackError as error:
         print(f"{arguments.config}: {error}", file=sys.stderr)
         return WRONG_USAGE

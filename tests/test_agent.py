@@ -248,6 +248,21 @@ def test_a_wrong_config_ends_with_a_sentence_and_code_2(tmp_path, text, expected
         assert words.lower() in result.stderr.lower()
 
 
+def test_a_network_that_cannot_be_opened_now_is_no_wrong_config(tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        config = write(
+            tmp_path,
+            f"drone.id = 1\ncamera.source = 'sim://hover-triangle'\nnetwork.listen = ['{endpoint}']\n",
+        )
+        result = run(config, "--seconds", "1")
+    assert result.returncode == 1, result.stderr
+    assert "Traceback" not in result.stderr
+    assert "network" in result.stderr
+
+
 @needs_clip
 def test_a_video_of_another_size_than_its_calibration_is_refused(tmp_path):
     lens = LENS.replace("width = 640, height = 512", "width = 320, height = 256")
