@@ -25,9 +25,7 @@ def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage or config, 1 anything else."""
     # Before NumPy is imported: for matrices of 4 x 4 its threads only cost, in time and in memory.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if (
-        argv is None
-    ):  # a program of its own: Ctrl-C while NumPy loads (seconds, on a Pi) ends it without a traceback
+    if argv is None:  # as a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = _parser().parse_args(argv)
     logging.basicConfig(
