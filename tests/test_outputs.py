@@ -104,13 +104,17 @@ def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):
 def test_the_console_tells_who_is_seen_and_sums_up():
     stream = io.StringIO()
     console = Console(quiet=False, stream=stream)
+    console.line(["camera 0 Hz"])
     for k in range(4):
         scan = report(10.0 + 0.5 * k, track(320.0, 240.0, identity=2 if k else None))
         console.see(scan, as_seen(scan, LENS))
     console.line(["gyro 200 Hz"])
+    console.line(["camera 0 Hz"])
     console.summary(["one fact"])
     text = stream.getvalue()
     assert "sees drone 2 at (320, 240) ± 3.0 px   (gyro 200 Hz)" in text
+    assert "    0.0 s  no frame yet   (camera 0 Hz)" in text
+    assert "    1.5 s  no frame since   (camera 0 Hz)" in text  # not where somebody was seen before it
     assert "drone 2    in  75 % of scans, first at 0.5 s, as 1 track" in text
     assert "one fact" in text
 

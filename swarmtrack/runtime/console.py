@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
@@ -11,6 +12,8 @@ from typing import TextIO
 from swarmtrack.messages import IdentifiedTrack, Identity, TrackStatus
 from swarmtrack.onboard import ScanReport
 from swarmtrack.runtime.outputs import SeenTrack
+
+log = logging.getLogger(__name__)
 
 # The eight-colour codes that resemble the colours of the annotated video.
 ANSI = ["33", "36", "32", "93", "34", "31", "35"]
@@ -35,7 +38,7 @@ class Console:
         self._colour = stream.isatty()
         self._start: float | None = None
         self._last_t = 0.0
-        self._scans = 0
+        self._scans = self._scans_told = 0
         self._sightings: dict[Identity, Sighting] = {}
         self._now: list[SeenTrack] = []
 
@@ -54,10 +57,13 @@ class Console:
 
     def line(self, footnotes: Iterable[str]) -> None:
         """One line: who is in view, where, how surely; then how the agent is doing."""
-        who = (
-            ", ".join(self._describe(s) for s in sorted(self._now, key=lambda s: _order(s.entry))) or "nobody"
-        )
-        self._print(f"{self._elapsed:7.1f} s  sees {who}   ({', '.join(footnotes)})")
+        who = ", ".join(self._describe(s) for s in sorted(self._now, key=lambda s: _order(s.entry)))
+        if self._scans == self._scans_told:  # what was seen once is not what is seen now
+            what = "no frame since" if self._scans else "no frame yet"
+        else:
+            what = f"sees {who or 'nobody'}"
+        self._scans_told = self._scans
+        self._print(f"{self._elapsed:7.1f} s  {what}   ({', '.join(footnotes)})")
 
     def summary(self, facts: Iterable[str]) -> None:
         """Who was seen, for how long; then the facts, one a line."""
@@ -94,6 +100,7 @@ class Console:
             print(text, file=self._stream, flush=True)
         except OSError:  # whoever read us (`| head`, a terminal) has gone: no reason to end a flight
             self._quiet = True
+            log.warning("nobody reads the console any more: flying on without it")
             with suppress(OSError):
                 self._stream.close()  # or Python tries to write the rest once more at its end, and fails
 
