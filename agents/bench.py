@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from swarmtrack.errors import SourceError
+
 DEFAULT_OUT = Path("bench")
 
 
@@ -42,6 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    try:  # now, not when an hour of results has nowhere to go
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SourceError(
+            f"--out {args.out}: {error.strerror}, expected a folder that can be made"
+        ) from error
     BENCHMARKS[args.benchmark](args)
     print((args.out / f"{args.benchmark}.md").read_text(encoding="utf-8"))
     print(f"{args.out}: {args.benchmark}.json, {args.benchmark}.md")

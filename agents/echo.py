@@ -36,8 +36,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where an agent listens, such as tcp/192.168.1.5:7447; again for more (default: all on this machine)",
     )
     parser.add_argument("--insecure", action="store_true", help="connect beyond this machine without keys")
-    parser.add_argument("--count", type=int, metavar="N", help="end after N messages")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--count", type=_count, metavar="N", help="end after N messages")
+    parser.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
+    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,14 +74,15 @@ def run(args: argparse.Namespace) -> int:
     except BrokenPipeError:  # `swarmtrack echo … | head`: whoever read us has enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    if heard < (args.count or 0):
+    if heard == 0 or heard < (args.count or 0):
+        wanted = "no message" if args.count is None else f"{heard} of {args.count} messages"
+        after = "" if args.seconds is None else f" in {args.seconds:g} s"
         print(
-            f"swarmtrack echo: heard {heard} of {args.count} messages on {expression} in {args.seconds:g} s; "
+            f"swarmtrack echo: heard {wanted} on {expression}{after}; "
             f"does an agent of team {args.team!r} run here, or is --connect missing?",
             file=sys.stderr,
         )
-        return 1
-    return 0
+    return 1 if heard < (args.count or 0) else 0
 
 
 async def echo(listener: ZenohListener, count: int | None, seconds: float | None) -> int:

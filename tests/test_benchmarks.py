@@ -91,6 +91,12 @@ def grey_clip(folder, frames=15):
     write_truth(folder / "grey_gt.csv", [(k, 1, 40, 30, 8, 8) for k in range(frames)])
 
 
+def test_a_folder_for_results_that_cannot_be_made_is_refused_before_any_work(tmp_path, capsys):
+    (tmp_path / "a-file").touch()
+    assert swarmtrack.main(["bench", "agent", "--out", str(tmp_path / "a-file" / "bench")]) == 2
+    assert "expected a folder" in capsys.readouterr().err
+
+
 def test_the_config_of_a_clip_is_one_the_agent_takes_and_settings_go_before_it(tmp_path):
     grey_clip(tmp_path)
     (clip,) = real_clips.find_clips(tmp_path)

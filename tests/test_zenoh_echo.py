@@ -137,12 +137,18 @@ async def test_silence_is_an_error_that_says_what_to_check(team: str) -> None:
     assert (code, lines) == (1, [])
     assert f"does an agent of team '{team}' run here" in errors
 
+    code, lines, errors = await ended(await start_echo("tracks/*", "--team", team, "--seconds", "0.2"))
+    assert (code, lines) == (0, [])  # as asked, but worth a word
+    assert "heard no message" in errors
+
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (["a//b"], "is no key expression"),
-        (["tracks/*", "--connect", "tcp/192.168.1.5:7447"], "not on loopback"),
+        (["tracks/*", "--connect", "tcp/192.168.1.5:7447"], "--insecure"),
+        (["tracks/*", "--count", "-1"], "found -1, expected a whole number above 0"),
+        (["tracks/*", "--seconds", "nan"], "found nan, expected a number of seconds above 0"),
         (["tracks/*", "--connect", "192.168.1.5"], "expected PROTOCOL/HOST:PORT"),
     ],
 )

@@ -49,7 +49,8 @@ def check(settings: NetworkSettings) -> None:
             if not is_loopback(endpoint, f"network.{name}") and not settings.insecure:
                 raise TransportError(
                     f"network.{name}: {endpoint} is not on loopback, and without keys anyone there can pose as a "
-                    f"drone; stay on tcp/127.0.0.1:PORT, or write `insecure = true` under [network]"
+                    f"drone; stay on tcp/127.0.0.1:PORT, or write `insecure = true` under [network] "
+                    f"(`swarmtrack echo --insecure`)"
                 )
     if settings.multicast and settings.interface != "lo":
         if not settings.insecure:
