@@ -23,7 +23,8 @@ from swarmtrack.messages import StampKind
 from swarmtrack.runtime.clock import ManualClock
 from swarmtrack.sensors import v4l2_abi as abi
 from swarmtrack.sensors.cameras import open_camera
-from swarmtrack.sensors.frame_slot import Freshness
+from swarmtrack.sensors.decode import decode_yuyv
+from swarmtrack.sensors.frame_slot import BadImage, Freshness
 from swarmtrack.sensors.v4l2 import exposure_time, holders
 
 HERE = Path(__file__).parent / "v4l2_stand_in"
@@ -382,3 +383,9 @@ def test_who_holds_a_device_is_named(tmp_path: Path) -> None:
 def test_a_size_that_contradicts_the_calibration_can_never_work() -> None:
     with pytest.raises(SourceError, match="1280x720 is asked, the calibration is for 640x480"):
         open_camera("v4l2:///dev/video0?width=1280&height=720", clock=ManualClock(), size=(640, 480))
+
+
+@pytest.mark.parametrize(("width", "stride"), [(64, 127), (65, 130)])
+def test_a_format_that_no_yuyv_camera_has_spoils_a_frame_and_not_the_flight(width: int, stride: int) -> None:
+    with pytest.raises(BadImage, match="expected"):
+        decode_yuyv(memoryview(bytes(48 * stride)), width, 48, stride, grey=False)

@@ -19,21 +19,26 @@ READ_FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 def decode_grey(data: memoryview, width: int, height: int, stride: int) -> Image:
     """8-bit grey, `stride` bytes a line. Returns a copy (height, width)."""
-    return np.array(_lines(data, height, stride)[:, :width])
+    return np.array(_lines(data, width, height, stride))
 
 
 def decode_yuyv(data: memoryview, width: int, height: int, stride: int, grey: bool) -> Image:
     """YUYV 4:2:2, two pixels in four bytes. Returns (height, width, 3) BGR, or only the luma (height, width)."""
-    pixels = _lines(data, height, stride)[:, : 2 * width].reshape(height, width, 2)
+    if width % 2:
+        raise BadImage(f"{width} pixels a line, expected an even number: YUYV comes in pairs")
+    pixels = _lines(data, 2 * width, height, stride).reshape(height, width, 2)
     if grey:
         return np.array(pixels[:, :, 0])
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_YUV2BGR_YUYV), np.uint8)
 
 
-def _lines(data: memoryview, height: int, stride: int) -> Image:
+def _lines(data: memoryview, used: int, height: int, stride: int) -> Image:
+    """(height, used) bytes: of `stride` bytes a line the first `used`, the rest is padding."""
+    if stride < used:
+        raise BadImage(f"{stride} bytes a line, expected {used} or more")
     if len(data) < height * stride:
         raise BadImage(f"{len(data)} bytes, expected {height * stride}")
-    return np.frombuffer(data, np.uint8, height * stride).reshape(height, stride)
+    return np.frombuffer(data, np.uint8, height * stride).reshape(height, stride)[:, :used]
 
 
 def decode_jpeg(data: bytes | memoryview, grey: bool = False) -> Image:
