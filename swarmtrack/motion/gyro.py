@@ -87,10 +87,6 @@ class GyroHistory:
         """Time of the newest sample."""
         return self._times[-1] if self._times else None
 
-    def reaches(self, t: float) -> bool:
-        """Whether t is bracketed by samples, so that nothing still to come changes the orientation there."""
-        return bool(self._times) and self._times[0] <= t <= self._times[-1]
-
     def append(self, t: float, rate: Vector) -> None:
         """Add a sample: rate (3,) rad/s in camera axes."""
         if self._times and t <= self._times[-1]:

@@ -25,12 +25,10 @@ class Rate:
     """Events per second since the last `read`."""
 
     def __init__(self) -> None:
-        self.total = 0
         self._since: float | None = None
         self._count = 0
 
     def tick(self, n: int = 1) -> None:
-        self.total += n
         self._count += n
 
     def read(self, now: float) -> float:

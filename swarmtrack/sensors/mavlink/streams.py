@@ -141,11 +141,6 @@ class StreamRequests:
     def imu_stream(self) -> Stream:
         return self.streams[self.imu.id]
 
-    @property
-    def settled(self) -> bool:
-        """Every stream has its answer."""
-        return all(s.answer not in (Answer.TO_ASK, Answer.ASKED) for s in self.streams.values())
-
     def _choose(self) -> None:
         rates = {self.imu.id: self.imu_rate_hz}
         for message_id in (ATTITUDE_QUATERNION, LOCAL_POSITION_NED):
