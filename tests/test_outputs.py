@@ -17,6 +17,7 @@ from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import Latency, Rate
 from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, AnnotatedVideo, JsonLines, annotate, as_seen
 
+PINHOLE = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 LENS = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.001, 0.0)))
 
 
@@ -89,6 +90,17 @@ def test_a_track_far_outside_or_without_a_size_is_drawn_without_complaint():
     image = annotate(frame(0, 0.0), 0.0, as_seen(report(0.0, *everything), LENS))
     assert image.shape == (480, 640, 3)
     assert image.any()
+
+
+def test_a_name_is_readable_wherever_the_drone_is():
+    for u, v in [(300.0, 12.0), (630.0, 200.0), (5.0, 300.0)]:
+        scan = report(0.0, track(u, v, identity=2))
+        named = annotate(frame(0, 0.0), 0.0, as_seen(scan, PINHOLE))
+        unnamed = annotate(frame(0, 0.0), 0.0, [])
+        # The box takes 30 x 20 px and the arrow 10 more: what is coloured beyond them is the name.
+        coloured = (named != unnamed).any(axis=2)
+        coloured[max(0, int(v) - 16) : int(v) + 17, max(0, int(u) - 21) : int(u) + 22] = False
+        assert coloured.sum() > 300, (u, v)
 
 
 def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):

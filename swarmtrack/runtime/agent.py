@@ -272,6 +272,9 @@ def _describe(event: PeerEvent) -> str:
         case PeerDeparted(drone_id=drone_id, boot=boot):
             return f"drone {drone_id} is gone (boot {boot})"
         case IdClash(drone_id=drone_id, boots=boots, ours=True):
-            return f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
+            said = f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
+            return f"{said}: give one another drone.id"
         case IdClash(drone_id=drone_id, boots=boots):
-            return f"two agents speak as drone {drone_id} (boots {', '.join(boots)})"
+            return (
+                f"two agents speak as drone {drone_id} (boots {', '.join(boots)}): give one another drone.id"
+            )

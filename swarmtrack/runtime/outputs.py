@@ -166,12 +166,10 @@ def _draw(image: Image, seen: SeenTrack) -> None:
         if identity != "foreign"
         else "foreign"
     )
-    _write(
-        image,
-        name if status is TrackStatus.CONFIRMED else f"{name} (lost)",
-        (corner[0], corner[1] - 5),
-        colour,
-    )
+    label = name if status is TrackStatus.CONFIRMED else f"{name} (lost)"
+    # Above the box, or below it where there is no room between the image's edge and the line at its top.
+    baseline = corner[1] - 5 if corner[1] > 40 else opposite[1] + 17
+    _write(image, label, (max(0, min(corner[0], image.shape[1] - 9 * len(label))), baseline), colour)
 
 
 def _write(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:

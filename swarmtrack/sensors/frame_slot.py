@@ -182,7 +182,8 @@ class FrameSlot:
         if self._taken:
             p50, p95 = (float(age) for age in np.percentile([1e3 * age for _, age in self._taken], (50, 95)))
             ages = (("age_p50_ms", p50), ("age_p95_ms", p95), ("t_sigma_ms", 1e3 * self._t_sigma))
-            text += f", age {p50:.0f} ms" if self._ok else ""
+            if self._ok and p50 >= 0.0:  # below: the frames of a recording set the clock, and have no age
+                text += f", age {p50:.0f} ms"
         counts = self.counts
         numbers = (
             ("fps", fps),
