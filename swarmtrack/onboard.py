@@ -78,11 +78,15 @@ class Onboard:
         gyro: GyroHistory,
         ego: EgoHistory,
         identity: IdentityParameters,
+        measurement_sigma: float | None = None,
     ) -> None:
+        """measurement_sigma: px per axis, in the image as the camera gives it, of detections that bring no covariance;
+        None: the tracker's own, in undistorted pixels."""
         self.counters = Counters()
         self.gyro = gyro
         self._camera = camera
         self._mounting = mounting
+        self._measurement_sigma = measurement_sigma
         self._tracker = tracker
         self._ego = ego
         self._identities = Identities(
@@ -165,7 +169,7 @@ class Onboard:
         orientation = self.gyro.orientation(t)
         turn = rotation_between(self._orientation or orientation, orientation)
         self._tracker.predict(t, turn.matrix, turn.variance)
-        self._tracker.update(_scan(detections, t, self._camera))
+        self._tracker.update(_scan(detections, t, self._camera, self._measurement_sigma))
         self._orientation = orientation
         self.counters.scans += 1
         self.counters.detections += len(detections)
@@ -177,12 +181,15 @@ class Onboard:
         self._reports.append(ScanReport(detections.sequence, TrackList(t, t, labelled)))
 
 
-def _scan(detections: Detections, t: float, camera: PinholeCamera) -> Scan:
-    """The detections in undistorted pixels; what the distortion cannot undo is left out."""
+def _scan(detections: Detections, t: float, camera: PinholeCamera, sigma: float | None) -> Scan:
+    """The detections in undistorted pixels; what the distortion cannot undo is left out. sigma: see Onboard."""
     z = camera.undistort(detections.centre)
     good = np.isfinite(z).all(axis=1)
-    R = None
-    if detections.covariance is not None:
+    R = detections.covariance
+    if R is None and sigma is not None and camera.distortion is not None:
+        # Towards the border of a wide image one of its pixels is several undistorted ones.
+        R = np.broadcast_to(sigma**2 * np.eye(2), (len(z), 2, 2))
+    if R is not None:
         J = camera.undistort_jacobian(detections.centre[good])
-        R = J @ detections.covariance[good] @ J.swapaxes(1, 2)
+        R = J @ R[good] @ J.swapaxes(1, 2)
     return Scan(t, z[good], R, detections.size[good], detections.score[good])

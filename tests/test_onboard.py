@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarmtrack.geometry import rotation
-from swarmtrack.geometry.camera import PinholeCamera, RadTan
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import IdentityParameters
 from swarmtrack.messages import Announcement, Detections, EgoPose, ImuSample
@@ -19,7 +19,7 @@ START = Pose(np.eye(3), np.zeros(3))
 NO_ACCEL = np.full(3, np.nan)
 
 
-def onboard(tracker="kalman", camera=CAMERA, start=START, offset=0.0, **identity):
+def onboard(tracker="kalman", camera=CAMERA, start=START, offset=0.0, measurement_sigma=None, **identity):
     return Onboard(
         1,
         camera=camera,
@@ -28,6 +28,7 @@ def onboard(tracker="kalman", camera=CAMERA, start=START, offset=0.0, **identity
         gyro=GyroHistory(),
         ego=EgoHistory(start=start),
         identity=IdentityParameters(**identity),
+        measurement_sigma=measurement_sigma,
     )
 
 
@@ -126,6 +127,17 @@ def test_detections_of_a_distorted_image_are_tracked_undistorted():
     truth = camera.undistort(np.array([[100.0, 80.0]]))[0]
     assert np.linalg.norm(truth - [100, 80]) > 5.0
     assert drone.tracks(4 / 15).tracks[0].track.mean[::2] == pytest.approx(truth, abs=0.5)
+
+
+def test_a_pixel_at_the_border_of_a_fisheye_s_image_counts_for_as_many_as_it_covers():
+    camera = PinholeCamera(300.0, 300.0, 320.0, 240.0, 640, 480, Equidistant((0.0, 0.0, 0.0, 0.0)))
+    for seed in range(5):
+        drone = onboard(camera=camera, measurement_sigma=1.5)
+        rng = np.random.default_rng(seed)
+        for k in range(60):
+            drone.on_detections(seen(k / 15, rng.normal((30.0, 30.0), 1.5)))
+        (entry,) = drone.tracks(59 / 15).tracks
+        assert entry.track.id == 1
 
 
 def test_the_time_offset_moves_the_exposure_onto_the_imu_s_clock():

@@ -23,7 +23,7 @@ from swarmtrack.sensors.cameras import open_camera
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.simulated import Simulation, open_simulation
-from swarmtrack.tracking import create_tracker
+from swarmtrack.tracking import TRACKERS, create_tracker
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
@@ -127,6 +127,7 @@ def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
 
 def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
     motion = config.motion
+    tracking = TRACKERS[config.tracker.name].Parameters(**config.tracker.parameters)
     x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
     return Onboard(
         config.drone.id,
@@ -141,6 +142,7 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
         ),
         ego=EgoHistory(start=start, origin=np.array(config.drone.start.offset_m), history_s=motion.history_s),
         identity=IdentityParameters(**config.identity.parameters),
+        measurement_sigma=tracking.measurement_sigma,
     )
 
 
