@@ -25,7 +25,8 @@ def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage or config, 1 anything else."""
     # Before NumPy is imported: for matrices of 4 x 4 its threads only cost, in time and in memory.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if argv is None:  # as a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback
+    if argv is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        # As a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = _parser().parse_args(argv)
     logging.basicConfig(
@@ -131,8 +132,10 @@ def _fly(arguments: argparse.Namespace) -> int:
     async def fly() -> None:
         agent = Agent(parts, console=Console(quiet=arguments.quiet or "INVOCATION_ID" in os.environ))
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, agent.stop)
+        # SIGHUP: the terminal has gone (ssh over a weak radio). Files are closed before the end; nohup keeps us flying.
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                loop.add_signal_handler(number, agent.stop)
         await agent.run(arguments.seconds)
         agent.summarise()
         _end_soon()

@@ -185,6 +185,26 @@ def test_sigterm_ends_it_though_the_detector_hangs(tmp_path):
             process.kill()
 
 
+def test_a_terminal_that_goes_ends_it_cleanly_and_nohup_keeps_it_flying(tmp_path):
+    config = write(tmp_path, f'extends = "{ROOT}/configs/sim.toml"\noutput.video = "{tmp_path}/seen.mp4"\n')
+    for prefix in ([], ["nohup"]):
+        process = subprocess.Popen(
+            [*prefix, *command(config)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        with process:
+            try:
+                for _ in range(2):
+                    assert b"sees" in process.stdout.readline()
+                process.send_signal(signal.SIGHUP)
+                if prefix:
+                    assert b"sees" in process.stdout.readline()
+                    process.terminate()
+                assert process.wait(PATIENCE) == 0
+            finally:
+                process.kill()
+    assert cv2.VideoCapture(str(tmp_path / "seen.mp4")).read()[0]
+
+
 def test_check_says_what_the_config_leads_to(tmp_path):
     result = run(ROOT / "configs" / "sim.toml", "--check")
     assert result.returncode == 0, result.stderr
