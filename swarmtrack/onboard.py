@@ -48,6 +48,8 @@ class Counters:
 
     late_scans: int = 0
     """Older than the last scan, or than the gyro history."""
+    scans_ahead_of_gyro: int = 0
+    """Tracked on the gyro's last rate, because it was silent for longer than `MAX_WAIT`."""
     scans: int = 0
     detections: int = 0
     announcements_refused: int = 0
@@ -106,6 +108,10 @@ class Onboard:
         """Where this drone is, by its autopilot."""
         self._ego.append(pose)
 
+    def on_autopilot_reboot(self) -> None:
+        """Its clock and its frame begin anew; the drone itself is where it was."""
+        self._ego.restart()
+
     def on_detections(self, detections: Detections) -> None:
         """What the detector saw in one frame, however long ago it was exposed."""
         self._waiting.append(detections)
@@ -137,8 +143,18 @@ class Onboard:
         return self._identities.announced
 
     @property
-    def tracker_counters(self) -> dict[str, int]:
-        return dict(self._tracker.counters)
+    def part_counters(self) -> dict[str, int]:
+        """What its parts refused or had to mend."""
+        gyro, ego = self.gyro, self._ego
+        return {
+            **self._tracker.counters,
+            "gyro_gaps": gyro.gaps,
+            "gyro_out_of_order": gyro.out_of_order,
+            "gyro_restarts": gyro.restarts,
+            "poses_out_of_order": ego.out_of_order,
+            "poses_without_place": ego.without_position,
+            "heading_jumps": ego.heading_jumps,
+        }
 
     def take_reports(self) -> list[ScanReport]:
         """Hand over what came of the scans since the last call."""
@@ -166,6 +182,7 @@ class Onboard:
         if too_old or (before is not None and t <= before):
             self.counters.late_scans += 1
             return
+        self.counters.scans_ahead_of_gyro += newest is not None and newest < t
         orientation = self.gyro.orientation(t)
         turn = rotation_between(self._orientation or orientation, orientation)
         self._tracker.predict(t, turn.matrix, turn.variance)

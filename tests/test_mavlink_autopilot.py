@@ -39,6 +39,10 @@ class Listener:
     def __init__(self) -> None:
         self.imu: list[ImuSample] = []
         self.poses: list[EgoPose] = []
+        self.reboots = 0
+
+    def on_autopilot_reboot(self) -> None:
+        self.reboots += 1
 
     def on_imu(self, sample: ImuSample) -> None:
         self.imu.append(sample)

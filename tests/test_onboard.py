@@ -235,3 +235,32 @@ def test_an_autopilot_without_a_position_still_gives_the_attitude_at_the_start()
     assert drone.ego_pose(0.0).world_from_body == pytest.approx(tilted)
     drone.on_pose(EgoPose(0.1, np.array([50.0, 0.0, 0.0]), tilted))  # its EKF has found an origin, elsewhere
     assert drone.ego_pose(0.1).position == pytest.approx([1.0, 2.0, -1.5])
+
+
+def test_a_drone_that_waits_on_its_pad_is_named_however_old_its_announcement():
+    for age in (10.0, 300.0):
+        drone = onboard()
+        drone.on_announcement(announced(2, [6.0, -1.0, 0.0], t=-age))
+        drone.on_announcement(announced(3, [6.0, 1.0, 0.0], t=-age))
+        t = watch(drone, [(320 - 430 / 6, 240.0), (320 + 430 / 6, 240.0)])
+        assert identities(drone, t) == {2, 3}
+
+
+def test_an_autopilot_that_reboots_in_flight_goes_on_from_where_the_drone_was():
+    drone = onboard(start=Pose(np.eye(3), np.zeros(3)))
+    for k in range(50):
+        drone.on_pose(EgoPose(0.1 * k, np.array([2.0 * k, 0.0, 0.0]), np.eye(3)))
+    drone.on_autopilot_reboot()
+    drone.on_pose(EgoPose(8.0, np.array([0.0, 0.0, 0.0]), np.eye(3)))
+    assert drone.ego_pose(8.0).position == pytest.approx([98.0, 0.0, 0.0])
+
+
+def test_a_heading_that_is_found_after_boot_does_not_turn_the_team_frame():
+    drone = onboard(start=Pose(rotation.from_euler(0.0, 0.0, 0.5), np.array([1.0, 2.0, 0.0])))
+    for k, yaw in enumerate([0.0, 0.0, 1.5, 1.5]):
+        drone.on_pose(EgoPose(0.02 * k, np.zeros(3), rotation.from_euler(0.0, 0.0, yaw)))
+    ego = drone.ego_pose(0.06)
+    assert rotation.to_euler(ego.world_from_body)[2] == pytest.approx(0.5)
+    assert ego.position == pytest.approx([1.0, 2.0, 0.0])
+    drone.on_pose(EgoPose(0.08, np.array([0.0, 1.0, 0.0]), rotation.from_euler(0.0, 0.0, 1.5)))
+    assert drone.ego_pose(0.08).position == pytest.approx([1.0 + np.sin(1.0), 2.0 + np.cos(1.0), 0.0])

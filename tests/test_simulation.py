@@ -331,6 +331,9 @@ class Listener:
     def on_pose(self, pose: EgoPose) -> None:
         self.poses.append(pose)
 
+    def on_autopilot_reboot(self) -> None:
+        raise AssertionError("a simulated autopilot does not reboot")
+
 
 def simulation(query: str, start: float = 1000.0, late: float = 0.0) -> tuple[Simulation, ManualClock]:
     clock = ManualClock(start)

@@ -250,3 +250,24 @@ def test_a_doubtful_detection_carries_a_track_on_but_starts_none(name):
     (track,) = tracker.tracks
     assert track.mean[::2] == pytest.approx([138.0, 100.0], abs=3.0)
     assert track.coasting_since is None
+
+
+@every_tracker
+def test_a_target_that_flew_out_of_the_image_is_lost_not_confirmed(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    for k in range(20):
+        u = 560.0 + 10.0 * k
+        z = np.array([[u, 200.0]]) if u < 640.0 else np.empty((0, 2))
+        tracker.predict(k / 15)
+        tracker.update(Scan(k / 15, z))
+        for track in tracker.tracks:
+            assert track.status != "confirmed" or track.mean[0] < 645.0
+
+
+@every_tracker
+def test_after_a_long_silence_no_track_takes_what_comes_next(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    (before,) = tracker.initiate(0.0, np.array([[320.0, 240.0]]))
+    tracker.predict(2.5)
+    tracker.update(Scan(2.5, np.array([[200.0, 150.0]])))
+    assert before not in [track.id for track in tracker.tracks]

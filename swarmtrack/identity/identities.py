@@ -30,7 +30,9 @@ class IdentityParameters:
     scans: int = 3
     """Scans in a row that must agree."""
     drift_speed: float = 0.5
-    """m/s: how fast an announced drone may have been moving since the time of its pose."""
+    """m/s: how fast an announced drone that has left its pose may be moving."""
+    stay_s: float = 30.0
+    """s after which half of the announced drones have left their pose: they wait for take-off."""
 
     def __post_init__(self) -> None:
         if self.profile not in ("default", "paper"):
@@ -43,6 +45,8 @@ class IdentityParameters:
             raise ValueError(f"identity.scans: found {self.scans!r}, expected 1 or more")
         if not self.drift_speed >= 0.0:
             raise ValueError(f"identity.drift_speed: found {self.drift_speed!r}, expected 0 or more")
+        if not self.stay_s > 0.0:
+            raise ValueError(f"identity.stay_s: found {self.stay_s!r}, expected a number of seconds above 0")
 
 
 @dataclass(slots=True)
@@ -123,6 +127,7 @@ class Identities:
             camera=self._camera,
             body_from_camera=self._body_from_camera,
             drift_speed=self._parameters.drift_speed,
+            stay_s=self._parameters.stay_s,
         )
         mean = np.array([track.mean for track in tracks])
         if self._parameters.profile == "paper":

@@ -39,9 +39,14 @@ def gated_one_to_one(
     as likely as the best one that has not; a track may also be none of the announced, uniformly over the image.
     """
     none_density = (1.0 - P_EXPLAINED) / (camera.width * camera.height)
-    pairs = innovations(mean, cov, projected.pixel, projected.cov)
-    log_ratio = pairs.log_density + math.log(P_EXPLAINED / none_density)
-    log_ratio[pairs.distance > gate_threshold(GATE_PROBABILITY)] = -np.inf
+    still = innovations(mean, cov, projected.pixel, projected.cov_still)
+    flown = innovations(mean, cov, projected.pixel, projected.cov_flown)
+    with np.errstate(divide="ignore"):  # of a pose that is no second old nothing has flown off
+        log_density = np.logaddexp(
+            np.log(projected.p_still) + still.log_density, np.log(1.0 - projected.p_still) + flown.log_density
+        )
+    log_ratio = log_density + math.log(P_EXPLAINED / none_density)
+    log_ratio[flown.distance > gate_threshold(GATE_PROBABILITY)] = -np.inf
     rows, columns = most_likely_matching(log_ratio)
     best = log_ratio[rows, columns].sum()
     stated: Assignment = {}

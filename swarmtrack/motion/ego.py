@@ -18,6 +18,8 @@ HELD_POSITION_SIGMA = (
     0.3  # m: of a drone that hovers where it was put, by an autopilot that knows no position
 )
 LEVEL_SIGMA = 0.05  # rad: how far a hovering drone tilts
+# An estimator that finds its heading, or finds it anew, jumps; a drone turns no faster than this.
+YAW_JUMP, FASTEST_YAW, YAW_STEP = 0.2, 4.0, 0.5  # rad, rad/s, s between two poses that are compared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +40,10 @@ class EgoHistory:
     are level, so one yaw and one translation, taken from the first attitude and the first position, connect them. Until
     the autopilot knows a position, and without an autopilot, the drone is where it started. Without `start` the
     autopilot's own frame is the team's, moved to `origin` (3,) m.
+
+    Heading and place are continuous in the team frame: when the estimator's heading jumps (it aligns itself seconds
+    after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
+    origin, goes on from where the drone was last.
     """
 
     def __init__(
@@ -48,8 +54,10 @@ class EgoHistory:
         self.history_s = history_s
         self.out_of_order = 0
         self.without_position = 0
+        self.heading_jumps = 0
         self._turn: Array | None = None
         self._shift: Array | None = None
+        self._yaw: tuple[float, float] | None = None
         self._poses: list[TeamPose] = []
 
     def append(self, pose: EgoPose) -> None:
@@ -57,13 +65,12 @@ class EgoHistory:
         if self._poses and pose.t <= self._poses[-1].t - self.history_s:
             self.out_of_order += 1
             return
-        if self._turn is None:
-            self._turn = self._heading_change(pose.world_from_body)
+        turn = self._connect_heading(pose)
         position, sigma = self._place(pose)
         if position is None:
             self.without_position += 1
             return
-        turned = self._turn @ pose.world_from_body
+        turned = turn @ pose.world_from_body
         insort(
             self._poses,
             TeamPose(pose.t, position, turned, sigma, pose.attitude_sigma),
@@ -71,6 +78,10 @@ class EgoHistory:
         )
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
             del self._poses[0]
+
+    def restart(self) -> None:
+        """The autopilot has rebooted: its frame may begin anywhere, the drone goes on from where it was."""
+        self._shift = None
 
     def at(self, t: float) -> TeamPose | None:
         """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings."""
@@ -101,20 +112,31 @@ class EgoHistory:
 
     def _place(self, pose: EgoPose) -> tuple[Array | None, float]:
         """Position in the team frame and its sigma; None where nobody can tell."""
+        start = None if self.start is None else self.start.position
+        last = self._poses[-1].position if self._poses else start
         if pose.position is None:
-            held = None if self.start is None else self.start.position
-            return (self._poses[-1].position if self._poses else held), HELD_POSITION_SIGMA
+            return last, HELD_POSITION_SIGMA
         assert self._turn is not None
         if self._shift is None:
-            self._shift = (
-                self.origin if self.start is None else self.start.position - self._turn @ pose.position
-            )
+            self._shift = self.origin if last is None else last - self._turn @ pose.position
         return self._turn @ pose.position + self._shift, pose.position_sigma
 
-    def _heading_change(self, world_from_body: Array) -> Array:
-        if self.start is None:
-            return np.eye(3)
-        return rotation.from_euler(0.0, 0.0, _heading(self.start.rotation) - _heading(world_from_body))
+    def _connect_heading(self, pose: EgoPose) -> Array:
+        """team_from_local (3, 3), made with the first pose and turned along with a heading that jumps."""
+        yaw = _heading(pose.world_from_body)
+        if self._turn is None:
+            turn = 0.0 if self.start is None else _heading(self.start.rotation) - yaw
+            self._turn = rotation.from_euler(0.0, 0.0, turn)
+        elif self._yaw is not None and self.start is not None:
+            t, before = self._yaw
+            jump = math.remainder(yaw - before, 2.0 * math.pi)
+            dt = abs(pose.t - t)
+            if dt < YAW_STEP and abs(jump) > YAW_JUMP + FASTEST_YAW * dt:
+                self._turn = self._turn @ rotation.from_euler(0.0, 0.0, -jump)
+                self._shift = None  # the old one was made with the old heading
+                self.heading_jumps += 1
+        self._yaw = (pose.t, yaw)
+        return self._turn
 
 
 def _heading(world_from_body: Array) -> float:

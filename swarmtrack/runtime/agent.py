@@ -104,6 +104,10 @@ class Agent:
         if pose.position is not None:
             self._posed.set()
 
+    def on_autopilot_reboot(self) -> None:
+        """From the autopilot, on the event loop."""
+        self._parts.onboard.on_autopilot_reboot()
+
     async def _feed_camera(self) -> None:
         """Every frame through the detector, in its thread, into Onboard; returns where a recording ends."""
         parts, loop = self._parts, asyncio.get_running_loop()

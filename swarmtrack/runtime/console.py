@@ -21,12 +21,13 @@ ANSI = ["33", "36", "32", "93", "34", "31", "35"]
 
 @dataclass(slots=True)
 class Sighting:
-    """When someone was first and last tracked, over how many scans, under which track ids."""
+    """When someone was first and last tracked, over how many scans, under how many track ids in turn."""
 
     first_t: float
     last_t: float
     scans: int
-    track_ids: set[int]
+    track_id: int
+    tracks: int
 
 
 class Console:
@@ -50,10 +51,11 @@ class Console:
         self._scans += 1
         self._now = [s for s in seen if s.entry.track.status is TrackStatus.CONFIRMED]
         for entry in (s.entry for s in self._now):
-            sighting = self._sightings.setdefault(entry.identity, Sighting(t, t, 0, set()))
+            sighting = self._sightings.setdefault(entry.identity, Sighting(t, t, 0, -1, 0))
             sighting.scans += sighting.last_t < t or sighting.scans == 0
             sighting.last_t = t
-            sighting.track_ids.add(entry.track.id)
+            if entry.track.id != sighting.track_id:
+                sighting.track_id, sighting.tracks = entry.track.id, sighting.tracks + 1
 
     def line(self, footnotes: Iterable[str]) -> None:
         """One line: who is in view, where, how surely; then how the agent is doing."""
@@ -72,7 +74,7 @@ class Console:
         for identity, sighting in sorted(self._sightings.items(), key=lambda item: str(item[0])):
             began = sighting.first_t - (self._start or 0.0)
             share = 100.0 * sighting.scans / max(self._scans, 1)
-            tracks = f"{len(sighting.track_ids)} track{'s' if len(sighting.track_ids) > 1 else ''}"
+            tracks = f"{sighting.tracks} track{'s' if sighting.tracks > 1 else ''}"
             self._print(
                 f"  {_name(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}"
             )

@@ -64,12 +64,7 @@ class Health:
             if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
         }
         onboard = parts.onboard
-        drops = {**asdict(onboard.counters), **onboard.tracker_counters, **self.drops}
-        drops |= {
-            "gyro_gaps": onboard.gyro.gaps,
-            "gyro_out_of_order": onboard.gyro.out_of_order,
-            "gyro_restarts": onboard.gyro.restarts,
-        }
+        drops = {**asdict(onboard.counters), **onboard.part_counters, **self.drops}
         return HealthMessage(
             version=VERSION,
             t_utc_s=parts.clock.utc(),

@@ -35,7 +35,7 @@ from swarmtrack.sensors.multipart import MultipartReader, Part
 if TYPE_CHECKING:
     import aiohttp
 
-STAMP_WINDOW = 60.0  # s: a stamp further from a clock than this is not of that clock
+STAMP_WINDOW = 2.0  # s: a stamp further from a clock is not of that clock, and no tracker looks back so far
 FUTURE = 0.005  # s: a stamp this much after the arrival shows that the two clocks disagree
 MONOTONIC_SIGMA = 1e-3  # s
 UTC_SIGMA = 5e-3  # s: two machines synchronised over a radio link

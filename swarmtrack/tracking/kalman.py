@@ -127,6 +127,8 @@ class KalmanTracker:
         self.predict(scan.t)
         self._last_scan = scan.t
         measured = self._usable(scan)
+        # Before the association: after a long silence a track could take whatever comes next, and its name with it.
+        self._drop(scan.t)
         taken = self._associate(scan.t, measured)
         self._drop(scan.t)
         self._give_birth(scan.t, measured.select(measured.fit & ~taken))
@@ -177,9 +179,8 @@ class KalmanTracker:
         """Give each track its detection or none, and update; returns which detections (m,) were taken or shadowed."""
         table, parameters = self._table, self._parameters
         z, R = measured.z, measured.R
-        p_detection = parameters.p_detection * lifecycle.probability_in_view(
-            table.mean, table.cov, self._camera
-        )
+        in_view = lifecycle.probability_in_view(table.mean, table.cov, self._camera)
+        p_detection = parameters.p_detection * in_view
         distance, log_density = innovations(table.mean, table.cov, z, R)
         ratio = np.exp(log_density) / self._clutter_intensity(measured.odds)
         with np.errstate(divide="ignore"):
@@ -199,6 +200,7 @@ class KalmanTracker:
         missed = np.ones(len(table), np.bool_)
         missed[rows] = False
         table.missed_since = np.where(missed, np.fmin(table.missed_since, t), np.nan)
+        table.lost = missed & ((table.existence < lifecycle.LOST_BELOW) | (in_view < 0.5))
 
         taken = np.zeros(len(z), np.bool_)
         taken[columns] = True
@@ -253,8 +255,8 @@ class KalmanTracker:
         cov[:, [1, 3], [1, 3]] = self._parameters.birth_speed_sigma**2
         ids = np.arange(self._next_id, self._next_id + n)
         self._next_id += n
-        seen = np.full(n, t)
-        return TrackTable(ids, mean, cov, np.zeros(n), size, np.zeros(n, np.bool_), seen, np.full(n, np.nan))
+        no, seen, never = np.zeros(n, np.bool_), np.full(n, t), np.full(n, np.nan)
+        return TrackTable(ids, mean, cov, np.zeros(n), size, no, no.copy(), seen, never)
 
 
 def _blend(old: Array, new: Array) -> Array:

@@ -18,6 +18,7 @@ MAX_EXISTENCE = 1.0 - 1e-6
 # A detector misses in bursts (a drone before a tree, behind another), which the recursion takes for proof of absence.
 # Existence of a confirmed track stops here, so that one clear detection brings it back; time ends it, not misses.
 MIN_CONFIRMED_EXISTENCE = 0.05
+LOST_BELOW = 0.1  # existence of a missed track: rather hidden or gone than there
 # Tangent of 80 degrees off the axis. A pixel further out covers next to nothing, and every turn of the camera would
 # multiply the covariance of what is there, without bound, until it comes back.
 MAX_SLANT = 5.7

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array, Track, TrackStatus
 
 TENTATIVE, CONFIRMED, LOST = TrackStatus.TENTATIVE, TrackStatus.CONFIRMED, TrackStatus.LOST
-LOST_BELOW = 0.1  # existence of a track that was confirmed: rather gone, or hidden, than there
 
 
 @dataclass(slots=True)
 class TrackTable:
     """n tracks. mean (n, 4), cov (n, 4, 4), existence (n,), size (n, 2) px NaN while unknown, confirmed (n,): ever was;
+    lost (n,): missed, and rather hidden, out of view or gone than there;
     last_seen (n,) s: the last scan that detected it; missed_since (n,) s: the first scan after it, NaN while detected.
     """
 
@@ -27,6 +27,7 @@ class TrackTable:
     existence: Array
     size: Array
     confirmed: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
     last_seen: Array
     missed_since: Array
 
@@ -38,6 +39,7 @@ class TrackTable:
             np.empty((0, 4, 4)),
             np.empty(0),
             np.empty((0, 2)),
+            np.empty(0, np.bool_),
             np.empty(0, np.bool_),
             np.empty(0),
             np.empty(0),
@@ -59,8 +61,8 @@ class TrackTable:
     def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
         """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
         status = [
-            TENTATIVE if not ever else LOST if r < LOST_BELOW else CONFIRMED
-            for ever, r in zip(self.confirmed.tolist(), self.existence.tolist(), strict=True)
+            TENTATIVE if not ever else LOST if lost else CONFIRMED
+            for ever, lost in zip(self.confirmed.tolist(), self.lost.tolist(), strict=True)
         ]
         missed = [None if math.isnan(since) else since for since in self.missed_since.tolist()]
         ids, existence, instant = self.id.tolist(), self.existence.tolist(), repeat(t, len(self))

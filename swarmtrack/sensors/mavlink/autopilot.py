@@ -446,6 +446,7 @@ class MavlinkAutopilot:
         self._asked_time.clear()
         self._exchanges = 0
         self._requests.reset()
+        self._listener.on_autopilot_reboot()
 
     # ── time ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
