@@ -261,8 +261,17 @@ def _track_message(identified: IdentifiedTrack, now: float) -> TrackMessage:
 
 
 def encode_tracks(message: TracksMessage) -> bytes:
-    """Raises ValueError where a reader would refuse it."""
-    return _encode(message)
+    """Raises ValueError where a reader would refuse a number in it.
+
+    Fifty times a second the bounds are checked, which NaN fails too, but not again that covariances are such: trackers
+    update in Joseph form.
+    """
+    data = _ENCODER.encode(message)
+    try:
+        _DECODERS[TracksMessage].decode(data)
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{message.what}: {_with_field_name(TracksMessage, str(error))}") from None
+    return data
 
 
 def decode_tracks(data: bytes) -> TracksMessage:

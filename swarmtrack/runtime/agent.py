@@ -236,14 +236,11 @@ class Agent:
 
     def summarise(self) -> None:
         """Print what came of it all."""
-        detector = self.health.detector.read()
         facts = [f"{link.name}: {link.text}" for link in self.health.links()]
-        if detector:
-            facts.append(
-                f"detector: median {1e3 * detector.p50:.1f} ms, 95 % under {1e3 * detector.p95:.1f} ms"
-            )
         teammates = ", ".join(map(str, sorted(self._parts.onboard.teammates))) or "none"
         facts.append(f"announced teammates: {teammates}")
+        output = self._parts.config.output
+        facts += [f"written: {path}" for path in (output.jsonl, output.video) if path]
         self._console.summary(facts)
 
     async def _close(self) -> None:
