@@ -30,9 +30,7 @@ from swarmtrack.transport.base import Kind, Transport
 
 log = logging.getLogger(__name__)
 
-UTC_SIGMA = (
-    0.05  # s: what an NTP-kept companion knows of UTC; better is measured peer by peer, in a later release
-)
+UTC_SIGMA = 0.05  # s: what a companion kept by NTP knows of UTC
 HEALTH_PERIOD = 1.0  # s
 CLOSE_TIMEOUT = 1.5  # s for everything together
 STUCK_DETECTOR = 10.0  # s on one frame: no longer slow but stuck, and the supervisor should know
