@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from swarmtrack import codec
+from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
@@ -37,23 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--insecure", action="store_true", help="connect beyond this machine without keys")
     parser.add_argument("--count", type=_count, metavar="N", help="end after N messages")
-    parser.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
 
 
 def _count(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) > 0):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
     return int(text)
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,6 +13,7 @@ import threading
 from pathlib import Path
 
 from swarmtrack import __version__
+from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
@@ -62,7 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--check", action="store_true", help="validate the config and what it points at, then exit"
     )
-    parser.add_argument("--seconds", type=_positive, metavar="S", help="stop after so long (default: never)")
+    parser.add_argument(
+        "--seconds", type=positive_seconds, metavar="S", help="stop after so long (default: never)"
+    )
     parser.add_argument(
         "--quiet", action="store_true", help="no line a second (the default under systemd), only the log"
     )
@@ -74,16 +77,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
     return parser
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
-    return value
 
 
 def _check(path: Path) -> int:

@@ -9,16 +9,16 @@ from swarmtrack.errors import SourceError
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.base import Camera
 from swarmtrack.sensors.camera_address import nearest, parse_address
-from swarmtrack.sensors.images import ImagesCamera
+from swarmtrack.sensors.images import open_images
 from swarmtrack.sensors.mjpeg import MjpegCamera
 from swarmtrack.sensors.rtsp import RtspCamera
 from swarmtrack.sensors.v4l2 import V4l2Camera
-from swarmtrack.sensors.video import VideoFileCamera
+from swarmtrack.sensors.video import open_video_file
 
 CAMERAS: dict[str, Callable[..., Camera]] = {
     "v4l2": V4l2Camera,
-    "file": VideoFileCamera,
-    "images": ImagesCamera,
+    "file": open_video_file,
+    "images": open_images,
     "http": MjpegCamera,
     "https": MjpegCamera,
     "rtsp": RtspCamera,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import Frame, Image, LinkStatus
+from swarmtrack.messages import Image
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, read_options
 from swarmtrack.sensors.decode import READ_FLAGS
-from swarmtrack.sensors.frame_slot import FrameSlot, WrongSize, check_size
-from swarmtrack.sensors.playback import PACES, Picture, Playback
+from swarmtrack.sensors.playback import PACES, Picture, Playback, play
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
@@ -124,26 +123,9 @@ def read_times(path: Path, folder: Path) -> list[tuple[float, Path]]:
     return index
 
 
-class ImagesCamera:
+def open_images(
+    address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
+) -> Playback:
     """A folder of images as a camera."""
-
-    def __init__(
-        self, address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
-    ) -> None:
-        options = read_options(address, ImagesOptions)
-        folder = ImageFolder(address.path(base), options)
-        try:
-            check_size(folder.size, size, options.resize)
-        except WrongSize as error:
-            raise SourceError(f"camera source {address}: {error}") from None
-        slot = FrameSlot(str(address), clock, size, options.resize)
-        self._playback = Playback(folder, clock=clock, slot=slot, pace=options.pace, loop=options.loop)
-
-    def frames(self) -> AsyncIterator[Frame]:
-        return self._playback.frames()
-
-    def status(self) -> LinkStatus:
-        return self._playback.status()
-
-    async def close(self) -> None:
-        await self._playback.close()
+    options = read_options(address, ImagesOptions)
+    return play(ImageFolder(address.path(base), options), address, options, clock=clock, size=size)

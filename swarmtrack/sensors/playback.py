@@ -13,9 +13,19 @@ from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
 from swarmtrack.runtime.clock import Clock
-from swarmtrack.sensors.frame_slot import CLOSE_TIMEOUT, BadImage, FrameSlot, RawFrame, already
+from swarmtrack.sensors.camera_address import CameraAddress
+from swarmtrack.sensors.frame_slot import (
+    CLOSE_TIMEOUT,
+    BadImage,
+    FrameSlot,
+    RawFrame,
+    WrongSize,
+    already,
+    check_size,
+)
 
 PACES = ("realtime", "fast")
 
@@ -34,11 +44,27 @@ class Recording(Protocol):
 
     period: float  # s between pictures, for the pause between two loops
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) px."""
+        ...
+
     def play(self) -> Iterator[Picture]: ...
 
     def ending(self, pictures: int) -> tuple[bool, str]:
         """Whether the end, after so many pictures, is as it should be, and a sentence about it."""
         ...
+
+
+class PlaybackOptions(Protocol):
+    """What every recording's address may ask for."""
+
+    @property
+    def pace(self) -> str: ...
+    @property
+    def loop(self) -> bool: ...
+    @property
+    def resize(self) -> bool: ...
 
 
 class Playback:
@@ -119,3 +145,20 @@ class Playback:
 
 def _unreadable() -> Image:
     raise BadImage("cannot be read")
+
+
+def play(
+    recording: Recording,
+    address: CameraAddress,
+    options: PlaybackOptions,
+    *,
+    clock: Clock,
+    size: tuple[int, int] | None,
+) -> Playback:
+    """The recording as a camera. Raises SourceError where it was not calibrated for, see `check_size`."""
+    try:
+        check_size(recording.size, size, options.resize)
+    except WrongSize as error:
+        raise SourceError(f"camera source {address}: {error}") from None
+    slot = FrameSlot(str(address), clock, size, options.resize)
+    return Playback(recording, clock=clock, slot=slot, pace=options.pace, loop=options.loop)

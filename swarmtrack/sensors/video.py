@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +11,9 @@ import cv2
 import numpy as np
 
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import Frame, LinkStatus
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, read_options
-from swarmtrack.sensors.frame_slot import FrameSlot, WrongSize, check_size
-from swarmtrack.sensors.playback import PACES, Picture, Playback
+from swarmtrack.sensors.playback import PACES, Picture, Playback, play
 
 # FFmpeg writes its complaints to stderr, before the sentence that we say. Read once, at OpenCV's first use of it.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -107,26 +105,9 @@ class VideoFile:
         return True, f"ended after {pictures} frames"
 
 
-class VideoFileCamera:
+def open_video_file(
+    address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
+) -> Playback:
     """A video file as a camera."""
-
-    def __init__(
-        self, address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
-    ) -> None:
-        options = read_options(address, VideoOptions)
-        video = VideoFile(address.path(base), options.fps)
-        try:
-            check_size(video.size, size, options.resize)
-        except WrongSize as error:
-            raise SourceError(f"camera source {address}: {error}") from None
-        slot = FrameSlot(str(address), clock, size, options.resize)
-        self._playback = Playback(video, clock=clock, slot=slot, pace=options.pace, loop=options.loop)
-
-    def frames(self) -> AsyncIterator[Frame]:
-        return self._playback.frames()
-
-    def status(self) -> LinkStatus:
-        return self._playback.status()
-
-    async def close(self) -> None:
-        await self._playback.close()
+    options = read_options(address, VideoOptions)
+    return play(VideoFile(address.path(base), options.fps), address, options, clock=clock, size=size)

@@ -1,0 +1,16 @@
+"""Kinds of command-line arguments that several programs take."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def positive_seconds(text: str) -> float:
+    """For `type=`: a number of seconds above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
+    return value
