@@ -123,7 +123,9 @@ def _fly(arguments: argparse.Namespace) -> int:
     parts = assemble(load_config(arguments.config))
 
     async def fly() -> None:
-        agent = Agent(parts, console=Console(quiet=arguments.quiet or "INVOCATION_ID" in os.environ))
+        agent = Agent(
+            parts, console=Console(parts.lens, quiet=arguments.quiet or "INVOCATION_ID" in os.environ)
+        )
         loop = asyncio.get_running_loop()
         # SIGHUP: the terminal has gone (ssh over a weak radio). Files are closed before the end; nohup keeps us flying.
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):

@@ -102,7 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
     parts.detector = cast(Detector, scripted)  # it has what the agent asks of one
 
     async def fly() -> None:
-        agent = Agent(parts, console=Console(quiet=True))
+        agent = Agent(parts, console=Console(parts.lens, quiet=True))
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, agent.stop)
         await agent.run()
 

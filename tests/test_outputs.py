@@ -115,11 +115,11 @@ def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):
 
 def test_the_console_tells_who_is_seen_and_sums_up():
     stream = io.StringIO()
-    console = Console(quiet=False, stream=stream)
+    console = Console(LENS, quiet=False, stream=stream)
     console.line(["camera 0 Hz"])
     for k in range(4):
         scan = report(10.0 + 0.5 * k, track(320.0, 240.0, identity=2 if k else None))
-        console.see(scan, as_seen(scan, LENS))
+        console.see(scan)
     console.line(["gyro 200 Hz"])
     console.line(["camera 0 Hz"])
     console.summary(["one fact"])
@@ -134,7 +134,7 @@ def test_the_console_tells_who_is_seen_and_sums_up():
 def test_a_console_that_nobody_reads_any_more_falls_silent():
     reader, writer = os.pipe()
     stream = os.fdopen(writer, "w")
-    console = Console(quiet=False, stream=stream)
+    console = Console(LENS, quiet=False, stream=stream)
     console.line(["still read"])
     os.close(reader)
     console.line(["not read"])

@@ -134,8 +134,9 @@ class Agent:
         """Hand the finished scans to whoever writes or shows them, and wake the publisher."""
         for report in self._parts.onboard.take_reports():
             self.health.scans.tick()
-            seen = as_seen(report, self._parts.lens)
-            self._console.see(report, seen)
+            self._console.see(report)
+            written = self._jsonl or self._video
+            seen = as_seen(report, self._parts.lens) if written else []
             if self._jsonl:
                 self._jsonl.write(report, seen)
                 self.health.drops["jsonl_lines"] = self._jsonl.failed

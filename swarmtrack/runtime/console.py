@@ -9,9 +9,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TextIO
 
+from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import IdentifiedTrack, Identity, TrackStatus
 from swarmtrack.onboard import ScanReport
-from swarmtrack.runtime.outputs import SeenTrack
+from swarmtrack.runtime.outputs import SeenTrack, as_seen
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +34,8 @@ class Sighting:
 class Console:
     """Prints to `stream`; `quiet` counts without a word."""
 
-    def __init__(self, *, quiet: bool, stream: TextIO = sys.stdout) -> None:
+    def __init__(self, lens: PinholeCamera, *, quiet: bool, stream: TextIO = sys.stdout) -> None:
+        self._lens = lens
         self._quiet = quiet
         self._stream = stream
         self._colour = stream.isatty()
@@ -41,16 +43,16 @@ class Console:
         self._last_t = 0.0
         self._scans = self._scans_told = 0
         self._sightings: dict[Identity, Sighting] = {}
-        self._now: list[SeenTrack] = []
+        self._report: ScanReport | None = None
 
-    def see(self, report: ScanReport, seen: list[SeenTrack]) -> None:
+    def see(self, report: ScanReport) -> None:
         """Take note of a scan."""
         t = report.tracks.t
         self._start = t if self._start is None else self._start
         self._last_t = t
         self._scans += 1
-        self._now = [s for s in seen if s.entry.track.status is TrackStatus.CONFIRMED]
-        for entry in (s.entry for s in self._now):
+        self._report = report
+        for entry in filter(_is_confirmed, report.tracks.tracks):
             sighting = self._sightings.setdefault(entry.identity, Sighting(t, t, 0, -1, 0))
             sighting.scans += sighting.last_t < t or sighting.scans == 0
             sighting.last_t = t
@@ -59,7 +61,9 @@ class Console:
 
     def line(self, footnotes: Iterable[str]) -> None:
         """One line: who is in view, where, how surely; then how the agent is doing."""
-        who = ", ".join(self._describe(s) for s in sorted(self._now, key=lambda s: _order(s.entry)))
+        seen = as_seen(self._report, self._lens) if self._report and not self._quiet else []
+        now = sorted((s for s in seen if _is_confirmed(s.entry)), key=lambda s: _order(s.entry))
+        who = ", ".join(map(self._describe, now))
         if self._scans == self._scans_told:  # what was seen once is not what is seen now
             what = "no frame since" if self._scans else "no frame yet"
         else:
@@ -109,6 +113,10 @@ class Console:
 
 def _name(identity: Identity) -> str:
     return "unknown" if identity is None else "foreign" if identity == "foreign" else f"drone {identity}"
+
+
+def _is_confirmed(entry: IdentifiedTrack) -> bool:
+    return entry.track.status is TrackStatus.CONFIRMED
 
 
 def _order(entry: IdentifiedTrack) -> tuple[bool, str, int]:
