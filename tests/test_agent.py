@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -40,6 +41,14 @@ def write(folder, text, name="drone.toml"):
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
+
+
+@contextmanager
+def timed(what):
+    """Prints how long it took (pytest -s); no test asserts it."""
+    began = time.monotonic()
+    yield
+    print(f"\n{what}: {time.monotonic() - began:.2f} s")
 
 
 class Flying:
@@ -146,7 +155,8 @@ def test_sigterm_ends_it_cleanly_and_systemd_is_told(tmp_path):
             assert supervisor.recv(200) == b"READY=1"
             assert supervisor.recv(200) == b"WATCHDOG=1"
             agent.process.send_signal(signal.SIGTERM)
-            assert agent.process.wait(PATIENCE) == 0
+            with timed("SIGTERM to the end"):
+                assert agent.process.wait(PATIENCE) == 0
         supervisor.setblocking(False)
         said = []
         while True:
@@ -342,13 +352,15 @@ def test_agents_know_each_other_notice_a_death_a_restart_and_a_clone(tmp_path):
     first, second = teammate(tmp_path, 1, team), teammate(tmp_path, 2, team)
     with Flying(first) as one:
         with Flying(second) as two:
-            boot = one.said("drone 2 announced itself").split("boot ")[1]
-            two.said("drone 1 announced itself")
+            with timed("known to each other, both just started"):
+                boot = one.said("drone 2 announced itself").split("boot ")[1]
+                two.said("drone 1 announced itself")
             two.process.kill()
-            one.said("drone 2 is gone", boot)
+            with timed("kill -9 noticed"):
+                one.said("drone 2 is gone", boot)
         with Flying(second):
-            one.said("drone 2 is alive")
-            one.said("drone 2 announced itself", times=2)
-            with Flying(second) as clone:
+            with timed("one that starts beside a running one is known, from exec"):
+                one.said("drone 2 announced itself", times=2)
+            with Flying(second) as clone, timed("clone reported, from exec"):
                 one.said("two agents speak as drone 2")
                 clone.said("another agent speaks as drone 2")

@@ -173,6 +173,17 @@ def test_a_late_scan_and_the_same_scan_again_are_refused_and_counted(name):
 
 
 @every_tracker
+def test_predicting_to_a_late_scan_leaves_the_state_alone(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    tracker.initiate(1.0, np.array([[100.0, 100.0]]))
+    before = tracker.tracks[0].mean
+    for late in (0.5, np.nan):
+        tracker.predict(late, rotation.exp(np.array([0.0, 0.3, 0.0])))
+        assert not tracker.update(Scan(late, np.array([[10.0, 10.0]])))
+    assert tracker.tracks[0].mean == pytest.approx(before, abs=0.0)
+
+
+@every_tracker
 @pytest.mark.parametrize(
     "z",
     [

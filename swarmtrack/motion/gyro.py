@@ -8,7 +8,7 @@ arrives late finds the very numbers it would have found at once.
 What the samples do not tell is paid for in variance. The rate between two known samples is a Brownian bridge whose
 angular acceleration is white with density `angular_acceleration_psd`: its integral over a step dt has variance
 q dt³/12, and q dt³/3 where the second sample is missing (beyond the newest). So a gap needs no special case: five
-lost samples cost a hundred times one step, and a stopped gyro soon says that it knows nothing.
+lost samples cost two hundred times one step, and a stopped gyro soon says that it knows nothing.
 """
 
 from __future__ import annotations

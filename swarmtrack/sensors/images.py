@@ -42,7 +42,6 @@ class ImageFolder:
 
     def __init__(self, folder: Path, options: ImagesOptions) -> None:
         """Raises SourceError if there is nothing to play."""
-        self._folder = folder
         if not folder.is_dir():
             what = "is a file, expected a folder" if folder.exists() else "not found"
             raise SourceError(f"image folder {folder}: {what}")

@@ -108,20 +108,18 @@ class KalmanTracker:
         return [int(id) for id in born.id]
 
     def predict(self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0) -> None:
+        if not np.isfinite(t) or (self._t is not None and t < self._t):
+            return  # to the time of a late scan, which `update` will refuse: the rotation leads away from our state
         if self._t is None:
             self._t = t
-        if t <= self._t and rotation is None:
-            return
-        table, dt = self._table, max(t - self._t, 0.0)
+        table, dt = self._table, t - self._t
         table.mean, table.cov = self._carried(dt, rotation, rotation_variance)
         table.existence = lifecycle.survive(table.existence, dt, self._parameters.p_survival)
-        self._t += dt
+        self._t = t
 
     def update(self, scan: Scan) -> bool:
-        if not np.isfinite(scan.t) or (self._last_scan is not None and scan.t <= self._last_scan):
-            self.counters["late_scans"] += 1
-            return False
-        if self._t is not None and scan.t < self._t:
+        behind = self._t is not None and scan.t < self._t
+        if behind or scan.t == self._last_scan or not np.isfinite(scan.t):
             self.counters["late_scans"] += 1
             return False
         self.predict(scan.t)
