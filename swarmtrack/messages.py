@@ -235,7 +235,50 @@ class IdClash:
     ours: bool
 
 
-PeerEvent = Announcement | PeerArrived | PeerDeparted | IdClash
+@dataclass(frozen=True, slots=True)
+class AnnouncementRequested:
+    """Somebody wants our pose anew: a track of theirs may be us, and our last announcement is too old to tell."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """One identified track, as its observer tells the team: the ray on which it sees that drone.
+
+    direction (3,): unit vector from the observer's camera, team frame; sigma: of the direction [rad].
+    """
+
+    drone_id: int
+    probability: float
+    direction: Array
+    sigma: float
+
+    def __post_init__(self) -> None:
+        _expect("Sighting.direction", self.direction, (3,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SightingReport:
+    """Whom one drone sees, and where it stands while it does.
+
+    t: exposure, on *our* monotonic clock (converted by the transport), t_sigma its uncertainty; position (3,) m of the
+    observer's camera in the team frame, position_sigma per axis. known: whose announcements the observer has.
+    """
+
+    observer: int
+    boot: str
+    sequence: int
+    t: float
+    t_sigma: float
+    position: Array
+    position_sigma: float
+    known: tuple[int, ...]
+    sightings: tuple[Sighting, ...]
+
+    def __post_init__(self) -> None:
+        _expect("SightingReport.position", self.position, (3,))
+
+
+PeerEvent = Announcement | PeerArrived | PeerDeparted | IdClash | AnnouncementRequested | SightingReport
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ class Kind(enum.StrEnum):
     POSE = "pose"
     ALIVE = "alive"
     TRACKS = "tracks"
+    IDENTITIES = "identities"
     HEALTH = "health"
     VIDEO = "video"
 
