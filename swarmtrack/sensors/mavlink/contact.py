@@ -1,0 +1,54 @@
+"""What is known of the connection and of who is at its other end, and news of it for the log."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+log = logging.getLogger(__name__)
+
+SAY_AGAIN = 10.0  # s before the same news is logged again
+OPENING = "opening"
+
+
+@dataclass(slots=True)
+class Contact:
+    """Facts kept by `MavlinkAutopilot`; all times are ours [s].
+
+    expected_system: the vehicle that the user named, None for the first one heard; down: why there is no connection,
+    None while there is one; frames_before: good frames of earlier connections; heard_at: when our autopilot last spoke;
+    others: (system, component) of who else speaks, and what it is; signature_trouble: why signed frames are refused.
+    """
+
+    expected_system: int | None
+    down: str | None = OPENING
+    opened_at: float = 0.0
+    received_at: float = -math.inf
+    bytes: int = 0  # of this connection
+    frames_before: int = 0
+    system: int | None = None
+    known_at: float = 0.0
+    heard_at: float = -math.inf
+    others: dict[tuple[int, int], str] = field(default_factory=dict)
+    signature_trouble: str = ""
+    foreign: int = 0
+    reconnects: int = 0
+
+
+class News:
+    """Logs, but the same news at most every SAY_AGAIN seconds: a flapping link writes no stream of lines."""
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._said: dict[str, float] = {}  # by name, when it was logged last
+
+    def say(self, level: int, name: str, text: str, *values: object) -> None:
+        now = self._now()
+        if now - self._said.get(name, -math.inf) >= SAY_AGAIN:
+            self._said[name] = now
+            log.log(level, text, *values)
+
+    def warn(self, name: str, text: str, *values: object) -> None:
+        self.say(logging.WARNING, name, text, *values)

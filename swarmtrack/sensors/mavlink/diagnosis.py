@@ -1,0 +1,166 @@
+"""Where the link to an autopilot stands, and why it is not streaming, in one sentence.
+
+    searching ── heartbeat of an autopilot ──▶ requesting ── first IMU sample ──▶ streaming ◀──▶ stale (0.5 s)
+        ▲                                          ▲                                   │
+        └──── connection gone, tried again ────────┴──────────── lost (3 s) ◀──────────┘
+
+Every state but streaming names its reason within 3 s: in `status`, and as one line in the log when it changes.
+"""
+
+from __future__ import annotations
+
+import enum
+import logging
+import math
+
+from swarmtrack.messages import LinkStatus
+from swarmtrack.sensors.mavlink.contact import OPENING, Contact, News
+from swarmtrack.sensors.mavlink.framer import Framer
+from swarmtrack.sensors.mavlink.links import Link
+from swarmtrack.sensors.mavlink.signing import Codec
+from swarmtrack.sensors.mavlink.streams import StreamRequests
+from swarmtrack.sensors.mavlink.telemetry import STALE_AFTER, Telemetry
+
+LOST_AFTER = 3.0  # s without any message of the autopilot
+DIAGNOSE_AFTER = 2.5  # s to wait before a silence is given a name
+
+
+class State(enum.StrEnum):
+    """Where the link to the autopilot stands."""
+
+    SEARCHING = "searching"
+    REQUESTING = "requesting"
+    STREAMING = "streaming"
+    STALE = "stale"
+    LOST = "lost"
+    ENDED = "ended"  # a recording has been played to its end
+
+
+class Diagnosis:
+    """Looks at all parts of a `MavlinkAutopilot` and changes none of them."""
+
+    def __init__(
+        self,
+        *,
+        link: Link,
+        contact: Contact,
+        framer: Framer,
+        codec: Codec,
+        requests: StreamRequests,
+        telemetry: Telemetry,
+        news: News,
+    ) -> None:
+        self._link = link
+        self._contact = contact
+        self._framer = framer
+        self._codec = codec
+        self._requests = requests
+        self._telemetry = telemetry
+        self._news = news
+        self.state = State.SEARCHING
+        self._trouble = "just started"  # the name of the present one, empty while streaming
+
+    def judge(self, now: float) -> None:
+        """Set the state; log one line where it, or the reason for it, has changed."""
+        self.state = self._state_at(now)
+        contact, address = self._contact, self._link.address
+        if self.state is State.STALE or contact.down == OPENING:
+            return  # a hiccup until it is called lost; nothing to say until the first attempt is over
+        if self.state is State.STREAMING:
+            if (
+                self._trouble and self._telemetry.imu_rate_hz
+            ):  # the line tells the rate, so wait until it is known
+                self._trouble = ""
+                self._news.say(
+                    logging.INFO, "streaming", "%s: streaming: %s", address, self._sentence(now)[1]
+                )
+            return
+        name, text = self._sentence(now)
+        patient = contact.down is None and now - max(contact.opened_at, contact.known_at) < DIAGNOSE_AFTER
+        if name != self._trouble and (not patient or self.state is State.LOST):
+            self._trouble = name
+            self._news.warn(name, "%s: %s: %s", address, self.state, text)
+
+    def _state_at(self, now: float) -> State:
+        contact, telemetry = self._contact, self._telemetry
+        if contact.down is not None or contact.system is None:
+            return State.SEARCHING
+        if now - contact.heard_at > LOST_AFTER:
+            return State.LOST
+        silence = now - telemetry.imu_at
+        if silence > LOST_AFTER:
+            return State.REQUESTING
+        return State.STALE if silence > max(STALE_AFTER, 3 * telemetry.cadence.period) else State.STREAMING
+
+    def _sentence(self, now: float) -> tuple[str, str]:
+        """(name, text) of the present state; the name does not change while only a number does."""
+        contact, telemetry = self._contact, self._telemetry
+        if contact.down is not None:
+            return contact.down, contact.down if contact.down == OPENING else f"{contact.down}; trying again"
+        match self.state:
+            case State.SEARCHING:
+                return self._why_no_autopilot()
+            case State.LOST:
+                why = contact.signature_trouble or f"nothing from autopilot {contact.system}"
+                return "lost", f"{why} for {now - contact.heard_at:.0f} s"
+            case State.REQUESTING:
+                return "no imu", "heartbeat, no IMU" + (
+                    "" if self._link.recording else f" ({self._requests.imu.name} asked for)"
+                )
+            case State.ENDED:
+                return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
+            case State.STALE:
+                return "stale", f"no IMU sample for {now - telemetry.imu_at:.1f} s"
+            case State.STREAMING:
+                return "streaming", self._imu_text()
+
+    def _why_no_autopilot(self) -> tuple[str, str]:
+        framer, contact = self._framer, self._contact
+        if not contact.bytes:
+            remark = f" ({self._link.remark})" if self._link.remark else ""
+            return f"0 bytes{remark}", f"port open, 0 bytes{remark}"
+        if framer.good == contact.frames_before:
+            guess = "wrong baud?" if self._link.bytes_per_second is not None else "not MAVLink?"
+            return "no frame", f"bytes but no valid frame: {guess} ({framer.bad_bytes} bad)"
+        if contact.signature_trouble:
+            return "signature", f"frames, but {contact.signature_trouble}"
+        others = ", ".join(f"{s}/{c} {what}".strip() for (s, c), what in contact.others.items())
+        expected = "" if contact.expected_system is None else f" of system {contact.expected_system}"
+        return (
+            "no heartbeat",
+            f"frames but no autopilot heartbeat{expected} (heard: {others or 'nobody by name'})",
+        )
+
+    def _imu_text(self) -> str:
+        telemetry = self._telemetry
+        sigma = telemetry.clock_map.sigma
+        clock = f", clock ±{sigma * 1e3:.1f} ms" if math.isfinite(sigma) else ""
+        asked = "" if self._link.recording else f"{self._requests.imu_stream.asked_hz:g} Hz asked, "
+        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {telemetry.imu_source.name}{clock}"
+
+    def status(self, now: float) -> LinkStatus:
+        """One line for people, and the counters, all since the start."""
+        if self._link.address.scheme == "none":
+            return LinkStatus("autopilot", True, "none: no autopilot asked for")
+        text = f"{self._link.address}: {self.state}: {self._sentence(now)[1]}"
+        framer, requests, codec = self._framer, self._requests, self._codec
+        counters: dict[str, float] = {
+            "imu_rate_asked_hz": requests.imu_rate_hz,
+            "imu_rate_granted_hz": requests.imu_stream.target_hz,
+            **self._telemetry.counters,
+            "frames": framer.good,
+            "frames_unknown": framer.unknown,
+            "foreign": self._contact.foreign,
+            "bad_bytes": framer.bad_bytes,
+            "crc_failures": framer.crc_failures,
+            "reconnects": self._contact.reconnects,
+        }
+        if codec.has_key:
+            counters |= {
+                "signed_good": codec.signed_good,
+                "signed_bad": codec.signed_bad,
+                "signed_old": codec.signed_old,
+                "unsigned": codec.unsigned,
+            }
+        ok = self.state in (State.STREAMING, State.ENDED)
+        return LinkStatus("autopilot", ok, text, tuple(counters.items()))
