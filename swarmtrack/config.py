@@ -6,13 +6,6 @@ start at the folder of the file that names them; those of what is written (`[out
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import json
-import re
-import sys
-import types
-import typing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,8 +14,6 @@ from urllib.parse import quote
 
 import numpy as np
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     PrivateAttr,
     Strict,
@@ -31,8 +22,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
 
 from swarmtrack.calibration import Calibration, load_calibration
 from swarmtrack.errors import ConfigError, SwarmtrackError
@@ -40,27 +29,27 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import IdentityParameters
-from swarmtrack.toml_layers import Key, Layers, Problem, Table, read_layers
+from swarmtrack.toml_layers import Layers, Problem, Table, read_layers
+from swarmtrack.toml_sections import (
+    Count,
+    Number,
+    ParameterSection,
+    Positive,
+    Probability,
+    Section,
+    Switch,
+    Text,
+    Vector,
+    found,
+    one_of,
+    parameter_problems,
+    section_problem,
+)
 from swarmtrack.tracking import TRACKERS
-
-# Strict: "1" is not 1, and true is not 1.0. A whole number is welcome where a number is asked for.
-Number = Annotated[float, Strict(), Field(allow_inf_nan=False)]
-Positive = Annotated[Number, Field(gt=0.0)]
-Probability = Annotated[Number, Field(gt=0.0, lt=1.0)]
-Count = Annotated[int, Strict(), Field(gt=0)]
-Switch = Annotated[bool, Strict()]
-Vector = tuple[Number, Number, Number]
-Text = Annotated[str, Field(min_length=1)]
 
 DISTORTIONS: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 FRD_FROM = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
-
-
-class Section(BaseModel):
-    """A table whose keys are all known."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Start(Section):
@@ -153,7 +142,9 @@ class Mount(Section):
 class CameraSection(Section):
     """[camera]"""
 
-    source: Text = Field(description="v4l2:///dev/video0, file://, images://, rtsp://, http:// or sim://")
+    source: Text = Field(
+        description="v4l2:///dev/video0, file://, images://, rtsp://, http://, detections:// or sim://"
+    )
     calibration: Path | None = Field(
         default=None, description="a Kalibr, ROS camera_info, OpenCV or EuRoC file"
     )
@@ -170,6 +161,9 @@ class CameraSection(Section):
     )
     time_offset_s: Number | None = Field(
         default=None, description="exposure on the IMU's clock = stamp + this; goes before the file's"
+    )
+    max_age_s: Positive = Field(
+        default=0.5, description="a frame exposed longer ago when its turn comes is skipped"
     )
 
     @model_validator(mode="after")
@@ -188,6 +182,10 @@ class CameraSection(Section):
     @property
     def simulated(self) -> bool:
         return self.source.startswith("sim:")
+
+    @property
+    def detects_by_itself(self) -> bool:
+        return self.source.strip().lower().startswith("detections:")
 
 
 class AutopilotSection(Section):
@@ -217,17 +215,6 @@ class DetectorSection(Section):
         description="size of the detector's input by the image's: below 1 faster, above 1 sees farther",
     )
     threads: Count = Field(default=1, description="of inference; more than one is slower on a busy machine")
-
-
-class ParameterSection(BaseModel):
-    """A table whose keys are the fields of a dataclass in the core, which says what is right."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """What was given, checked; for `create_tracker`, `IdentityParameters`."""
-        return dict(self.model_extra or {})
 
 
 class TrackerSection(ParameterSection):
@@ -328,11 +315,13 @@ class MountedCamera(NamedTuple):
 def load_config(path: str | Path) -> DroneConfig:
     """Read a drone's config and all it extends. Raises ConfigError with every problem that was found."""
     layers = read_layers(Path(path), _resolve_inputs)
-    problems = _tracker_problems(layers) + _parameter_problems(layers, "identity", IdentityParameters)
+    problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
     try:
         config = DroneConfig.model_validate(layers.table)
     except ValidationError as error:
-        problems += [_problem(layers, details) for details in error.errors(include_url=False)]
+        problems += [
+            section_problem(layers, details, DroneConfig) for details in error.errors(include_url=False)
+        ]
     if problems:
         raise ConfigError([str(problem) for problem in sorted(problems)])
     config._layers = layers
@@ -410,117 +399,6 @@ def _tracker_problems(layers: Layers) -> list[Problem]:
     if not isinstance(name, str):
         return []  # pydantic says so
     if name not in TRACKERS:
-        text = f"tracker.name: {_found(name)}, {_one_of(name, list(TRACKERS))}"
+        text = f"tracker.name: {found(name)}, {one_of(name, list(TRACKERS))}"
         return [layers.problem(("tracker", "name"), text)]
-    return _parameter_problems(layers, "tracker", TRACKERS[name].Parameters, ignore="name")
-
-
-def _parameter_problems(layers: Layers, section: str, kind: type[Any], ignore: str = "") -> list[Problem]:
-    """What the dataclass `kind`, whose fields the keys of a section are, has against them."""
-    table = layers.table.get(section, {})
-    if not isinstance(table, dict):
-        return []  # pydantic says so
-    hints = typing.get_type_hints(kind)
-    known = [field.name for field in dataclasses.fields(kind)]
-    values = {key: value for key, value in table.items() if key != ignore}
-    problems = []
-    for key, value in values.items():
-        if key not in known:
-            text = f"unknown key, {_one_of(key, known)}"
-        elif not _is_a(value, hints[key]):
-            text = f"{_found(value)}, expected {EXPECTED.get(hints[key], str(hints[key]))}"
-        else:
-            continue
-        problems.append(layers.problem((section, key), f"{section}.{key}: {text}"))
-    if not problems:
-        try:
-            kind(**values)
-        except ValueError as error:  # `tracker.KEY: found …, expected …`
-            key, _, sentence = str(error).partition(": ")
-            problems.append(
-                layers.problem(tuple(key.split(".")), f"{key}: {sentence.removeprefix('found ')}")
-            )
-    return problems
-
-
-EXPECTED: dict[Any, str] = {float: "a number", int: "a whole number", bool: "true or false", str: "a string"}
-
-
-def _is_a(value: object, kind: Any) -> bool:
-    """Whether a TOML value fits a field's type; types that TOML does not have are left to the dataclass."""
-    if isinstance(kind, types.UnionType):
-        return any(_is_a(value, one) for one in typing.get_args(kind) if one is not type(None))
-    if kind is float:
-        return (
-            isinstance(value, int | float)
-            and not isinstance(value, bool)
-            and abs(value) <= sys.float_info.max
-        )
-    if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    return isinstance(value, kind) if kind in EXPECTED else True
-
-
-def _problem(layers: Layers, error: ErrorDetails) -> Problem:
-    """One of pydantic's errors as `FILE:LINE: key: found, expected`."""
-    key: Key = tuple(part for part in error["loc"] if isinstance(part, str))
-    place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in error["loc"])
-    field = _field(key)
-    description = field.description if field else None
-    match error["type"]:
-        case "extra_forbidden":
-            text = _unknown(key)
-        case "missing":
-            text = f"missing, expected {description or 'a number'}"
-        case "value_error":
-            text = error["msg"].removeprefix("Value error, ")
-        case "model_type":
-            text = f"{_found(error['input'])}, expected a table"
-        case "string_pattern_mismatch":
-            text = f"{_found(error['input'])}, expected {description}"
-        case _:
-            # "Input should be greater than 0", "Tuple should have at most 3 items after validation, not 4"
-            expected = re.sub(r"^\w+ should (be|have) ", "", error["msg"])
-            expected = re.sub(r"^a valid (tuple|list)$", "a list", expected)  # TOML has no tuples
-            text = f"{_found(error['input'])}, expected {expected}"
-            text += f" ({description})" if description else ""
-    return layers.problem(key, f"{place.removeprefix('.')}: {text}")
-
-
-def _unknown(key: Key) -> str:
-    """What to say of a key that its table does not have."""
-    known = list(_keys_of(_section(key[:-1])))
-    elsewhere = [f"[{name}]" for name in _keys_of(DroneConfig) if key[-1] in _keys_of(_section((name,)))]
-    if elsewhere:
-        return f"unknown key here, expected in {' or '.join(elsewhere)}"
-    return f"unknown key, {_one_of(key[-1], known)}"
-
-
-def _one_of(word: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f'did you mean "{close[0]}"?' if close else f"expected one of {', '.join(known)}"
-
-
-def _keys_of(section: type[BaseModel]) -> dict[str, FieldInfo]:
-    return {field.alias or name: field for name, field in section.model_fields.items()}
-
-
-def _field(key: Key) -> FieldInfo | None:
-    return _keys_of(_section(key[:-1])).get(key[-1]) if key else None
-
-
-def _section(key: Key) -> type[BaseModel]:
-    """The model of a table; of the nearest one around it where it has none."""
-    section: type[BaseModel] = DroneConfig
-    for part in key:
-        field = _keys_of(section).get(part)
-        kinds = [field.annotation, *typing.get_args(field.annotation)] if field else []
-        inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
-        section = inner[0] if inner else section
-    return section
-
-
-def _found(value: object) -> str:
-    """A value as TOML would write it, shortened."""
-    text = json.dumps(value, default=str, ensure_ascii=False)
-    return text if len(text) <= 60 else f"{text[:57]}…"
+    return parameter_problems(layers, "tracker", TRACKERS[name].Parameters, ignore="name")

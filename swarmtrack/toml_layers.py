@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from swarmtrack.errors import ConfigError
 
-Key = tuple[str, ...]
+Key = tuple[str | int, ...]  # an int: which one of an array
 Table = dict[str, Any]
 
 MAX_BYTES = 256 * 1024  # a config is a page; a recording given by mistake is refused before it is parsed
@@ -149,19 +149,24 @@ def _merge(base: Table, over: Table) -> Table:
 
 def _holds(table: Any, key: Key) -> bool:
     for part in key:
-        if not isinstance(table, dict) or part not in table:
+        if isinstance(part, int):
+            held = isinstance(table, list) and part < len(table)
+        else:
+            held = isinstance(table, dict) and part in table
+        if not held:
             return False
         table = table[part]
     return True
 
 
 def key_lines(text: str) -> dict[Key, int]:
-    """The line of every table and entry of a valid TOML text.
+    """The line of every table and entry of a valid TOML text; of each table of an array, by its index.
 
     tomllib does not tell, so the text is cut into statements: lines are added until they parse by themselves.
     """
     found: dict[Key, int] = {}
     table: Key = ()
+    tables: dict[Key, int] = {}  # of each array of tables, how many there are so far
     pending: list[str] = []
     for number, line in enumerate(text.split("\n"), start=1):
         pending.append(line)
@@ -173,7 +178,10 @@ def key_lines(text: str) -> dict[Key, int]:
             continue
         keys = list(_keys(parsed))
         if pending[0].lstrip().startswith("["):
-            table = keys[-1]
+            table = _within(keys[-1], tables)
+            if pending[0].lstrip().startswith("[["):
+                tables[table] = tables.get(table, 0) + 1
+                table = (*table, tables[table] - 1)
             keys = [table[: depth + 1] for depth in range(len(table))]
             start: Key = ()
         else:
@@ -182,6 +190,17 @@ def key_lines(text: str) -> dict[Key, int]:
             found.setdefault(start + key, number - len(pending) + 1)
         pending = []
     return found
+
+
+def _within(key: Key, tables: dict[Key, int]) -> Key:
+    """The key of a table's header with the index of the newest table for each array of tables that it leads through."""
+    full: Key = ()
+    for part in key[:-1]:
+        full = (*full, part)
+        if full in tables:
+            full = (*full, tables[full] - 1)
+    full = (*full, key[-1])
+    return full
 
 
 def _keys(table: Table) -> Iterator[Key]:

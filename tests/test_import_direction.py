@@ -16,7 +16,7 @@ LAYERS: list[set[str]] = [
     {"motion", "tracking", "identity"},
     {"onboard"},
     {"simulation", "evaluation"},
-    {"config", "toml_layers", "calibration", "codec", "recording"},
+    {"config", "toml_layers", "toml_sections", "scenario_file", "calibration", "codec", "recording", "security"},
     {"detection", "sensors", "transport"},
     {"training"},
     {"runtime"},
