@@ -102,10 +102,12 @@ def score_clip(
     return ClipScore(len(frames), boxes, claimed, hits, switches, squared_error)
 
 
-def match_hits(truth: TruthBoxes, tracks: TrackPoints) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """The hits of one frame: rows (k,) of truth, columns (k,) of tracks, distance (k,) px."""
+def match_hits(
+    truth: TruthBoxes, tracks: TrackPoints, min_radius: float = MIN_HIT_RADIUS
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """The hits of one frame: rows (k,) of truth, columns (k,) of tracks, distance (k,) px. min_radius: px."""
     distance = np.linalg.norm(truth.centre[:, None] - tracks.centre[None], axis=2)
-    radius = np.maximum(MIN_HIT_RADIUS, 0.5 * truth.size.max(axis=1, initial=0.0))
+    radius = np.maximum(min_radius, 0.5 * truth.size.max(axis=1, initial=0.0))
     allowed = distance <= radius[:, None]
     # One hit must outweigh any sum of distances, so that a second hit is never given up for a closer first one.
     miss = 1.0 + float(radius.sum())

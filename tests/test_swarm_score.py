@@ -1,0 +1,252 @@
+"""The judge of a swarm, against cases worked by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScorer
+
+TEAM = (1, 2, 3, 4)
+LEFT, RIGHT = (100.0, 100.0), (300.0, 100.0)
+
+
+def box(u, v, size=20.0):
+    return np.array([u, v, size, size])
+
+
+def track(track_id, identity, u, v, probability=0.99):
+    return NamedTrack(track_id, identity, 0.0 if identity is None else probability, u, v)
+
+
+class Flight:
+    """Glances from t = 0 on; everyone was announced before, the first 20 s are counted."""
+
+    def __init__(self, members=TEAM, announced=TEAM):
+        self.scorer = SwarmScorer(members, start=0.0, end=20.0)
+        for drone in announced:
+            self.scorer.announced(drone, -10.0)
+
+    def show(self, begin, end, in_view, tracks, hidden=None, observer=1, boot="a"):
+        """The same view in every glance of [begin, end) tenths of a second."""
+        for k in range(begin, end):
+            boxes = {drone: box(*place) for drone, place in in_view.items()}
+            behind = {drone: box(*place) for drone, place in (hidden or {}).items()}
+            seen = self.scorer.add(Glance(observer, boot, k, k / 10, boxes, behind, tracks))
+        return seen
+
+    @property
+    def score(self):
+        return self.scorer.score()
+
+
+def test_everyone_named_rightly_scores_perfectly():
+    flight = Flight()
+    flight.show(0, 30, {2: LEFT, 3: RIGHT}, (track(7, 2, *LEFT), track(9, 3, *RIGHT)))
+    score = flight.score
+    assert score.samples == 2 * 20  # of 30 glances, the first second is the observer's
+    assert (score.correct, score.wrong, score.unknown) == (1.0, 0.0, 0.0)
+    assert (score.recall, score.switches, score.false_tracks_per_s) == (1.0, 0, 0.0)
+    assert score.rmse_px == {1: 0.0}
+    assert score.time_to_identify_s == {1: 0.0}
+
+
+def test_a_name_of_another_and_foreign_are_wrong_no_name_and_no_track_are_unknown():
+    flight = Flight()
+    flight.show(0, 10, {2: LEFT}, ())  # not counted yet
+    flight.show(10, 12, {2: LEFT}, (track(7, 3, *LEFT),))
+    flight.show(12, 13, {2: LEFT}, (track(7, "foreign", *LEFT),))
+    flight.show(13, 14, {2: LEFT}, (track(7, None, *LEFT),))
+    flight.show(14, 18, {2: LEFT}, ())
+    flight.show(18, 20, {2: LEFT}, (track(7, 2, *LEFT),))
+    score = flight.score
+    assert (score.samples, score.wrong, score.unknown, score.correct) == (10, 0.3, 0.5, 0.2)
+
+
+def test_an_observer_that_says_nothing_is_at_a_loss_about_everyone_in_view():
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT, 3: RIGHT}, None)
+    assert (flight.score.unknown, flight.score.recall) == (1.0, 0.0)
+
+
+def test_an_id_on_a_track_that_is_nobody_is_wrong_while_its_drone_is_in_view():
+    ghost = (track(7, 2, 500.0, 400.0),)
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT}, ghost)
+    assert flight.score.wrong == 1.0
+    elsewhere = Flight()
+    elsewhere.show(0, 20, {3: LEFT}, (*ghost, track(9, 3, *LEFT)))
+    assert elsewhere.score.wrong == 0.0  # only false
+
+
+def test_who_comes_back_into_view_gives_the_observer_another_second():
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT}, (track(7, 2, *LEFT),))
+    flight.show(20, 30, {}, ())
+    flight.show(30, 40, {2: LEFT}, ())  # its second
+    flight.show(40, 50, {2: LEFT}, (track(8, 2, *LEFT),))
+    score = flight.score
+    assert (score.samples, score.correct) == (20, 1.0)
+    assert score.switches == 1
+
+
+def test_a_new_life_of_the_observer_has_its_second_and_switches_nothing():
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT}, (track(7, 2, *LEFT),), boot="a")
+    flight.show(20, 40, {2: LEFT}, (track(1, 2, *LEFT),), boot="b")
+    assert (flight.score.samples, flight.score.switches) == (20, 0)
+
+
+def test_a_teammate_is_one_from_its_announcement_on():
+    flight = Flight(announced=())
+    flight.show(0, 30, {2: LEFT}, (track(7, None, *LEFT),))
+    assert flight.score.samples == 0
+    assert math.isnan(flight.score.correct)
+    flight.scorer.announced(2, 3.0)
+    flight.show(30, 40, {2: LEFT}, (track(7, None, *LEFT),))
+    flight.show(40, 50, {2: LEFT}, (track(7, 2, *LEFT),))
+    assert (flight.score.samples, flight.score.correct) == (10, 1.0)
+    assert flight.score.time_to_identify_s == {1: pytest.approx(1.0)}
+
+
+def test_a_stranger_may_be_unknown_or_foreign_but_none_of_the_team():
+    flight = Flight(members=(1, 2))
+    flight.show(0, 10, {9: LEFT}, ())
+    flight.show(10, 15, {9: LEFT}, ())  # not tracked: nothing was said of it
+    flight.show(15, 16, {9: LEFT}, (track(7, None, *LEFT),))
+    flight.show(16, 18, {9: LEFT}, (track(7, "foreign", *LEFT),))
+    flight.show(18, 19, {9: LEFT}, (track(7, 2, *LEFT),))
+    score = flight.score
+    assert (score.samples, score.correct, score.wrong, score.unknown) == (4, 0.75, 0.25, 0.0)
+    assert score.recall == pytest.approx(4 / 9)
+    assert score.time_to_identify_s == {}
+
+
+def test_the_time_to_identify_is_the_longest_of_an_observer_and_begins_when_it_could_know():
+    flight = Flight()
+    flight.scorer.knows(1, "a", 2, 0.5)
+    flight.scorer.knows(1, "a", 3, -3.0)
+    flight.scorer.knows(1, "a", 3, 1.0)  # again: nothing new
+    flight.show(0, 12, {2: LEFT, 3: RIGHT}, (track(7, None, *LEFT), track(9, 3, *RIGHT)))
+    flight.show(12, 20, {2: LEFT, 3: RIGHT}, (track(7, 2, *LEFT), track(9, 3, *RIGHT)))
+    flight.show(0, 20, {3: LEFT}, (track(1, 3, *LEFT),), observer=2)
+    assert flight.score.time_to_identify_s == {1: pytest.approx(0.7), 2: 0.0}
+
+
+def test_who_is_never_named_has_taken_until_the_end():
+    flight = Flight()
+    flight.show(5, 51, {2: LEFT}, ())
+    assert flight.score.time_to_identify_s == {1: pytest.approx(4.5)}
+
+
+def test_a_glimpse_is_no_chance_to_identify():
+    flight = Flight()
+    flight.show(0, 5, {2: LEFT}, ())
+    flight.show(5, 60, {}, ())
+    assert flight.score.time_to_identify_s == {}
+    flight.show(60, 63, {2: LEFT}, ())
+    flight.show(63, 80, {2: LEFT}, (track(7, 2, *LEFT),))
+    assert flight.score.time_to_identify_s == {1: pytest.approx(0.3)}
+
+
+def test_agreement_is_of_names_and_unknown_contradicts_nobody():
+    flight = Flight()
+
+    def both(begin, end, one, other):
+        flight.show(begin, end, {3: LEFT}, (track(7, one, *LEFT),), observer=1)
+        flight.show(begin, end, {3: LEFT}, (track(8, other, *LEFT),), observer=2)
+
+    both(0, 10, None, None)
+    both(10, 13, 3, 3)
+    both(13, 14, 3, 4)
+    both(14, 18, 3, None)
+    assert flight.score.agreement == 0.75
+
+
+def test_agreement_is_undefined_where_nobody_shares_a_view():
+    flight = Flight()
+    flight.show(0, 30, {2: LEFT}, (track(7, 2, *LEFT),))
+    assert math.isnan(flight.score.agreement)
+
+
+def test_the_rmse_is_of_the_matched_tracks_against_the_centres_of_the_boxes():
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT}, (track(7, 2, 103.0, 104.0),))
+    flight.show(0, 15, {3: LEFT}, (track(7, 3, 100.0, 100.0),), observer=2)
+    flight.show(15, 20, {3: LEFT}, (track(7, 3, 102.0, 100.0),), observer=2)
+    assert flight.score.rmse_px == {1: pytest.approx(5.0), 2: pytest.approx(math.sqrt(2.0))}
+
+
+@pytest.mark.parametrize(
+    ("off_px", "size", "recall"), [(14.9, 20, 1), (15.1, 20, 0), (39, 80, 1), (41, 80, 0)]
+)
+def test_a_track_is_a_drone_within_15_px_or_half_its_box(off_px, size, recall):
+    scorer = SwarmScorer(TEAM, start=0.0, end=20.0)
+    scorer.announced(2, -1.0)
+    for k in range(15):
+        scorer.add(
+            Glance(1, "a", k, k / 10, {2: box(*LEFT, size)}, {}, (track(7, 2, 100.0 + off_px, 100.0),))
+        )
+    assert scorer.score().recall == recall
+
+
+def test_two_tracks_of_one_drone_are_one_false_track_counted_once():
+    flight = Flight()
+    flight.show(0, 40, {2: LEFT}, (track(7, 2, *LEFT), track(8, None, 101.0, 100.0)))
+    flight.show(0, 40, {3: LEFT}, (track(7, 3, *LEFT),), observer=2)
+    assert flight.score.false_tracks_per_s == pytest.approx(1 / 8)
+
+
+def test_a_track_carried_on_behind_somebody_is_not_false_and_nobody_waits_for_the_hidden():
+    flight = Flight()
+    tracks = (track(7, 2, *LEFT), track(8, 3, 102.0, 100.0))
+    flight.show(0, 40, {2: LEFT}, tracks, hidden={3: (104.0, 100.0)})
+    score = flight.score
+    assert (score.samples, score.correct, score.false_tracks_per_s) == (30, 1.0, 0.0)
+    assert set(score.time_to_identify_s) == {1}
+    assert score.rmse_px == {1: 0.0}
+
+
+def test_two_that_cross_within_pixels_are_not_swapped_by_the_judge():
+    flight = Flight()
+    for k in range(41):
+        shift = 10.0 * (k - 20)
+        at = {2: (200.0 + shift, 100.0), 3: (200.0 - shift, 104.0)}
+        # Both tracks lag by a little, which at the crossing brings each nearer to the other drone.
+        tracks = (track(7, 2, 197.0 + shift, 102.0), track(8, 3, 203.0 - shift, 102.0))
+        flight.show(k, k + 1, at, tracks)
+    assert (flight.score.correct, flight.score.switches) == (1.0, 0)
+
+
+def test_tracks_that_are_swapped_at_a_crossing_are_wrong_and_switched_once_they_part():
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT, 3: RIGHT}, (track(7, 2, *LEFT), track(8, 3, *RIGHT)))
+    flight.show(20, 30, {2: LEFT, 3: RIGHT}, (track(8, 3, *LEFT), track(7, 2, *RIGHT)))
+    assert (flight.score.wrong, flight.score.switches) == (0.5, 2)
+
+
+def test_a_name_that_changes_is_a_switch_and_a_name_that_pauses_is_none():
+    flight = Flight()
+    flight.show(0, 15, {2: LEFT}, (track(7, 2, *LEFT),))
+    flight.show(15, 16, {2: LEFT}, (track(7, None, *LEFT),))
+    flight.show(16, 17, {2: LEFT}, (track(7, 2, *LEFT),))
+    assert flight.score.switches == 0
+    flight.show(17, 18, {2: LEFT}, (track(7, 3, *LEFT),))
+    assert flight.score.switches == 1
+
+
+def test_what_happens_before_and_after_the_counted_time_is_not_counted_but_may_identify():
+    flight = Flight()
+    flight.show(-20, 0, {2: LEFT}, (track(6, 3, *LEFT), track(5, None, *RIGHT)))
+    flight.show(0, 5, {2: LEFT}, (track(6, 2, *LEFT),))
+    flight.show(200, 250, {2: LEFT}, ())
+    score = flight.score
+    assert (score.samples, score.correct, score.false_tracks_per_s) == (5, 1.0, 0.0)
+    assert score.time_to_identify_s == {1: pytest.approx(2.0)}
+
+
+def test_a_glance_says_who_its_tracks_are_and_how_far_off():
+    seen = Flight().show(0, 1, {2: LEFT}, (track(7, 3, 103.0, 104.0), track(8, None, 500.0, 400.0)))
+    assert [(s.track.id, s.drone_id) for s in seen] == [(7, 2), (8, None)]
+    assert seen[0].error_px == pytest.approx(5.0)
+    assert math.isnan(seen[1].error_px)
