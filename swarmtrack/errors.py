@@ -27,3 +27,7 @@ class SourceError(SwarmtrackError):
 
 class TransportError(SwarmtrackError):
     """The network layer refused to start."""
+
+
+class KeysError(SwarmtrackError):
+    """Keys, certificates or a roster that are missing, unsafe, out of date, or another's."""
