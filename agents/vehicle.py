@@ -100,7 +100,10 @@ def _check(path: Path) -> int:
     else:
         autopilot = link_address(link)
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
-    print(f"detector   {parts.detector.status().text}")
+    detector = (
+        "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
+    )
+    print(f"detector   {detector}")
     print(f"tracker    {config.tracker.name}")
     print(f"{path}: ok")
     return DONE
@@ -112,15 +115,16 @@ def _absence(device: str) -> str:
 
 
 def _fly(arguments: argparse.Namespace) -> int:
-    import cv2
-
     from swarmtrack.config import load_config
     from swarmtrack.runtime.agent import Agent
     from swarmtrack.runtime.assembly import assemble
     from swarmtrack.runtime.console import Console
 
-    cv2.setNumThreads(1)  # its pool costs more than it gains on images of this size
     parts = assemble(load_config(arguments.config))
+    if parts.detector is not None:
+        import cv2
+
+        cv2.setNumThreads(1)  # its pool costs more than it gains on images of this size
 
     async def fly() -> None:
         agent = Agent(

@@ -16,7 +16,7 @@ from swarmtrack.errors import SourceError
 from swarmtrack.runtime.clock import ManualClock
 from swarmtrack.sensors.camera_address import parse_address, server_url
 from swarmtrack.sensors.cameras import CAMERAS, open_camera
-from swarmtrack.sensors.mjpeg import NetworkOptions
+from swarmtrack.sensors.http_stream import NetworkOptions
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,10 @@ from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.messages import Frame, IdentifiedTrack, StampKind, Track, TrackList, TrackStatus
 from swarmtrack.onboard import ScanReport
+from swarmtrack.runtime.annotated_video import AnnotatedVideo, annotate
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import Latency, Rate
-from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, AnnotatedVideo, JsonLines, annotate, as_seen
+from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, JsonLines, as_seen
 
 PINHOLE = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 LENS = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.001, 0.0)))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import AsyncIterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from swarmtrack.codec import encode_health, encode_tracks, tracks_message
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import (
     Announcement,
+    Detections,
     EgoPose,
     IdClash,
     ImuSample,
@@ -24,9 +27,14 @@ from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import ManualClock, SystemClock
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import Health
-from swarmtrack.runtime.outputs import AnnotatedVideo, JsonLines, as_seen
+from swarmtrack.runtime.outputs import JsonLines, as_seen
 from swarmtrack.runtime.systemd import Notifier
+from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.transport.base import Kind, Transport
+
+if TYPE_CHECKING:
+    from swarmtrack.detection.detector import Detector
+    from swarmtrack.runtime.annotated_video import AnnotatedVideo
 
 log = logging.getLogger(__name__)
 
@@ -48,14 +56,14 @@ class Agent:
         output = parts.config.output
         with parts.config.blamed("output"):
             self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
-            lossless = parts.paced_by_frames
-            self._video = AnnotatedVideo(output.video, lossless=lossless) if output.video else None
+            self._video = _open_video(parts)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         self._stop = asyncio.Event()
         self._fresh = asyncio.Event()
         self._posed = asyncio.Event()
         self._detecting_since: float | None = None
         self._scanned_at: float | None = None
+        self._all_stale = False
         self._sequence = 0
 
     def stop(self) -> None:
@@ -66,11 +74,11 @@ class Agent:
         """Run all tasks; if a bug kills one, all stop and its exception comes out. seconds: stop after so long."""
         parts = self._parts
         # The first job of the detector's thread: the team hears of us meanwhile, the first frame waits for it.
-        warm = self._worker.submit(parts.detector.warm_up, parts.lens.width, parts.lens.height)
+        warm = self._worker.submit(self._warm_up)
         try:
             await parts.transport.open()
             async with asyncio.TaskGroup() as tasks:
-                camera = tasks.create_task(self._feed_camera(), name="camera")
+                camera = tasks.create_task(self._feed_camera(warm), name="camera")
                 others = [
                     tasks.create_task(self._feed_autopilot(), name="autopilot"),
                     tasks.create_task(self._feed_peers(), name="peers"),
@@ -106,22 +114,16 @@ class Agent:
         """From the autopilot, on the event loop."""
         self._parts.onboard.on_autopilot_reboot()
 
-    async def _feed_camera(self) -> None:
-        """Every frame through the detector, in its thread, into Onboard; returns where a recording ends."""
-        parts, loop = self._parts, asyncio.get_running_loop()
-        async for frame in parts.camera.frames():
-            if isinstance(parts.clock, ManualClock):
-                parts.clock.set(frame.t)
-            self.health.exposure_to_detector.add(parts.clock.now() - frame.t)
-            began = self._detecting_since = self._wall.now()
-            detections = await loop.run_in_executor(self._worker, parts.detector.detect, frame)
-            self._detecting_since = None
+    def _warm_up(self) -> None:
+        if self._parts.detector is not None:
+            self._parts.detector.warm_up(self._parts.lens.width, self._parts.lens.height)
+
+    async def _feed_camera(self, warm: Future[None]) -> None:
+        """Everything that was detected into Onboard; returns where a recording ends."""
+        parts = self._parts
+        await asyncio.wrap_future(warm)
+        async for detections in self._detections():
             self._scanned_at = self._wall.now()
-            self.health.detector.add(self._scanned_at - began)
-            if detections is None:
-                continue
-            if self._video:
-                self._video.keep(frame)
             parts.onboard.on_detections(detections)
             self._report()
             if self._video:
@@ -129,6 +131,50 @@ class Agent:
         # Nothing more will come: what still waits for a gyro sample is tracked now.
         parts.onboard.tracks(parts.clock.now() + 1.0)
         self._report()
+
+    def _detections(self) -> AsyncIterator[Detections]:
+        """From a source that detects by itself, or from a camera and our detector."""
+        camera, detector = self._parts.camera, self._parts.detector
+        if isinstance(camera, DetectionSource):
+            return self._receive(camera)
+        assert detector is not None
+        return self._detect(camera, detector)
+
+    async def _receive(self, source: DetectionSource) -> AsyncIterator[Detections]:
+        async for detections in source.detections():
+            if self._is_fresh(detections.t):
+                yield detections
+
+    async def _detect(self, camera: Camera, detector: Detector) -> AsyncIterator[Detections]:
+        """Every frame through the detector, in its thread."""
+        clock, loop = self._parts.clock, asyncio.get_running_loop()
+        async for frame in camera.frames():
+            if isinstance(clock, ManualClock):
+                clock.set(frame.t)
+            if not self._is_fresh(frame.t):
+                continue
+            began = self._detecting_since = self._wall.now()
+            detections = await loop.run_in_executor(self._worker, detector.detect, frame)
+            self._detecting_since = None
+            self.health.detector.add(self._wall.now() - began)
+            if detections is None:
+                continue
+            if self._video:
+                self._video.keep(frame)
+            yield detections
+
+    def _is_fresh(self, exposed: float) -> bool:
+        """Whether what was exposed then is young enough to be used now; what is not is counted."""
+        age, limit = self._parts.clock.now() - exposed, self._parts.config.camera.max_age_s
+        if age <= limit:
+            self.health.exposure_to_detector.add(age)
+            self._all_stale = False
+            return True
+        self.health.drops["stale_frames"] += 1
+        if not self._all_stale:
+            log.warning("camera: skipped what is %.2f s old, expected camera.max_age_s = %g", age, limit)
+        self._all_stale = True
+        return False
 
     def _report(self) -> None:
         """Hand the finished scans to whoever writes or shows them, and wake the publisher."""
@@ -256,6 +302,16 @@ class Agent:
             self._jsonl.close()
         if self._video:
             self._video.close()
+
+
+def _open_video(parts: Parts) -> AnnotatedVideo | None:
+    path = parts.config.output.video
+    if path is None:
+        return None
+    # Here, not above: OpenCV is nothing that an agent without pictures should pay for.
+    from swarmtrack.runtime.annotated_video import AnnotatedVideo  # noqa: PLC0415
+
+    return AnnotatedVideo(path, lossless=parts.paced_by_frames)
 
 
 async def _speak_for(transport: Transport, announcement: Announcement) -> None:

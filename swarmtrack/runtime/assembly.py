@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
-from swarmtrack.detection.detector import Detector
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -17,18 +17,23 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.onboard import Mounting, Onboard
 from swarmtrack.runtime.clock import Clock, ManualClock, SystemClock
-from swarmtrack.sensors.base import Autopilot, Camera
+from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
-from swarmtrack.sensors.cameras import open_camera
+from swarmtrack.sensors.detection_stream import DetectionStream
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.simulated import Simulation, open_simulation
 from swarmtrack.tracking import TRACKERS, create_tracker
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
+
+# What sees pictures needs OpenCV and ONNX Runtime: 80 MB and half a second, which an agent whose camera detects by
+# itself does not pay. So these modules are imported by the functions that make their objects.
+if TYPE_CHECKING:
+    from swarmtrack.detection.detector import Detector
+    from swarmtrack.sensors.simulated import Simulation
 
 
 @dataclass(slots=True)
@@ -39,9 +44,10 @@ class Parts:
     clock: Clock
     boot: str
     lens: PinholeCamera
-    camera: Camera
+    camera: Camera | DetectionSource
     autopilot: Autopilot | None
-    detector: Detector
+    detector: Detector | None
+    """None where the camera detects by itself."""
     onboard: Onboard
     transport: Transport
     start: Pose | None
@@ -70,6 +76,9 @@ def assemble(config: DroneConfig) -> Parts:
             mounted = mount_camera(config.camera)
     with config.blamed("camera", "source"):
         camera = _camera(config, mounted, clock, simulation)
+    if config.camera.detects_by_itself:
+        with config.blamed("output", "video"):
+            _refuse_video(config)
     with config.blamed("autopilot", "link"):
         autopilot = _autopilot(config, clock, simulation)
     with config.blamed("detector", "model"):
@@ -100,6 +109,8 @@ def _as_fast_as_it_goes(config: DroneConfig) -> bool:
 def _simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
     if not config.camera.simulated:
         return None
+    from swarmtrack.sensors.simulated import open_simulation  # noqa: PLC0415
+
     return open_simulation(config.camera.source, config.drone.id, clock)
 
 
@@ -110,10 +121,22 @@ def _simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCame
 
 def _camera(
     config: DroneConfig, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
-) -> Camera:
+) -> Camera | DetectionSource:
     if simulation is not None:
         return simulation.camera
+    if config.camera.detects_by_itself:
+        return DetectionStream(parse_address(config.camera.source), clock=clock)
+    from swarmtrack.sensors.cameras import open_camera  # noqa: PLC0415
+
     return open_camera(config.camera.source, clock=clock, size=(mounted.camera.width, mounted.camera.height))
+
+
+def _refuse_video(config: DroneConfig) -> None:
+    if config.output.video is not None:
+        raise SourceError(
+            f"found {config.output.video}, expected no video: camera.source {config.camera.source} sends "
+            "detections, no pictures (jsonl does work)"
+        )
 
 
 def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
@@ -171,7 +194,11 @@ def _in_step(link: str) -> str:
     return str(replace(address, speed=1.0)) if address.scheme == "tlog" else link
 
 
-def _detector(config: DroneConfig) -> Detector:
+def _detector(config: DroneConfig) -> Detector | None:
+    if config.camera.detects_by_itself:
+        return None
+    from swarmtrack.detection.detector import Detector  # noqa: PLC0415
+
     section = config.detector
     return Detector(
         section.model,

@@ -37,8 +37,8 @@ class Health:
     def links(self) -> list[LinkStatus]:
         """State of everything this agent is connected to."""
         parts = self._parts
-        links = [parts.camera.status(), parts.detector.status(), parts.transport.status()]
-        return links if parts.autopilot is None else [parts.autopilot.status(), *links]
+        sources = [parts.autopilot, parts.camera, parts.detector, parts.transport]
+        return [source.status() for source in sources if source is not None]
 
     def message(self) -> HealthMessage:
         """Everything since the last call."""

@@ -1,13 +1,14 @@
-"""What a camera and an autopilot are, to the agent. One file implements each kind; `open_camera` and `open_link`
-pick by address. A source that is away (unplugged, not yet booted) is not an error: it says so once, waits and comes
-back. Only an address that can never work raises `SourceError`."""
+"""What a camera and an autopilot are, to the agent. One file implements each kind; the address tells which.
+
+A source that is away (unplugged, not yet booted) is not an error: it says so once, waits and comes back. Only an
+address that can never work raises `SourceError`."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from swarmtrack.messages import EgoPose, Frame, ImuSample, LinkStatus
+from swarmtrack.messages import Detections, EgoPose, Frame, ImuSample, LinkStatus
 
 
 class Camera(Protocol):
@@ -23,6 +24,21 @@ class Camera(Protocol):
 
     def status(self) -> LinkStatus:
         """One line and the counters (fps, dropped, stale, reconnects, age) for the health message."""
+        ...
+
+    async def close(self) -> None: ...
+
+
+@runtime_checkable
+class DetectionSource(Protocol):
+    """A camera that detects by itself, or a detector in another process: no picture ever reaches us."""
+
+    def detections(self) -> AsyncIterator[Detections]:
+        """Yield the newest detections whenever asked for them, those of an empty frame too; never ends by itself."""
+        ...
+
+    def status(self) -> LinkStatus:
+        """As of a camera."""
         ...
 
     async def close(self) -> None: ...

@@ -1,7 +1,7 @@
 """Where a camera is and how to open it: `scheme://target?option=value&…`, read once and checked to the last word.
 
 A misspelt option that is silently ignored costs its user an afternoon, so every word that is not understood is
-refused with the ones that are. The exceptions are `http:` and `rtsp:`, whose query belongs to the server: there our
+refused with the ones that are. The exceptions are network schemes, whose query belongs to the server: there our
 own options are taken out and the rest is sent on.
 """
 
@@ -18,7 +18,8 @@ from urllib.parse import parse_qsl, quote, unquote, urlencode, urlsplit
 
 from swarmtrack.errors import SourceError
 
-NETWORK_SCHEMES = ("http", "https", "rtsp")
+DETECTS_BY_ITSELF = "detections"
+NETWORK_SCHEMES = ("http", "https", "rtsp", DETECTS_BY_ITSELF)
 
 Options = TypeVar("Options")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from swarmtrack.errors import SourceError
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.base import Camera
-from swarmtrack.sensors.camera_address import nearest, parse_address
+from swarmtrack.sensors.camera_address import DETECTS_BY_ITSELF, nearest, parse_address
 from swarmtrack.sensors.images import open_images
 from swarmtrack.sensors.mjpeg import MjpegCamera
 from swarmtrack.sensors.rtsp import RtspCamera
@@ -35,7 +35,8 @@ def open_camera(
     """
     address = parse_address(source)
     if address.scheme not in CAMERAS:
+        known = [*CAMERAS, DETECTS_BY_ITSELF]
         raise SourceError(
-            f'camera source {address}: unknown scheme "{address.scheme}"{nearest(address.scheme, CAMERAS)}'
+            f'camera source {address}: unknown scheme "{address.scheme}"{nearest(address.scheme, known)}'
         )
     return CAMERAS[address.scheme](address, clock=clock, size=size, base=base)

@@ -21,15 +21,9 @@ import numpy as np
 from swarmtrack.messages import Frame, LinkStatus, StampKind
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
-from swarmtrack.sensors.frame_slot import (
-    BACKOFF_FIRST,
-    BACKOFF_LONGEST,
-    CLOSE_TIMEOUT,
-    FrameSlot,
-    RawFrame,
-    already,
-)
-from swarmtrack.sensors.mjpeg import NetworkOptions
+from swarmtrack.sensors.frame_slot import FrameSlot, RawFrame, already
+from swarmtrack.sensors.http_stream import NetworkOptions
+from swarmtrack.sensors.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, CLOSE_TIMEOUT
 from swarmtrack.sensors.video import open_video
 
 DEFAULT_PORT = 554

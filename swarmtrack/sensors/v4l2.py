@@ -37,16 +37,8 @@ from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors import v4l2_abi as abi
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, read_options
 from swarmtrack.sensors.decode import decode_grey, decode_jpeg, decode_yuyv
-from swarmtrack.sensors.frame_slot import (
-    BACKOFF_FIRST,
-    BACKOFF_LONGEST,
-    BadImage,
-    FrameSlot,
-    Freshness,
-    RawFrame,
-    start,
-    stop,
-)
+from swarmtrack.sensors.frame_slot import BadImage, FrameSlot, Freshness, RawFrame
+from swarmtrack.sensors.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, start, stop
 
 FORMATS = ("GREY", "YUYV", "MJPG")  # what we decode, best first: the first two need no decompression
 LIBCAMERA_DRIVERS = ("unicam", "rp1-cfe")
