@@ -105,13 +105,17 @@ def visible(
             low, high = pixels.min(axis=0), pixels.max(axis=0)
             box = np.concatenate([(low + high) / 2.0, high - low])
             candidates.append((float(np.linalg.norm(camera_from_body.position)), other, box))
+    return shown({other: box for _, other, box in sorted(candidates, key=lambda c: c[:2])}, camera)
 
-    boxes: dict[int, Array] = {}
-    for _, other, box in sorted(candidates, key=lambda candidate: candidate[:2]):
+
+def shown(boxes: Mapping[int, Array], camera: PinholeCamera) -> dict[int, Array]:
+    """Of all boxes (4,) [u, v, w, h] px ahead of a camera, nearest first, those of `visible`."""
+    seen: dict[int, Array] = {}
+    for drone_id, box in boxes.items():
         inside = -0.5 <= box[0] < camera.width - 0.5 and -0.5 <= box[1] < camera.height - 0.5
-        if inside and all(_covered(box, nearer) < OCCLUDED for nearer in boxes.values()):
-            boxes[other] = box
-    return boxes
+        if inside and all(_covered(box, nearer) < OCCLUDED for nearer in seen.values()):
+            seen[drone_id] = box
+    return seen
 
 
 def _covered(box: Array, nearer: Array) -> float:
