@@ -19,7 +19,6 @@ from pydantic import (
     Strict,
     TypeAdapter,
     ValidationError,
-    field_validator,
     model_validator,
 )
 
@@ -27,6 +26,7 @@ from swarmtrack.calibration import Calibration, load_calibration
 from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
+from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import IdentityParameters
 from swarmtrack.toml_layers import Layers, Problem, Table, read_layers
@@ -60,23 +60,18 @@ class Start(Section):
     )
     yaw_deg: Number = Field(default=0.0, description="of the nose, clockwise from the team frame's north")
     position_sigma_m: Positive = Field(
-        default=0.1, description="standard deviation of the start's position, m per axis"
+        default=0.1,
+        description="standard deviation of the start's position, m per axis; by GPS: instead of the receiver's own",
     )
-    source: Literal["local"] | None = Field(
-        default=None, alias="from", description='"local": the pose is the autopilot\'s own, moved by offset_m'
+    source: Literal["local", "gps"] | None = Field(
+        default=None,
+        alias="from",
+        description='"local": the pose is the autopilot\'s own, moved by offset_m; "gps": its global position, '
+        "counted from the origin in [team], and its heading from true north",
     )
     offset_m: Vector = Field(
         default=ORIGIN, description="origin of the autopilot's local frame in the team frame, m"
     )
-
-    @field_validator("source", mode="before")
-    @classmethod
-    def _gps_is_to_come(cls, value: object) -> object:
-        if value == "gps":
-            raise ValueError(
-                '"gps" is not supported yet, expected "local", or position_m and yaw_deg instead'
-            )
-        return value
 
     @model_validator(mode="after")
     def _one_way_only(self) -> Start:
@@ -87,11 +82,41 @@ class Start(Section):
             )
         if self.source is None and "offset_m" in self.model_fields_set:
             raise ValueError('offset_m without from = "local", expected position_m instead')
+        if self.source == "gps" and "offset_m" in self.model_fields_set:
+            raise ValueError('offset_m beside from = "gps", expected the origin in [team] to be moved')
         return self
+
+    @property
+    def stated_sigma_m(self) -> float | None:
+        """`position_sigma_m` where the user wrote it."""
+        return self.position_sigma_m if "position_sigma_m" in self.model_fields_set else None
 
     def pose(self) -> Pose:
         """team_from_body of a drone that stands level; its true roll and pitch are the autopilot's to say."""
         return Pose(rotation.from_euler(0.0, 0.0, np.radians(self.yaw_deg)), np.array(self.position_m))
+
+
+class TeamOrigin(Section):
+    """Where on the Earth the team frame begins."""
+
+    lat_deg: Annotated[Number, Field(ge=-90.0, le=90.0)] = Field(description="north positive, WGS-84 degrees")
+    lon_deg: Annotated[Number, Field(ge=-180.0, le=180.0)] = Field(
+        description="east positive, WGS-84 degrees"
+    )
+    alt_m: Annotated[Number, Field(ge=-500.0, le=9000.0)] = Field(
+        description="above mean sea level, as autopilots give it, m"
+    )
+
+    def place(self) -> Geodetic:
+        return Geodetic.from_degrees(self.lat_deg, self.lon_deg, self.alt_m)
+
+
+class TeamSection(Section):
+    """[team]: what the team frame is; the same for every drone."""
+
+    origin: TeamOrigin | None = Field(
+        default=None, description="{ lat_deg, lon_deg, alt_m } of the team frame's origin, for starts by GPS"
+    )
 
 
 class Vehicle(Section):
@@ -274,6 +299,7 @@ class MotionSection(Section):
 class DroneConfig(Section):
     """Everything one agent is told at its start."""
 
+    team: TeamSection = TeamSection()
     drone: Vehicle = Field(description="a table [drone] with at least id")
     camera: CameraSection = Field(description="a table [camera] with source and calibration")
     autopilot: AutopilotSection = AutopilotSection()
@@ -316,6 +342,7 @@ def load_config(path: str | Path) -> DroneConfig:
     """Read a drone's config and all it extends. Raises ConfigError with every problem that was found."""
     layers = read_layers(Path(path), _resolve_inputs)
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
+    problems += _start_problems(layers)
     try:
         config = DroneConfig.model_validate(layers.table)
     except ValidationError as error:
@@ -390,6 +417,28 @@ def _beside(address: str, schemes: tuple[str, ...], folder: str) -> str:
     if scheme.lower() not in schemes or not target or target.startswith(("/", "~")):
         return address
     return f"{scheme}:{'//' if rest != target else ''}{folder}/{target}"
+
+
+def _start_problems(layers: Layers) -> list[Problem]:
+    """What a start by the autopilot needs elsewhere."""
+    tables = {
+        name: table if isinstance(table := layers.table.get(name), dict) else {}
+        for name in ("drone", "team", "autopilot")
+    }
+    start = tables["drone"].get("start")
+    source = start.get("from") if isinstance(start, dict) else None
+    if source not in ("local", "gps"):
+        return []
+    wants = []
+    link = tables["autopilot"].get("link", "none")
+    if link == "none" or (link == "sim" and source == "gps"):
+        wants.append(f'without a MAVLink autopilot, expected autopilot.link beside it, found "{link}"')
+    if source == "gps" and "origin" not in tables["team"]:
+        wants.append(
+            "without an origin of the team frame, expected [team] origin = { lat_deg = …, lon_deg = …, alt_m = … }"
+        )
+    key = ("drone", "start", "from")
+    return [layers.problem(key, f'drone.start.from: "{source}" {want}') for want in wants]
 
 
 def _tracker_problems(layers: Layers) -> list[Problem]:

@@ -54,7 +54,7 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoPose:
-    """Where this drone is, by its own autopilot, in the frame the autopilot started in (NED).
+    """Where this drone is, by its own autopilot: in the frame it started in (NED), or by GPS in the team frame.
 
     position (3,) m, None where the autopilot knows its attitude only (ArduPilot before its EKF has an origin);
     world_from_body (3, 3); sigmas are one standard deviation per axis [m], [rad].

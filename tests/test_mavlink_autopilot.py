@@ -22,10 +22,12 @@ from fake_autopilot import FakeAutopilot, serve_udp
 from pymavlink.dialects.v20 import ardupilotmega, common
 
 from swarmtrack.errors import SourceError
+from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.messages import EgoPose, ImuSample
 from swarmtrack.runtime.clock import ManualClock, SystemClock
 from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.links import Receiver, records
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "mavlink"
@@ -40,6 +42,10 @@ class Listener:
         self.imu: list[ImuSample] = []
         self.poses: list[EgoPose] = []
         self.reboots = 0
+        self.found_flying = 0
+
+    def on_found_flying(self) -> None:
+        self.found_flying += 1
 
     def on_autopilot_reboot(self) -> None:
         self.reboots += 1
@@ -494,11 +500,12 @@ async def test_a_serial_port_that_tells_nothing_names_the_reason(sent, reason):
 # ── recordings ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-async def replay(name: str) -> tuple[MavlinkAutopilot, Listener]:
+async def replay(name: str, **options: Any) -> tuple[MavlinkAutopilot, Listener]:
     path = SHARED / name
     if not path.exists():
         pytest.skip(f"needs ../shared/data/mavlink/{name}")
-    unit, listener = MavlinkAutopilot(f"tlog:{path}?pace=fast", clock=ManualClock(1000.0)), Listener()
+    unit = MavlinkAutopilot(f"tlog:{path}?pace=fast", clock=ManualClock(1000.0), **options)
+    listener = Listener()
     await unit.run(listener)
     return unit, listener
 
@@ -534,6 +541,26 @@ async def test_a_recorded_ardupilot_is_read_without_loss_and_agrees_with_its_sim
     assert np.percentile(np.linalg.norm(error_m, axis=1), 95) < 0.1
     assert np.abs(np.median(gyro_error, axis=0)).max() < 5e-3
     assert np.std(gyro_error, axis=0).max() < 0.01
+
+
+@pytest.mark.shared
+async def test_by_gps_a_recorded_flight_is_where_its_local_position_was():
+    """The recording's own GPS_GLOBAL_ORIGIN as the team's: two messages of one estimator, by two conversions."""
+    name = "ardupilot_sitl.tlog"
+    _, local = await replay(name)
+    origin = Geodetic.from_degrees(-35.3632610, 149.1652299, 584.090)
+    gps, by_gps = await replay(name, gps=GlobalPosition(origin))
+    where = {p.t: p.position for p in local.poses if p.position is not None}
+    errors = [p.position - where[p.t] for p in by_gps.poses if p.position is not None and p.t in where]
+    assert len(errors) > 0.95 * len(where)
+    distance = np.ptp([p.position for p in by_gps.poses if p.position is not None], axis=0)
+    assert distance[0] > 10.0
+    # The grids of 11 and 10 mm, and 0.1 s of velocity in cm/s.
+    assert np.percentile(np.abs(errors), 95) < 0.1
+    assert {p.position_sigma for p in by_gps.poses if p.position is not None} == {
+        0.3
+    }  # h_acc of the recording
+    assert gps.status().ok
 
 
 def simulator_truth(path: Path) -> np.ndarray:

@@ -39,7 +39,8 @@ class EgoHistory:
     The autopilot's local frame begins wherever it was switched on. `start` says where that is for the team; both frames
     are level, so one yaw and one translation, taken from the first attitude and the first position, connect them. Until
     the autopilot knows a position, and without an autopilot, the drone is where it started. Without `start` the
-    autopilot's own frame is the team's, moved to `origin` (3,) m.
+    autopilot's own frame is the team's, moved to `origin` (3,) m. `absolute`: the poses are in the team frame already,
+    also those after a reboot (GPS).
 
     Heading and place are continuous in the team frame: when the estimator's heading jumps (it aligns itself seconds
     after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
@@ -47,10 +48,16 @@ class EgoHistory:
     """
 
     def __init__(
-        self, *, start: Pose | None = None, origin: Array | None = None, history_s: float = 2.0
+        self,
+        *,
+        start: Pose | None = None,
+        origin: Array | None = None,
+        absolute: bool = False,
+        history_s: float = 2.0,
     ) -> None:
         self.start = start
         self.origin = np.zeros(3) if origin is None else origin
+        self.absolute = absolute
         self.history_s = history_s
         self.out_of_order = 0
         self.without_position = 0
@@ -58,6 +65,7 @@ class EgoHistory:
         self._turn: Array | None = None
         self._shift: Array | None = None
         self._yaw: tuple[float, float] | None = None
+        self._placed: TeamPose | None = None  # the last whose position the autopilot knew
         self._poses: list[TeamPose] = []
 
     def append(self, pose: EgoPose) -> None:
@@ -71,17 +79,17 @@ class EgoHistory:
             self.without_position += 1
             return
         turned = turn @ pose.world_from_body
-        insort(
-            self._poses,
-            TeamPose(pose.t, position, turned, sigma, pose.attitude_sigma),
-            key=lambda kept: kept.t,
-        )
+        placed = TeamPose(pose.t, position, turned, sigma, pose.attitude_sigma)
+        insort(self._poses, placed, key=lambda kept: kept.t)
+        if pose.position is not None:
+            self._placed = placed
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
             del self._poses[0]
 
     def restart(self) -> None:
         """The autopilot has rebooted: its frame may begin anywhere, the drone goes on from where it was."""
-        self._shift = None
+        if not self.absolute:
+            self._shift = None
 
     def at(self, t: float) -> TeamPose | None:
         """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings."""
@@ -115,7 +123,11 @@ class EgoHistory:
         start = None if self.start is None else self.start.position
         last = self._poses[-1].position if self._poses else start
         if pose.position is None:
-            return last, HELD_POSITION_SIGMA
+            if self._placed is None:
+                return last, HELD_POSITION_SIGMA
+            # It was known and is no more: the drone may have moved on.
+            age = abs(pose.t - self._placed.t)
+            return last, math.hypot(self._placed.position_sigma, SPEED_SIGMA * age)
         assert self._turn is not None
         if self._shift is None:
             self._shift = self.origin if last is None else last - self._turn @ pose.position

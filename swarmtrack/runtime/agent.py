@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-UTC_SIGMA = 0.05  # s: what a companion kept by NTP knows of UTC
 HEALTH_PERIOD = 1.0  # s
 CLOSE_TIMEOUT = 1.5  # s for everything together
 STUCK_DETECTOR = 10.0  # s on one frame: no longer slow but stuck, and the supervisor should know
@@ -49,6 +48,7 @@ class Agent:
 
     def __init__(self, parts: Parts, *, console: Console) -> None:
         self.health = Health(parts)
+        self._team = Teamwork(parts, self.health)
         self._parts = parts
         self._console = console
         self._notifier = Notifier()
@@ -60,7 +60,6 @@ class Agent:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         self._stop = asyncio.Event()
         self._fresh = asyncio.Event()
-        self._posed = asyncio.Event()
         self._detecting_since: float | None = None
         self._scanned_at: float | None = None
         self._all_stale = False
@@ -81,8 +80,9 @@ class Agent:
                 camera = tasks.create_task(self._feed_camera(warm), name="camera")
                 others = [
                     tasks.create_task(self._feed_autopilot(), name="autopilot"),
-                    tasks.create_task(self._feed_peers(), name="peers"),
-                    tasks.create_task(self._announce(), name="announce"),
+                    tasks.create_task(self._team.listen(), name="peers"),
+                    tasks.create_task(self._team.announce(), name="announce"),
+                    tasks.create_task(self._team.report(), name="identities"),
                     tasks.create_task(self._publish_tracks(warm), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
                 ]
@@ -108,11 +108,20 @@ class Agent:
         """From the autopilot, on the event loop."""
         self._parts.onboard.on_pose(pose)
         if pose.position is not None:
-            self._posed.set()
+            self._team.on_position()
 
     def on_autopilot_reboot(self) -> None:
         """From the autopilot, on the event loop."""
         self._parts.onboard.on_autopilot_reboot()
+
+    def on_found_flying(self) -> None:
+        """From the autopilot, on the event loop."""
+        if self._parts.start is not None:
+            line = (
+                'in the air already, but announced at its fixed drone.start: expected from = "local" or "gps"'
+            )
+            self.health.events.append(line)
+            log.warning("drone %d is %s", self._parts.config.drone.id, line)
 
     def _warm_up(self) -> None:
         if self._parts.detector is not None:
@@ -190,38 +199,6 @@ class Agent:
                 self._video.write(report, seen)
                 self.health.drops["video_frames"] = self._video.dropped
             self._fresh.set()
-
-    async def _feed_peers(self) -> None:
-        async for event in self._parts.transport.events():
-            if isinstance(event, Announcement):
-                self._parts.onboard.on_announcement(event)
-            line = _describe(event)
-            self.health.events.append(line)
-            log.log(logging.WARNING if isinstance(event, IdClash) else logging.INFO, line)
-
-    async def _announce(self) -> None:
-        """The one broadcast, as soon as this drone knows where it is; then those of simulated teammates."""
-        parts = self._parts
-        if parts.start is None:
-            await self._posed.wait()
-        pose = parts.onboard.ego_pose(parts.clock.now())
-        assert pose is not None
-        start = parts.start or Pose(pose.world_from_body, pose.position)
-        sigma = parts.config.drone.start.position_sigma_m
-        await parts.transport.announce(
-            Announcement(
-                drone_id=parts.config.drone.id,
-                boot=parts.boot,
-                sequence=1,
-                t=parts.clock.now(),
-                t_sigma=UTC_SIGMA,
-                position=start.position,
-                world_from_body=start.rotation,
-                position_cov=sigma**2 * np.eye(3),
-            )
-        )
-        for transport, announcement in parts.simulated_teammates:
-            await _speak_for(transport, announcement)
 
     async def _publish_tracks(self, warm: Future[None]) -> None:
         """At `tracks_hz`, and at once when a scan was tracked."""
@@ -312,25 +289,3 @@ def _open_video(parts: Parts) -> AnnotatedVideo | None:
     from swarmtrack.runtime.annotated_video import AnnotatedVideo  # noqa: PLC0415
 
     return AnnotatedVideo(path, lossless=parts.paced_by_frames)
-
-
-async def _speak_for(transport: Transport, announcement: Announcement) -> None:
-    await transport.open()
-    await transport.announce(announcement)
-
-
-def _describe(event: PeerEvent) -> str:
-    match event:
-        case Announcement(drone_id=drone_id, boot=boot):
-            return f"drone {drone_id} announced itself (boot {boot})"
-        case PeerArrived(drone_id=drone_id, boot=boot):
-            return f"drone {drone_id} is alive (boot {boot})"
-        case PeerDeparted(drone_id=drone_id, boot=boot):
-            return f"drone {drone_id} is gone (boot {boot})"
-        case IdClash(drone_id=drone_id, boots=boots, ours=True):
-            said = f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
-            return f"{said}: give one another drone.id"
-        case IdClash(drone_id=drone_id, boots=boots):
-            return (
-                f"two agents speak as drone {drone_id} (boots {', '.join(boots)}): give one another drone.id"
-            )

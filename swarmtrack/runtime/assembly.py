@@ -22,6 +22,7 @@ from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.detection_stream import DetectionStream
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.tracking import TRACKERS, create_tracker
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
@@ -141,7 +142,7 @@ def _refuse_video(config: DroneConfig) -> None:
 
 def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
     start = config.drone.start
-    if start.source == "local":
+    if start.source is not None:
         return None
     if simulation is not None and "start" not in config.drone.model_fields_set:
         return simulation.initial_pose
@@ -163,7 +164,12 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
             angular_acceleration_psd=motion.angular_acceleration_psd_rad2_s3,
             bias=(x, y, z),
         ),
-        ego=EgoHistory(start=start, origin=np.array(config.drone.start.offset_m), history_s=motion.history_s),
+        ego=EgoHistory(
+            start=start,
+            origin=np.array(config.drone.start.offset_m),
+            absolute=config.drone.start.source == "gps",
+            history_s=motion.history_s,
+        ),
         identity=IdentityParameters(**config.identity.parameters),
         measurement_sigma=tracking.measurement_sigma,
     )
@@ -185,7 +191,15 @@ def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None)
         imu_rate_hz=section.imu_rate_hz,
         system_id=section.system_id,
         signing_key=section.signing_key,
+        gps=_gps(config),
     )
+
+
+def _gps(config: DroneConfig) -> GlobalPosition | None:
+    start, origin = config.drone.start, config.team.origin
+    if start.source != "gps" or origin is None:
+        return None
+    return GlobalPosition(origin.place(), start.stated_sigma_m)
 
 
 def _in_step(link: str) -> str:

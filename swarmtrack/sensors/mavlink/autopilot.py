@@ -26,9 +26,10 @@ from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.contact import Contact, News
 from swarmtrack.sensors.mavlink.diagnosis import LOST_AFTER, Diagnosis, State
 from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Frame, Framer
+from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link
 from swarmtrack.sensors.mavlink.signing import Codec, read_key
-from swarmtrack.sensors.mavlink.streams import LINE_SHARE, StreamRequests
+from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, StreamRequests
 from swarmtrack.sensors.mavlink.telemetry import Telemetry
 
 log = logging.getLogger(__name__)
@@ -40,6 +41,7 @@ SILENT_TCP = 5.0  # s without a byte: the other end went without saying so
 RETRY_FIRST, RETRY_LAST = 0.5, 5.0  # s between attempts to connect, doubling
 FASTEST_IMU = 8000.0  # Hz: what the sensors themselves reach
 EARLY_FRAMES = 1000  # kept until a heartbeat tells whose they are: more than a second of a fast link
+FLYING = (common.MAV_STATE_ACTIVE, common.MAV_STATE_CRITICAL, common.MAV_STATE_EMERGENCY)
 NAMED_SOURCES = 8  # other systems remembered by name
 
 
@@ -48,7 +50,8 @@ class MavlinkAutopilot:
 
     link: an address such as `udpin:0.0.0.0:14540`, or a link already made; system_id: the vehicle to listen to, None
     for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
-    see signing.py. Raises `SourceError` for what can never work.
+    see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame. Raises
+    `SourceError` for what can never work.
 
     Beside `run`, `opened`, `received` and `tick` are all there is to it: told the time, it needs no event loop.
     """
@@ -62,6 +65,7 @@ class MavlinkAutopilot:
         system_id: int | None = None,
         component_id: int = 191,
         signing_key: Path | None = None,
+        gps: GlobalPosition | None = None,
     ) -> None:
         if not 0.0 < imu_rate_hz <= FASTEST_IMU:
             raise SourceError(
@@ -77,9 +81,9 @@ class MavlinkAutopilot:
         self._framer = Framer()
         self._contact = Contact(system_id)
         self._news = News(self._now)
-        self._requests = StreamRequests(imu_rate_hz)
+        self._requests = StreamRequests(imu_rate_hz, LOCAL_POSE if gps is None else GLOBAL_POSE)
         self._telemetry = Telemetry(
-            self._requests, self._contact, self._news, send=self._send, name=str(self._link.address)
+            self._requests, self._contact, self._news, gps=gps, send=self._send, name=str(self._link.address)
         )
         self._diagnosis = Diagnosis(
             link=self._link,
@@ -97,6 +101,7 @@ class MavlinkAutopilot:
         }
         self._early: deque[tuple[float, Frame]] = deque(maxlen=EARLY_FRAMES)
         self._next_heartbeat = self._next_tick = -math.inf
+        self._greeted = False
 
     # ── running ──────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -285,7 +290,13 @@ class MavlinkAutopilot:
             )
 
     def _on_heartbeat(self, t: float, m: Any) -> None:
-        """Being heard is all that a heartbeat of a known autopilot tells us."""
+        """The first one tells whether the drone is on the ground; the others, that the autopilot is there."""
+        if self._greeted:
+            return
+        self._greeted = True
+        # Armed on the ground ArduPilot is in STANDBY; PX4 is ACTIVE as soon as it is armed.
+        if m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED and m.system_status in FLYING:
+            self._telemetry.listener.on_found_flying()
 
     def _on_ack(self, t: float, m: Any) -> None:
         codec, system = self._codec, self._contact.system

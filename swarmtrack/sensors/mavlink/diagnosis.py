@@ -111,6 +111,8 @@ class Diagnosis:
                 return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
             case State.STALE:
                 return "stale", f"no IMU sample for {now - telemetry.imu_at:.1f} s"
+            case State.STREAMING if telemetry.lack:
+                return "no position", f"{self._imu_text()}, but no position: {telemetry.lack}"
             case State.STREAMING:
                 return "streaming", self._imu_text()
 
@@ -162,5 +164,5 @@ class Diagnosis:
                 "signed_old": codec.signed_old,
                 "unsigned": codec.unsigned,
             }
-        ok = self.state in (State.STREAMING, State.ENDED)
+        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self._telemetry.lack)
         return LinkStatus("autopilot", ok, text, tuple(counters.items()))

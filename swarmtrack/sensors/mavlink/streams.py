@@ -29,6 +29,8 @@ ATTEMPTS = 3  # unanswered ones, before the command counts as not understood
 AGAIN_AFTER = 4.0  # s before a slow stream is asked for again, doubling up to AGAIN_AT_MOST
 AGAIN_AT_MOST = 30.0
 POSE_RATE = 50.0  # Hz
+GLOBAL_POSITION_RATE = 10.0  # Hz: carried on by its velocity in between
+FIX_RATE = 5.0  # Hz: that of most receivers
 LINE_SHARE = 0.7  # of what the line carries may be ours; the rest is for parameters and other programs
 
 NOT_MEASURED = np.full(3, np.nan)
@@ -37,6 +39,12 @@ RAW_IMU: int = common.MAVLINK_MSG_ID_RAW_IMU
 SCALED_IMU: int = common.MAVLINK_MSG_ID_SCALED_IMU
 ATTITUDE_QUATERNION: int = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 LOCAL_POSITION_NED: int = common.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+GLOBAL_POSITION_INT: int = common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+GPS_RAW_INT: int = common.MAVLINK_MSG_ID_GPS_RAW_INT
+
+# Message and rate [Hz], beside the attitude.
+LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: POSE_RATE}
+GLOBAL_POSE: dict[int, float] = {GLOBAL_POSITION_INT: GLOBAL_POSITION_RATE, GPS_RAW_INT: FIX_RATE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +125,9 @@ class Stream:
 class StreamRequests:
     """Asks, watches and asks again. `tick` and `acknowledged` return the messages to send now."""
 
-    def __init__(self, imu_rate_hz: float) -> None:
+    def __init__(self, imu_rate_hz: float, positions: dict[int, float] = LOCAL_POSE) -> None:
         self.imu_rate_hz = imu_rate_hz
+        self._positions = positions
         self._granted: dict[int, float] = {}  # target rates after denials, which outlive a reboot
         self.reset()
 
@@ -143,8 +152,8 @@ class StreamRequests:
 
     def _choose(self) -> None:
         rates = {self.imu.id: self.imu_rate_hz}
-        for message_id in (ATTITUDE_QUATERNION, LOCAL_POSITION_NED):
-            rates[message_id] = max(POSE_RATE, rates.get(message_id, 0.0))
+        rates[ATTITUDE_QUATERNION] = max(POSE_RATE, rates.get(ATTITUDE_QUATERNION, 0.0))
+        rates |= self._positions
         self.streams = {i: Stream(i, rate) for i, rate in rates.items()}
         for i, granted in self._granted.items():
             if i in self.streams:
@@ -271,6 +280,8 @@ class StreamRequests:
 _GROUPS: dict[int, int] = {
     ATTITUDE_QUATERNION: common.MAV_DATA_STREAM_EXTRA1,
     LOCAL_POSITION_NED: common.MAV_DATA_STREAM_POSITION,
+    GLOBAL_POSITION_INT: common.MAV_DATA_STREAM_POSITION,
+    GPS_RAW_INT: common.MAV_DATA_STREAM_EXTENDED_STATUS,
 }
 
 

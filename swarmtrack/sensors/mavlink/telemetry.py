@@ -14,8 +14,11 @@ from swarmtrack.messages import Array, EgoPose, ImuSample
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.clock_map import ClockMap
 from swarmtrack.sensors.mavlink.contact import Contact, News
+from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.streams import (
     ATTITUDE_QUATERNION,
+    GLOBAL_POSITION_INT,
+    GPS_RAW_INT,
     HIGHRES_IMU,
     IMU_MESSAGES,
     LOCAL_POSITION_NED,
@@ -32,6 +35,7 @@ STALE_AFTER = 0.5  # s without an IMU sample, or three of its periods where it c
 FORGOTTEN_AFTER = 3.0  # s without an IMU sample: its rate is counted anew
 PREFER = 2.0  # s a better source of angular velocity must be silent before a lesser one is used
 FASTEST_GYRO = 100.0  # rad/s: no sensor measures more; what claims it is corrupt
+LOCAL_SIGMA = 0.1  # m per axis, against where the local frame began
 POSITION_AGE = 0.5  # s that a position is carried on by its velocity
 POSE_MISMATCH = 5.0  # s between a pose's mapped time and its arrival: it is stamped by another clock
 TIMESYNC_EVERY = 1.0  # s
@@ -43,7 +47,8 @@ RATE_WINDOW = 2.0  # s over which the IMU's rate is counted
 class Telemetry:
     """Told of our autopilot's messages, tells the listener. `readers`: by message id, what takes (arrival, message).
 
-    send: says a message to the autopilot; name: of the link, for the log.
+    gps: makes positions in the team frame; None: they are the autopilot's local ones; send: says a message to the
+    autopilot; name: of the link, for the log.
     """
 
     def __init__(
@@ -52,6 +57,7 @@ class Telemetry:
         contact: Contact,
         news: News,
         *,
+        gps: GlobalPosition | None,
         send: Callable[[Any], None],
         name: str,
     ) -> None:
@@ -64,8 +70,11 @@ class Telemetry:
             RAW_IMU: self._on_imu,
             SCALED_IMU: self._on_imu,
             ATTITUDE_QUATERNION: self._on_attitude,
-            LOCAL_POSITION_NED: self._on_position,
+            LOCAL_POSITION_NED: self._on_local_position,
         }
+        if gps is not None:
+            del self.readers[LOCAL_POSITION_NED]
+            self.readers |= {GPS_RAW_INT: gps.on_fix, GLOBAL_POSITION_INT: self._on_global_position}
         self.imu_at = -math.inf  # when the last sample came
         self.imu_rate_hz = 0.0
         self.imu_samples = 0
@@ -73,6 +82,7 @@ class Telemetry:
         self._requests = requests
         self._contact = contact
         self._news = news
+        self._gps = gps
         self._send = send
         self._name = name
 
@@ -92,6 +102,11 @@ class Telemetry:
     def imu_source(self) -> ImuMessage:
         """The message that the samples come from."""
         return IMU_MESSAGES[self._imu_rank or 0]
+
+    @property
+    def lack(self) -> str:
+        """Why there is no position although one is needed; empty otherwise."""
+        return "" if self._gps is None else self._gps.lack
 
     @property
     def counters(self) -> dict[str, float]:
@@ -169,7 +184,13 @@ class Telemetry:
 
     # ── pose ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _on_position(self, t: float, m: Any) -> None:
+    def _on_global_position(self, t: float, m: Any) -> None:
+        assert self._gps is not None
+        place = self._gps.place(t, m)
+        if place is not None:
+            self._position = (m.time_boot_ms * 1e-3, *place)
+
+    def _on_local_position(self, t: float, m: Any) -> None:
         position, velocity = np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz))
         if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
             self._invalid += 1
@@ -198,7 +219,8 @@ class Telemetry:
             at, position, velocity = self._position
             where = position + (stamp - at) * velocity
         self.poses += 1
-        self.listener.on_pose(EgoPose(ours, where, from_quaternion(q)))
+        sigma = LOCAL_SIGMA if self._gps is None else self._gps.sigma
+        self.listener.on_pose(EgoPose(ours, where, from_quaternion(q), position_sigma=sigma))
 
     def _rebooted(self, stamp: float) -> None:
         self._reboots += 1

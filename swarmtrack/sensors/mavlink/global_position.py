@@ -1,0 +1,79 @@
+"""Where GPS says this drone is, in the team frame.
+
+GLOBAL_POSITION_INT is the position of the autopilot's estimator in degrees, so each message stands for itself.
+LOCAL_POSITION_NED is finer (it has no grid of 11 mm), but counts from an origin that another message tells, that PX4
+moves when its estimator starts anew and ArduPilot sets at some moment after the first fix: beside GPS's own errors the
+grid is nothing, beside an origin taken for another the whole frame is.
+
+Whether to believe it is told by GPS_RAW_INT: both autopilots go on sending positions without a fix, ArduPilot at
+0° N 0° E. Its `h_acc` and `v_acc` are the receiver's own standard deviations. Much of that error is the same for all
+drones of one field and cancels between them, so the user may state a smaller one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from swarmtrack.geometry.geodesy import Geodetic, to_ned
+from swarmtrack.messages import Array
+
+USUAL_SIGMA = 1.5  # m per axis of a receiver that does not say: open sky, no corrections
+WORST_SIGMA = 5.0  # m: what ArduPilot's estimator asks of a receiver before it uses it
+FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
+FIX_AGE = 3.0  # s that a fix is believed: PX4 tells of a receiver that went once a second
+FARTHEST = 100e3  # m from the team's origin: one of the two is wrong
+
+
+class GlobalPosition:
+    """Told of GPS_RAW_INT and GLOBAL_POSITION_INT.
+
+    origin: of the team frame, height above mean sea level; stated_sigma: m per axis, instead of what the receiver says.
+    lack: why there is no position, in a few words; empty while there is one.
+    """
+
+    def __init__(self, origin: Geodetic, stated_sigma: float | None = None) -> None:
+        self.lack = "no GPS_RAW_INT yet"
+        self.sigma = stated_sigma or USUAL_SIGMA
+        self._origin = origin
+        self._stated_sigma = stated_sigma
+        self._fix_at = -math.inf
+        self._fix_lack = self.lack
+
+    def on_fix(self, t: float, m: Any) -> None:
+        """GPS_RAW_INT has come at t [s]."""
+        accuracy = 1e-3 * max(m.h_acc, m.v_acc)  # 0: not told, by an old firmware
+        self._fix_at = t
+        if m.fix_type < FIX_3D:
+            seen = "" if m.satellites_visible == 255 else f" with {m.satellites_visible} satellites"
+            self._fix_lack = f"GPS fix {m.fix_type}{seen}, expected a 3D fix (3 or more)"
+        elif accuracy > WORST_SIGMA:
+            self._fix_lack = f"GPS ±{accuracy:.1f} m, expected ±{WORST_SIGMA:g} m or better"
+        else:
+            self._fix_lack = ""
+            self.sigma = self._stated_sigma or accuracy or USUAL_SIGMA
+        if self._fix_lack:
+            self.lack = self._fix_lack
+
+    def place(self, t: float, m: Any) -> tuple[Array, Array] | None:
+        """Position (3,) m and velocity (3,) m/s, north, east, down, by GLOBAL_POSITION_INT that came at t; or None."""
+        if t - self._fix_at > FIX_AGE and not self._fix_lack:
+            self._fix_lack = "GPS_RAW_INT has stopped"
+        self.lack = self._fix_lack
+        if self.lack:
+            return None
+        if m.lat == m.lon == 0:
+            self.lack = "the estimator has no position yet (0° N 0° E)"
+            return None
+        place = Geodetic.from_degrees(1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
+        position = to_ned(place, self._origin)
+        away = float(np.linalg.norm(position))
+        if not away < FARTHEST:
+            self.lack = (
+                f"{away * 1e-3:.0f} km from the team's origin, expected at most {FARTHEST * 1e-3:.0f} km"
+            )
+            return None
+        return position, 1e-2 * np.array((m.vx, m.vy, m.vz))
