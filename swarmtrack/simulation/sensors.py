@@ -87,42 +87,64 @@ def ego_pose(world: World, drone_id: int, index: int, parameters: EgoParameters)
     )
 
 
+class Instant:
+    """Where all drones of a world are at one time; what each of them sees then is asked of it."""
+
+    def __init__(self, world: World, t: float) -> None:
+        self._ids = list(world.drones)
+        self._poses = [world.pose(drone_id, t) for drone_id in self._ids]
+        self._outlines = np.stack(
+            [
+                pose.transform(world.airframe(drone_id).outline())
+                for drone_id, pose in zip(self._ids, self._poses, strict=True)
+            ]
+        )  # (n, points, 3) m in the world
+
+    def boxes(self, drone_id: int, camera: PinholeCamera, body_from_camera: Pose) -> dict[int, Array]:
+        """True boxes (4,) [u, v, w, h] px (centre and size) of all that is wholly ahead of it, nearest first."""
+        observer = self._ids.index(drone_id)
+        world_from_camera = self._poses[observer] @ body_from_camera
+        in_camera = (self._outlines - world_from_camera.position) @ world_from_camera.rotation
+        pixels, _, valid = camera.project(in_camera.reshape(-1, 3))
+        shape = in_camera.shape[:2]
+        pixels, ahead = pixels.reshape(*shape, 2), valid.reshape(shape).all(axis=1)
+        ahead[observer] = False
+        low, high = pixels.min(axis=1), pixels.max(axis=1)
+        boxes = np.concatenate([(low + high) / 2.0, high - low], axis=1)
+        distances = np.array([np.linalg.norm(p.position - world_from_camera.position) for p in self._poses])
+        nearest_first = sorted(np.flatnonzero(ahead), key=lambda n: (distances[n], self._ids[n]))
+        return {self._ids[n]: boxes[n] for n in nearest_first}
+
+    def visible(self, drone_id: int, camera: PinholeCamera, body_from_camera: Pose) -> dict[int, Array]:
+        """Of these the ones that `drone_id` can see.
+
+        Whoever's box has its centre outside the image, or is covered by a nearer one's, is not seen.
+        """
+        return shown(self.boxes(drone_id, camera, body_from_camera), camera)
+
+
 def visible(
     world: World, drone_id: int, camera: PinholeCamera, body_from_camera: Pose, t: float
 ) -> dict[int, Array]:
-    """True boxes (4,) [u, v, w, h] px (centre and size) of the drones that `drone_id` can see, nearest first.
-
-    Whoever's box has its centre outside the image, or is covered by a nearer one's, is not seen.
-    """
-    camera_from_world = (world.pose(drone_id, t) @ body_from_camera).inverse()
-    candidates = []
-    for other in world.drones:
-        if other == drone_id:
-            continue
-        camera_from_body = camera_from_world @ world.pose(other, t)
-        pixels, _, valid = camera.project(camera_from_body.transform(world.airframe(other).outline()))
-        if valid.all():
-            low, high = pixels.min(axis=0), pixels.max(axis=0)
-            box = np.concatenate([(low + high) / 2.0, high - low])
-            candidates.append((float(np.linalg.norm(camera_from_body.position)), other, box))
-    return shown({other: box for _, other, box in sorted(candidates, key=lambda c: c[:2])}, camera)
+    """True boxes (4,) [u, v, w, h] px of the drones that `drone_id` can see at t, nearest first: see `Instant`."""
+    return Instant(world, t).visible(drone_id, camera, body_from_camera)
 
 
 def shown(boxes: Mapping[int, Array], camera: PinholeCamera) -> dict[int, Array]:
     """Of all boxes (4,) [u, v, w, h] px ahead of a camera, nearest first, those of `visible`."""
-    seen: dict[int, Array] = {}
-    for drone_id, box in boxes.items():
-        inside = -0.5 <= box[0] < camera.width - 0.5 and -0.5 <= box[1] < camera.height - 0.5
-        if inside and all(_covered(box, nearer) < OCCLUDED for nearer in seen.values()):
-            seen[drone_id] = box
-    return seen
-
-
-def _covered(box: Array, nearer: Array) -> float:
-    """The share of `box` inside `nearer`; both (4,) [u, v, w, h]."""
-    low = np.maximum(box[:2] - box[2:] / 2.0, nearer[:2] - nearer[2:] / 2.0)
-    high = np.minimum(box[:2] + box[2:] / 2.0, nearer[:2] + nearer[2:] / 2.0)
-    return float(np.prod(np.maximum(high - low, 0.0)) / np.prod(box[2:]))
+    beyond = (camera.width - 0.5, camera.height - 0.5)
+    inside = {n: box for n, box in boxes.items() if (box[:2] >= -0.5).all() and (box[:2] < beyond).all()}
+    if not inside:
+        return {}
+    ids, table = list(inside), np.stack(list(inside.values()))
+    low, high = table[:, :2] - table[:, 2:] / 2.0, table[:, :2] + table[:, 2:] / 2.0
+    overlap = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    hides = np.maximum(overlap, 0.0).prod(axis=2) / table[:, 2:].prod(axis=1)[:, None] >= OCCLUDED
+    seen: list[int] = []
+    for n in range(len(ids)):
+        if not hides[n, seen].any():
+            seen.append(n)
+    return {ids[n]: table[n] for n in seen}
 
 
 @dataclass(frozen=True, slots=True)

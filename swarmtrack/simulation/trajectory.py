@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +41,20 @@ class YawProfile(Protocol):
     def yaw(self, t: float, flat: Array) -> tuple[float, float]:
         """Yaw [rad] and yaw rate [rad/s] at t, where the drone's path has the derivatives `flat` (4, 3)."""
         ...
+
+
+class Motion(NamedTuple):
+    """Everything about one drone at one instant.
+
+    position (3,) m and velocity (3,) m/s, NED; attitude world_from_body (3, 3); body_rate (3,) rad/s, what a perfect
+    gyro reads, and specific_force (3,) m/s², what a perfect accelerometer reads, in body axes.
+    """
+
+    position: Array
+    velocity: Array
+    attitude: Array
+    body_rate: Array
+    specific_force: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,10 +98,15 @@ class Trajectory:
 
     def inertial(self, t: float) -> tuple[Array, Array]:
         """`body_rate` and `specific_force` at once, as an IMU needs them, for the price of one."""
+        motion = self.motion(t)
+        return motion.body_rate, motion.specific_force
+
+    def motion(self, t: float) -> Motion:
+        """Everything at once, for the price of one."""
         flat = self.path.derivatives(t)
         yaw, yaw_rate = self.yaw_profile.yaw(t, flat)
         attitude, rate = attitude_and_rate(flat[2], flat[3], yaw, yaw_rate)
-        return rate, attitude.T @ (flat[2] - GRAVITY)
+        return Motion(flat[0], flat[1], attitude, rate, attitude.T @ (flat[2] - GRAVITY))
 
     def _attitude_and_rate(self, t: float) -> tuple[Array, Array]:
         flat = self.path.derivatives(t)
@@ -104,7 +123,7 @@ def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: fl
     The rate is the derivative of exactly this construction, hence good to rounding.
     """
     down = GRAVITY - acceleration
-    thrust = float(np.linalg.norm(down))
+    thrust = math.sqrt(down @ down)
     if thrust < FREE_FALL_THRUST:
         raise ValueError(
             f"trajectory: acceleration {acceleration} m/s² is free fall, expected one that needs thrust"
@@ -116,7 +135,7 @@ def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: fl
     right_dot = -yaw_rate * np.array([math.cos(yaw), math.sin(yaw), 0.0])
     ahead = _cross(right, z)
     ahead_dot = _cross(right_dot, z) + _cross(right, z_dot)
-    length = float(np.linalg.norm(ahead))
+    length = math.sqrt(ahead @ ahead)
     x = ahead / length
     x_dot = (ahead_dot - x * (x @ ahead_dot)) / length
     y = _cross(z, x)
@@ -127,10 +146,9 @@ def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: fl
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """a × b of two (3,). Plain products: several times quicker than np.cross on single vectors."""
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], dtype=float
-    )
+    """a × b of two (3,). Plain products of Python's numbers: ten times quicker than np.cross on single vectors."""
+    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 # --- paths ----------------------------------------------------------------------------------------
@@ -148,6 +166,13 @@ class Hover:
         return flat
 
 
+def _sinusoid(amplitude: Array, omega: Array, angle: Array) -> Array:
+    """amplitude sin(angle) and its derivatives where the angle grows by omega: (…) -> (DERIVATIVES, …)."""
+    sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
+    square = omega * omega
+    return np.array([sine, omega * cosine, -square * sine, -square * omega * cosine])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Lissajous:
     """centre + amplitude sin(2π frequency t + phase), each (3,), in m, m, Hz, rad.
@@ -161,13 +186,10 @@ class Lissajous:
     phase: ArrayLike = (0.0, 0.0, 0.0)
 
     def derivatives(self, t: float) -> Array:
-        flat = np.zeros((DERIVATIVES, 3))
         omega = 2.0 * math.pi * np.asarray(self.frequency, dtype=float)
         angle = omega * t + np.asarray(self.phase, dtype=float)
-        amplitude = np.asarray(self.amplitude, dtype=float)
-        for order in range(DERIVATIVES):
-            flat[order] = amplitude * omega**order * np.sin(angle + order * math.pi / 2.0)
-        flat[0] += np.asarray(self.centre, dtype=float)
+        flat = _sinusoid(np.asarray(self.amplitude, dtype=float), omega, angle)
+        flat[0] += self.centre
         return flat
 
 
@@ -191,13 +213,7 @@ class Wander:
 
     def derivatives(self, t: float) -> Array:
         omega = 2.0 * math.pi * self.frequencies
-        angle = omega * t + self.phases
-        return np.stack(
-            [
-                (self.amplitudes * omega**order * np.sin(angle + order * math.pi / 2.0)).sum(axis=0)
-                for order in range(DERIVATIVES)
-            ]
-        )
+        return np.asarray(_sinusoid(self.amplitudes, omega, omega * t + self.phases).sum(axis=1))
 
 
 def wander(rng: np.random.Generator, amplitude: float = 0.03, terms: int = 3) -> Wander:
@@ -242,7 +258,10 @@ class Together:
     paths: Sequence[Path]
 
     def derivatives(self, t: float) -> Array:
-        return np.asarray(np.sum([path.derivatives(t) for path in self.paths], axis=0))
+        total = np.zeros((DERIVATIVES, 3))
+        for path in self.paths:
+            total += path.derivatives(t)
+        return total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,6 +274,10 @@ class Handover:
     duration: float
 
     def derivatives(self, t: float) -> Array:
+        if t <= self.start:
+            return self.before.derivatives(t)
+        if t >= self.start + self.duration:
+            return self.after.derivatives(t)
         s = _smooth_step((t - self.start) / self.duration) / self.duration ** np.arange(DERIVATIVES)
         old = self.before.derivatives(t)
         change = self.after.derivatives(t) - old

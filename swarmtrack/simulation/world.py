@@ -31,8 +31,8 @@ class World:
 
     def pose(self, drone_id: int, t: float) -> Pose:
         """world_from_body."""
-        trajectory = self.drones[drone_id]
-        return Pose(trajectory.attitude(t), trajectory.position(t))
+        motion = self.drones[drone_id].motion(t)
+        return Pose(motion.attitude, motion.position)
 
     def body_rate(self, drone_id: int, t: float) -> Array:
         """(3,) rad/s in body axes."""
