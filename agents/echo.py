@@ -16,8 +16,8 @@ from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_bridge import Sample
 from swarmtrack.transport.zenoh_listener import ZenohListener
-from swarmtrack.transport.zenoh_session import Sample
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

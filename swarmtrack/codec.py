@@ -5,16 +5,17 @@ for the bytes, so they are capped in size before anything reads them, then typed
 checked for what types cannot say: finite numbers, unit quaternions, covariances that are ones. Anything else
 is a `DecodeError`, and nothing else is ever raised.
 
-On the wire times are UTC. `utc_offset` is `clock.utc() - clock.now()`, sampled by the transport as it sends
-and as it receives.
+On the wire a time is told twice: as UTC, and as its age when the bytes were made, which no wall clock enters.
+`utc_offset` is `clock.utc() - clock.now()` as the bytes are made. Which of the two a reader believes is the
+transport's to decide (`transport/sender_clock.py`); it hands over times on our own clock.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -22,13 +23,24 @@ from msgspec import Meta
 
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.geometry.rotation import from_quaternion, is_rotation, to_quaternion
-from swarmtrack.messages import Announcement, Array, IdentifiedTrack, LinkStatus, TrackList
+from swarmtrack.messages import (
+    Announcement,
+    Array,
+    IdentifiedTrack,
+    LinkStatus,
+    Sighting,
+    SightingReport,
+    TrackList,
+)
 
 VERSION: Final = 1
 MAX_BYTES: Final = 64 * 1024  # of one message; checked before anything is decoded
 MAX_TRACKS: Final = 255  # 255 tracks of at most 200 bytes stay below MAX_BYTES
+MAX_SIGHTINGS: Final = 255
+MAX_KNOWN: Final = 1024  # as many drones as a transport remembers
+SIGNATURE_BYTES: Final = 64  # Ed25519
 
-_QUATERNION_TOLERANCE = 1e-6  # of the norm: far above rounding, far below a mistake
+_NORM_TOLERANCE = 1e-6  # of a quaternion or direction: far above rounding, far below a mistake
 _COVARIANCE_TOLERANCE = 1e-9  # of the trace: the most negative eigenvalue that rounding may leave
 
 
@@ -47,7 +59,7 @@ UtcSeconds = Annotated[float, Meta(ge=0.0, le=2.0**32)]  # until the year 2106
 Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
 SignedSeconds = Annotated[float, Meta(ge=-(2.0**33), le=2.0**33)]
 Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
-Component = Annotated[float, Meta(ge=-1.1, le=1.1)]  # of a unit quaternion
+Component = Annotated[float, Meta(ge=-1.1, le=1.1)]  # of a unit quaternion or vector
 Pixels = Annotated[float, Meta(ge=-1e7, le=1e7)]  # or px/s
 Length = Annotated[float, Meta(ge=0.0, le=1e7)]
 Moment = Annotated[float, Meta(ge=-1e15, le=1e15)]  # an entry of a covariance
@@ -61,8 +73,8 @@ Line = Annotated[str, Meta(max_length=256)]
 class AnnouncementMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
     """`pose/<id>`: who I am and where I started, in the team's NED frame.
 
-    quaternion_wxyz: world from body; position_cov_m2: upper triangle, row by row.
-    signature: the seat of an Ed25519 signature; nobody writes or checks one yet.
+    t_utc_s: when the pose held, by the sender's UTC; age_s: how long ago that was when these bytes were made.
+    quaternion_wxyz: world from body; position_cov_m2: upper triangle, row by row. signature: see `signed_part`.
     """
 
     what: ClassVar[str] = "announcement"
@@ -75,7 +87,38 @@ class AnnouncementMessage(msgspec.Struct, array_like=True, frozen=True, forbid_u
     position_m: tuple[Metres, Metres, Metres]
     quaternion_wxyz: tuple[Component, Component, Component, Component]
     position_cov_m2: Annotated[tuple[Moment, ...], Meta(min_length=6, max_length=6)]
-    signature: Annotated[bytes, Meta(max_length=64)] | None = None
+    age_s: Seconds
+    signature: Annotated[bytes, Meta(min_length=SIGNATURE_BYTES, max_length=SIGNATURE_BYTES)] | None = None
+
+
+class SightingMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """One teammate in view: the unit vector towards it from the observer's camera, in the team's NED frame."""
+
+    what: ClassVar[str] = "sighting"
+    drone_id: DroneId
+    probability: Probability
+    direction: tuple[Component, Component, Component]
+    sigma_rad: Annotated[float, Meta(ge=0.0, le=math.pi)]
+
+
+class SightingsMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """`identities/<id>`: whom one drone sees, and where its camera was at the exposure, `age_s` before it was sent.
+
+    sequence counts what this boot published; known: whose announcements the observer has.
+    """
+
+    what: ClassVar[str] = "sightings"
+    version: Literal[1]
+    drone_id: DroneId
+    boot: Boot
+    sequence: Sequence
+    t_utc_s: UtcSeconds
+    t_sigma_s: Seconds
+    age_s: Seconds
+    position_m: tuple[Metres, Metres, Metres]
+    position_sigma_m: Length
+    known: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_KNOWN)]
+    sightings: Annotated[tuple[SightingMessage, ...], Meta(max_length=MAX_SIGHTINGS)]
 
 
 class TrackMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
@@ -161,11 +204,12 @@ class HealthMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown
     events: Annotated[tuple[Line, ...], Meta(max_length=32)]
 
 
-Message = AnnouncementMessage | TracksMessage | HealthMessage
-_M = TypeVar("_M", AnnouncementMessage, TracksMessage, HealthMessage)
+Message = AnnouncementMessage | SightingsMessage | TracksMessage | HealthMessage
+_M = TypeVar("_M", AnnouncementMessage, SightingsMessage, TracksMessage, HealthMessage)
 
 _DECODERS: dict[type[Any], msgspec.msgpack.Decoder[Any]] = {
-    kind: msgspec.msgpack.Decoder(kind) for kind in (AnnouncementMessage, TracksMessage, HealthMessage)
+    kind: msgspec.msgpack.Decoder(kind)
+    for kind in (AnnouncementMessage, SightingsMessage, TracksMessage, HealthMessage)
 }
 _ENCODER = msgspec.msgpack.Encoder()
 
@@ -173,8 +217,8 @@ _ENCODER = msgspec.msgpack.Encoder()
 # --- announcement ---------------------------------------------------------------------------------
 
 
-def encode_announcement(announcement: Announcement, utc_offset: float) -> bytes:
-    """Ours to bytes. Raises ValueError where a reader would refuse it."""
+def encode_announcement(announcement: Announcement, utc_offset: float, now: float) -> bytes:
+    """Ours to bytes, unsigned, as of `now`. Raises ValueError where a reader would refuse it."""
     a = announcement
     if not is_rotation(a.world_from_body):
         raise ValueError("announcement: world_from_body is no rotation")
@@ -188,33 +232,120 @@ def encode_announcement(announcement: Announcement, utc_offset: float) -> bytes:
         position_m=tuple(a.position.tolist()),
         quaternion_wxyz=tuple(to_quaternion(a.world_from_body).tolist()),
         position_cov_m2=_upper_triangle(a.position_cov),
+        age_s=max(0.0, float(now - a.t)),
     )
     return _encode(message)
 
 
-def decode_announcement(data: bytes, utc_offset: float) -> Announcement:
-    """Bytes to a teammate's announcement, its time moved to our monotonic clock."""
-    m = decode_announcement_message(data)
+def decode_announcement(data: bytes) -> AnnouncementMessage:
+    """As it stands on the wire; its signature, if any, unchecked."""
+    m = _decode(AnnouncementMessage, data)
+    _check_unit("announcement: quaternion_wxyz", m.quaternion_wxyz, "a unit quaternion")
+    _check_covariances("announcement: position_cov_m2", [m.position_cov_m2], 3)
+    return m
+
+
+def announcement(message: AnnouncementMessage, t: float, t_sigma: float) -> Announcement:
+    """A teammate's announcement for us. t: when the pose held, on our monotonic clock."""
+    m = message
     return Announcement(
         drone_id=m.drone_id,
         boot=m.boot,
         sequence=m.sequence,
-        t=m.t_utc_s - utc_offset,
-        t_sigma=m.t_sigma_s,
+        t=t,
+        t_sigma=t_sigma,
         position=np.array(m.position_m),
         world_from_body=from_quaternion(m.quaternion_wxyz),
         position_cov=_symmetric(np.array([m.position_cov_m2]), 3)[0],
     )
 
 
-def decode_announcement_message(data: bytes) -> AnnouncementMessage:
-    """As it stands on the wire, times in UTC."""
-    m = _decode(AnnouncementMessage, data)
-    norm = math.sqrt(sum(c * c for c in m.quaternion_wxyz))
-    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
-        raise DecodeError(f"announcement: quaternion_wxyz: norm is {norm:.6g}, expected a unit quaternion")
-    _check_covariances("announcement: position_cov_m2", [m.position_cov_m2], 3)
+# The signature is the last field of eleven. What it covers is the same array without it, so with another first
+# byte; the bytes between are taken as they are, which spares signer and reader a canonical form.
+_ARRAY_OF_10, _ARRAY_OF_11 = b"\x9a", b"\x9b"
+_NIL = b"\xc0"
+_SIGNATURE_HEAD = bytes([0xC4, SIGNATURE_BYTES])
+
+
+class SignedPart(NamedTuple):
+    """What was signed, and the signature."""
+
+    signed: bytes
+    signature: bytes
+
+
+def sign_announcement(unsigned: bytes, key: str, sign: Callable[[bytes], bytes]) -> bytes:
+    """What `encode_announcement` made, with its last field filled in. key: where it will be said."""
+    assert unsigned[:1] == _ARRAY_OF_11, "as encode_announcement makes it"
+    signature = sign(_signed(key, unsigned[1:-1]))
+    return unsigned[:-1] + _SIGNATURE_HEAD + signature
+
+
+def signed_part(data: bytes, key: str) -> SignedPart | None:
+    """Of an announcement's bytes, heard on `key`; None where they are not signed in the one way that counts."""
+    head = data[-SIGNATURE_BYTES - 2 : -SIGNATURE_BYTES]
+    if data[:1] != _ARRAY_OF_11 or head != _SIGNATURE_HEAD:
+        return None
+    return SignedPart(_signed(key, data[1 : -SIGNATURE_BYTES - 2]), data[-SIGNATURE_BYTES:])
+
+
+def _signed(key: str, fields: bytes) -> bytes:
+    return key.encode() + b"\0" + _ARRAY_OF_10 + fields
+
+
+# --- sightings ------------------------------------------------------------------------------------
+
+
+def encode_sightings(report: SightingReport, utc_offset: float, now: float) -> bytes:
+    """Ours to bytes, as of `now`. Raises ValueError where a reader would refuse it."""
+    r = report
+    message = SightingsMessage(
+        version=VERSION,
+        drone_id=r.observer,
+        boot=r.boot,
+        sequence=r.sequence,
+        t_utc_s=float(r.t + utc_offset),
+        t_sigma_s=float(r.t_sigma),
+        age_s=max(0.0, float(now - r.t)),
+        position_m=tuple(r.position.tolist()),
+        position_sigma_m=float(r.position_sigma),
+        known=r.known,
+        sightings=tuple(
+            SightingMessage(s.drone_id, float(s.probability), tuple(s.direction.tolist()), float(s.sigma))
+            for s in r.sightings
+        ),
+    )
+    return _encode(message)
+
+
+def decode_sightings(data: bytes) -> SightingsMessage:
+    """As it stands on the wire."""
+    m = _decode(SightingsMessage, data)
+    for i, sighting in enumerate(m.sightings):
+        _check_unit(f"sightings: sightings[{i}].direction", sighting.direction, "a unit vector")
+    seen = [sighting.drone_id for sighting in m.sightings]
+    for name, ids in (("sightings", seen), ("known", m.known)):
+        if len(set(ids)) < len(ids):
+            raise DecodeError(f"sightings: {name}: names a drone twice, expected each once")
     return m
+
+
+def sighting_report(message: SightingsMessage, t: float, t_sigma: float) -> SightingReport:
+    """A teammate's report for us. t: the exposure, on our monotonic clock."""
+    m = message
+    return SightingReport(
+        observer=m.drone_id,
+        boot=m.boot,
+        sequence=m.sequence,
+        t=t,
+        t_sigma=t_sigma,
+        position=np.array(m.position_m),
+        position_sigma=m.position_sigma_m,
+        known=m.known,
+        sightings=tuple(
+            Sighting(s.drone_id, s.probability, np.array(s.direction), s.sigma_rad) for s in m.sightings
+        ),
+    )
 
 
 # --- tracks ---------------------------------------------------------------------------------------
@@ -376,6 +507,12 @@ def _is_finite(value: object) -> bool:
     return all(math.isfinite(item) if type(item) is float else _is_finite(item) for item in value)
 
 
+def _check_unit(where: str, components: tuple[float, ...], expected: str) -> None:
+    norm = math.sqrt(sum(c * c for c in components))
+    if abs(norm - 1.0) > _NORM_TOLERANCE:
+        raise DecodeError(f"{where}: norm is {norm:.6g}, expected {expected}")
+
+
 def _check_covariances(where: str, uppers: list[tuple[float, ...]], n: int) -> None:
     """uppers: upper triangles of (n, n) matrices, each to be positive semi-definite."""
     cov = _symmetric(np.array(uppers), n)
@@ -400,7 +537,8 @@ def _symmetric(upper: Array, n: int) -> Array:
 
 
 _CHECKED: dict[type[Any], Any] = {
-    AnnouncementMessage: decode_announcement_message,
+    AnnouncementMessage: decode_announcement,
+    SightingsMessage: decode_sightings,
     TracksMessage: decode_tracks,
     HealthMessage: decode_health,
 }

@@ -1,5 +1,6 @@
 """The wire: what we write is pinned byte for byte, and no bytes at all can do more than be refused."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +14,22 @@ from hypothesis import strategies as st
 from swarmtrack import codec
 from swarmtrack.codec import DecodeError
 from swarmtrack.geometry import rotation
-from swarmtrack.messages import Announcement, IdentifiedTrack, LinkStatus, Track, TrackList, TrackStatus
+from swarmtrack.messages import (
+    Announcement,
+    IdentifiedTrack,
+    LinkStatus,
+    Sighting,
+    SightingReport,
+    Track,
+    TrackList,
+    TrackStatus,
+)
 
 UTC_OFFSET = 1.7e9
+NOW = 14.0  # four seconds after the pose of the announcement held
 DECODERS: list[Callable[[bytes], codec.Message]] = [
-    codec.decode_announcement_message,
+    codec.decode_announcement,
+    codec.decode_sightings,
     codec.decode_tracks,
     codec.decode_health,
 ]
@@ -31,6 +43,18 @@ ANNOUNCEMENT = Announcement(
     position=np.array([1.0, 2.0, -3.0]),
     world_from_body=np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),  # q = (1, 1, 1, 1) / 2
     position_cov=np.diag([0.5, 0.5, 2.0]),
+)
+
+REPORT = SightingReport(
+    observer=7,
+    boot="0123abcd",
+    sequence=9,
+    t=13.75,
+    t_sigma=0.5,
+    position=np.array([1.0, 2.0, -3.0]),
+    position_sigma=0.25,
+    known=(2, 300),
+    sightings=(Sighting(2, 0.75, np.array([0.0, 0.0, -1.0]), 0.125),),
 )
 
 TRACKS = codec.TracksMessage(
@@ -76,10 +100,18 @@ HEALTH = codec.HealthMessage(
 
 
 def announced() -> bytes:
-    return codec.encode_announcement(ANNOUNCEMENT, UTC_OFFSET)
+    return codec.encode_announcement(ANNOUNCEMENT, UTC_OFFSET, NOW)
 
 
-MESSAGES = [announced(), codec.encode_tracks(TRACKS), codec.encode_health(HEALTH)]
+def reported() -> bytes:
+    return codec.encode_sightings(REPORT, UTC_OFFSET, NOW)
+
+
+def signed() -> bytes:
+    return codec.sign_announcement(announced(), "some/key", lambda text: bytes(64))
+
+
+MESSAGES = [announced(), signed(), reported(), codec.encode_tracks(TRACKS), codec.encode_health(HEALTH)]
 
 
 # --- pinned -----------------------------------------------------------------------------
@@ -87,11 +119,11 @@ MESSAGES = [announced(), codec.encode_tracks(TRACKS), codec.encode_health(HEALTH
 
 def test_the_announcement_is_these_bytes_for_ever() -> None:
     assert announced().hex() == (
-        "9a0107a8303132336162636402cb41d954fc42800000cb3fd0000000000000"
+        "9b0107a8303132336162636402cb41d954fc42800000cb3fd0000000000000"
         "93cb3ff0000000000000cb4000000000000000cbc008000000000000"
         "94cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000"
         "96cb3fe0000000000000cb0000000000000000cb0000000000000000"
-        "cb3fe0000000000000cb0000000000000000cb4000000000000000c0"
+        "cb3fe0000000000000cb0000000000000000cb4000000000000000cb4010000000000000c0"
     )
 
 
@@ -108,7 +140,23 @@ def test_tracks_are_these_bytes_for_ever() -> None:
 def test_plain_msgpack_reads_the_announcement_by_position() -> None:
     assert msgpack.unpackb(announced()) == [
         *[1, 7, "0123abcd", 2, 1700000010.0, 0.25, [1.0, 2.0, -3.0], [0.5, 0.5, 0.5, 0.5]],
-        *[[0.5, 0.0, 0.0, 0.5, 0.0, 2.0], None],
+        *[[0.5, 0.0, 0.0, 0.5, 0.0, 2.0], 4.0, None],
+    ]
+
+
+def test_sightings_are_these_bytes_for_ever() -> None:
+    assert reported().hex() == (
+        "9b0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd0000000000000"
+        "93cb3ff0000000000000cb4000000000000000cbc008000000000000cb3fd0000000000000"
+        "9202cd012c919402cb3fe800000000000093cb0000000000000000cb0000000000000000cbbff0000000000000"
+        "cb3fc0000000000000"
+    )
+
+
+def test_plain_msgpack_reads_sightings_by_position() -> None:
+    assert msgpack.unpackb(reported()) == [
+        *[1, 7, "0123abcd", 9, 1700000013.75, 0.5, 0.25, [1.0, 2.0, -3.0], 0.25, [2, 300]],
+        [[2, 0.75, [0.0, 0.0, -1.0], 0.125]],
     ]
 
 
@@ -119,11 +167,13 @@ def test_plain_msgpack_reads_health_by_position() -> None:
     assert fields[10] == [["camera", True, "30 fps", {"fps": 30.0}]]
 
 
-def test_an_announcement_is_under_200_bytes_whatever_it_says() -> None:
+def test_an_announcement_is_under_300_bytes_with_its_signature_whatever_it_says() -> None:
     largest = Announcement(
         65535, "ffffffff", 2**32 - 1, 0.1, 0.1, np.full(3, 0.1), np.eye(3), np.eye(3) * 0.1 + 0.1
     )
-    assert len(codec.encode_announcement(largest, UTC_OFFSET)) < 200
+    unsigned = codec.encode_announcement(largest, UTC_OFFSET, NOW)
+    assert len(unsigned) < 200
+    assert len(codec.sign_announcement(unsigned, "key", lambda text: bytes(64))) < 300
 
 
 def test_as_many_tracks_as_are_allowed_fit_into_one_message() -> None:
@@ -159,12 +209,62 @@ def test_an_announcement_comes_back_as_it_went(
     sent = Announcement(
         drone_id, "89abcdef", sequence, t, 0.1, np.array(position), rotation.exp(rotation_vector), A @ A.T
     )
-    got = codec.decode_announcement(codec.encode_announcement(sent, UTC_OFFSET), UTC_OFFSET + 5.0)
-    assert (got.drone_id, got.boot, got.sequence, got.t_sigma) == (drone_id, "89abcdef", sequence, 0.1)
-    assert got.t == pytest.approx(t - 5.0, abs=1e-6)  # the receiver's clock started 5 s later
+    message = codec.decode_announcement(codec.encode_announcement(sent, UTC_OFFSET, t + 3.0))
+    assert (message.t_utc_s, message.t_sigma_s) == (pytest.approx(t + UTC_OFFSET, abs=1e-6), 0.1)
+    assert message.age_s == pytest.approx(3.0, abs=1e-6)
+    got = codec.announcement(message, 5.0, 0.25)
+    assert (got.drone_id, got.boot, got.sequence) == (drone_id, "89abcdef", sequence)
+    assert (got.t, got.t_sigma) == (5.0, 0.25)
     np.testing.assert_array_equal(got.position, sent.position)
     np.testing.assert_allclose(got.world_from_body, sent.world_from_body, atol=1e-9)
     np.testing.assert_allclose(got.position_cov, sent.position_cov, atol=1e-12)
+
+
+def test_sightings_come_back_as_they_went() -> None:
+    message = codec.decode_sightings(reported())
+    assert (message.t_utc_s, message.t_sigma_s, message.age_s) == (UTC_OFFSET + 13.75, 0.5, 0.25)
+    got = codec.sighting_report(message, 5.0, 0.75)
+    assert (got.observer, got.boot, got.sequence, got.t, got.t_sigma) == (7, "0123abcd", 9, 5.0, 0.75)
+    assert (got.position_sigma, got.known) == (0.25, (2, 300))
+    np.testing.assert_array_equal(got.position, REPORT.position)
+    ((sighting,), (sent,)) = (got.sightings, REPORT.sightings)
+    assert (sighting.drone_id, sighting.probability, sighting.sigma) == (2, 0.75, 0.125)
+    np.testing.assert_array_equal(sighting.direction, sent.direction)
+
+
+def test_the_largest_report_fits_into_one_message() -> None:
+    direction = np.array([0.6, 0.0, 0.8])
+    crowd = tuple(Sighting(65535 - i, 0.9, direction, 0.1) for i in range(codec.MAX_SIGHTINGS))
+    known = tuple(range(60_000, 60_000 + codec.MAX_KNOWN))
+    full = dataclasses.replace(REPORT, known=known, sightings=crowd)
+    assert len(codec.encode_sightings(full, UTC_OFFSET, NOW)) <= codec.MAX_BYTES
+    more = tuple(Sighting(1 + i, 0.9, direction, 0.1) for i in range(codec.MAX_SIGHTINGS + 1))
+    with pytest.raises(ValueError, match="sightings"):
+        codec.encode_sightings(dataclasses.replace(REPORT, sightings=more), UTC_OFFSET, NOW)
+    with pytest.raises(ValueError, match="known"):
+        codec.encode_sightings(dataclasses.replace(REPORT, known=(*known, 1)), UTC_OFFSET, NOW)
+
+
+def test_a_signature_covers_the_key_and_every_field_before_it() -> None:
+    """As docs/wire.md tells others to make it: the key, a zero byte, the array without its last field."""
+    asked: list[bytes] = []
+    signature = bytes(range(64))
+
+    def sign(text: bytes) -> bytes:
+        asked.append(text)
+        return signature
+
+    data = codec.sign_announcement(announced(), "swarmtrack/red/v1/pose/7", sign)
+    fields = msgpack.unpackb(announced())[:-1]
+    assert asked == [b"swarmtrack/red/v1/pose/7\0" + msgpack.packb(fields)]
+    assert msgpack.unpackb(data) == [*fields, signature]
+    assert codec.signed_part(data, "swarmtrack/red/v1/pose/7") == (asked[0], signature)
+    assert codec.signed_part(data, "swarmtrack/red/v1/pose/8") != (asked[0], signature)
+
+
+@pytest.mark.parametrize("data", [announced(), announced()[:3], b"", b"\xdc\x00\x0b" + signed()[1:]])
+def test_what_is_not_signed_in_the_one_way_has_no_signed_part(data: bytes) -> None:
+    assert codec.signed_part(data, "some/key") is None
 
 
 @pytest.mark.parametrize("identity", [None, "foreign", 1, 65535])
@@ -187,7 +287,7 @@ def test_health_comes_back_as_it_went() -> None:
 def test_a_record_names_every_field_with_its_unit() -> None:
     record = codec.as_record(TRACKS)
     assert record["tracks"][0]["vu_px_s"] == -4.0
-    assert codec.as_record(codec.decode_announcement_message(announced()))["position_m"] == [1.0, 2.0, -3.0]
+    assert codec.as_record(codec.decode_announcement(announced()))["position_m"] == [1.0, 2.0, -3.0]
 
 
 # --- refused ----------------------------------------------------------------------------
@@ -223,11 +323,14 @@ def altered(index: int, value: object, *path: int) -> bytes:
         (altered(7, 0.51, 3), "unit quaternion"),
         (altered(8, -0.5, 0), "eigenvalue"),
         (altered(8, 0.7, 1), "eigenvalue"),
-        (altered(9, b"x" * 65), "signature"),
-        (msgpack.packb([*msgpack.unpackb(announced()), 0]), "length 10, got 11"),
+        (altered(9, -1.0), "age_s"),
+        (altered(9, math.nan), "age_s"),
+        (altered(10, b"x" * 65), "signature"),
+        (altered(10, b"x" * 63), "signature"),
+        (msgpack.packb([*msgpack.unpackb(announced()), 0]), "length 11, got 12"),
         (msgpack.packb(dict(enumerate(msgpack.unpackb(announced())))), "array"),
         (announced() + b"\x00", "trailing"),
-        (b"\x9a\x01\x07\xa8\xff" + announced()[5:], "utf-8"),
+        (b"\x9b\x01\x07\xa8\xff" + announced()[5:], "utf-8"),
         (bytes(codec.MAX_BYTES + 1), "more than 65536 bytes"),
         (b"", "truncated"),
     ],
@@ -236,7 +339,33 @@ def test_an_announcement_that_cannot_be_is_refused_with_the_field_and_the_reason
     data: bytes, says: str
 ) -> None:
     with pytest.raises(DecodeError, match=says):
-        codec.decode_announcement(data, UTC_OFFSET)
+        codec.decode_announcement(data)
+
+
+@pytest.mark.parametrize(
+    ("index", "value", "says"),
+    [
+        (1, 0, "drone_id"),
+        (3, 2**32, "sequence"),
+        (6, -0.1, "age_s"),
+        (7, [0.0, math.inf, 0.0], "position_m"),
+        (8, -1.0, "position_sigma_m"),
+        (9, [2, 2], "known: names a drone twice"),
+        (9, [0], "known"),
+        (10, [[2, 0.5, [0.0, 0.0, 1.01], 0.1]], r"sightings\[0\]\.direction: norm is 1\.01"),
+        (10, [[2, 0.5, [0.0, 0.0, math.nan], 0.1]], "sightings"),
+        (10, [[2, 1.5, [0.0, 0.0, 1.0], 0.1]], "sightings"),
+        (10, [[2, 0.5, [0.0, 0.0, 1.0], 3.2]], "sightings"),
+        (10, [[2, 0.5, [0.0, 0.0, 1.0], 0.1]] * 2, "sightings: names a drone twice"),
+    ],
+)
+def test_sightings_that_cannot_be_are_refused_with_the_field_and_the_reason(
+    index: int, value: object, says: str
+) -> None:
+    fields = msgpack.unpackb(reported())
+    fields[index] = value
+    with pytest.raises(DecodeError, match=says):
+        codec.decode_sightings(msgpack.packb(fields))
 
 
 def test_a_track_whose_covariance_is_none_is_refused() -> None:
@@ -329,7 +458,7 @@ def test_a_field_replaced_by_anything_is_refused_or_sound(message: bytes, index:
         b"\x9d\x01\x01\xa8aaaaaaaa\x01\x01\x01\xdf\xff\xff\xff\xff",  # ... a map
         b"\xc6\xff\xff\xff\xff",
         b"\x91" * codec.MAX_BYTES,  # nesting as deep as it goes
-        b"\x9a\x01" + b"\x91" * 60_000,
+        b"\x9b\x01" + b"\x91" * 60_000,
         b"\x81\x01" * 30_000,
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import os
 import secrets
 import socket
@@ -20,7 +21,8 @@ from swarmtrack.runtime.clock import ManualClock
 from swarmtrack.transport import keys, zenoh_session
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
-from swarmtrack.transport.zenoh_session import Bridge, Sample, bounded, close_session, open_session
+from swarmtrack.transport.zenoh_bridge import Bridge, Sample
+from swarmtrack.transport.zenoh_session import bounded, close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
 PATIENCE = 10.0  # s
@@ -181,7 +183,7 @@ async def test_explicit_endpoints_meet_whoever_starts_first(ports: range) -> Non
 async def test_a_bridge_keeps_order_and_drops_the_oldest_when_full() -> None:
     got: list[Sample] = []
     bridge = Bridge(got.append, capacity=3)
-    samples = [Sample(f"key/{i}", b"", True) for i in range(5)]
+    samples = [Sample(f"key/{i}", b"", True, 0.0) for i in range(5)]
     for sample in samples:
         bridge.put(sample)
     await asyncio.sleep(0)
@@ -191,13 +193,56 @@ async def test_a_bridge_keeps_order_and_drops_the_oldest_when_full() -> None:
 
 async def test_a_bridge_of_newest_keeps_the_last_word_on_each_key() -> None:
     got: list[Sample] = []
-    bridge = Bridge(got.append, capacity=3, newest_per_key=True)
+    bridge = Bridge(got.append, capacity=3, newest_per_key=1)
     for alive in (True, False, True, False):
-        bridge.put(Sample("alive/1", b"", alive))
-        bridge.put(Sample("alive/2", b"", not alive))
+        bridge.put(Sample("alive/1", b"", alive, 0.0))
+        bridge.put(Sample("alive/2", b"", not alive, 0.0))
     await asyncio.sleep(0)
-    assert got == [Sample("alive/1", b"", False), Sample("alive/2", b"", True)]
-    assert bridge.dropped == 0
+    assert got == [Sample("alive/1", b"", False, 0.0), Sample("alive/2", b"", True, 0.0)]
+    assert (bridge.dropped, bridge.superseded) == (0, 6)
+
+
+async def test_whoever_floods_a_bridge_replaces_only_its_own_and_waits_its_turn() -> None:
+    got: list[Sample] = []
+    bridge = Bridge(got.append, newest_per_key=2)
+    for i in range(10_000):
+        bridge.put(Sample("flood", b"%d" % i, True, 0.0))
+    bridge.put(Sample("quiet", b"", True, 0.0))
+    await asyncio.sleep(0)
+    assert [sample.payload for sample in got] == [b"9998", b"", b"9999"]
+    assert (bridge.dropped, bridge.superseded) == (0, 9998)
+
+
+async def test_a_bridge_lets_the_loop_turn_between_two_handfuls() -> None:
+    """Between any two samples that another task could count, only a bounded number is taken."""
+    got: list[Sample] = []
+    bridge = Bridge(got.append)
+    for i in range(1000):
+        bridge.put(Sample(f"key/{i}", b"", True, 0.0))
+    taken = [0]
+    async with asyncio.timeout(PATIENCE):
+        while len(got) < 1000:
+            await asyncio.sleep(0)
+            taken.append(len(got))
+    assert max(after - before for before, after in itertools.pairwise(taken)) <= 64
+
+
+async def test_a_sample_that_cannot_be_taken_does_not_stop_the_next() -> None:
+    good = asyncio.Event()
+    reported: list[object] = []
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: reported.append(context))
+
+    def receive(sample: Sample) -> None:
+        if sample.key == "bad":
+            raise ValueError("a bug of ours")
+        good.set()
+
+    bridge = Bridge(receive)
+    bridge.put(Sample("bad", b"", True, 0.0))
+    await asyncio.sleep(0)
+    bridge.put(Sample("good", b"", True, 0.0))
+    await asyncio.wait_for(good.wait(), PATIENCE)
+    assert len(reported) == 1
 
 
 async def test_a_call_that_hangs_is_given_up_and_its_late_result_disposed_of() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import AsyncIterator
-from typing import Protocol
+from typing import Final, Protocol
 
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 
@@ -20,8 +20,12 @@ class Kind(enum.StrEnum):
     VIDEO = "video"
 
 
+PUBLISHED: Final = (Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH)
+"""What `Transport.publish` takes."""
+
+
 class Transport(Protocol):
-    """Carries announcements surely, tracks and health as well as it can."""
+    """Carries announcements surely, identities nearly so, tracks and health as well as it can."""
 
     async def open(self) -> None: ...
 
@@ -29,12 +33,22 @@ class Transport(Protocol):
         """Make our announcement known to all, now and later; one with a higher `sequence` replaces it."""
         ...
 
+    def request_announcement(self, drone_id: int) -> None:
+        """Ask a teammate to say anew where it is; what it says comes as any announcement, if it does.
+
+        It gets an `AnnouncementRequested`. Never blocks; both ends let pass one a second, the rest is counted.
+        """
+        ...
+
     def publish(self, kind: Kind, payload: bytes) -> None:
-        """Send our newest tracks or health; never blocks, may drop."""
+        """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop."""
         ...
 
     def events(self) -> AsyncIterator[PeerEvent]:
-        """What teammates said and whether they live, in order of arrival. Ends when closed."""
+        """What teammates said and whether they live, in order of arrival. Ends when closed.
+
+        An `IdClash` lasts until a `PeerDeparted` leaves one boot alone, whose announcement is then told again.
+        """
         ...
 
     def status(self) -> LinkStatus: ...

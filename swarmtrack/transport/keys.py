@@ -12,15 +12,18 @@ from swarmtrack.transport.base import Kind
 
 ROOT = "swarmtrack"
 VERSION = "v1"
+ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
 
 ENCODINGS: dict[Kind, str] = {
     Kind.POSE: "application/msgpack;swarmtrack.Announcement/1",
+    Kind.IDENTITIES: "application/msgpack;swarmtrack.Sightings/1",
     Kind.TRACKS: "application/msgpack;swarmtrack.Tracks/1",
     Kind.HEALTH: "application/msgpack;swarmtrack.Health/1",
 }
 
 DECODERS: dict[Kind, Callable[[bytes], codec.Message]] = {
-    Kind.POSE: codec.decode_announcement_message,
+    Kind.POSE: codec.decode_announcement,
+    Kind.IDENTITIES: codec.decode_sightings,
     Kind.TRACKS: codec.decode_tracks,
     Kind.HEALTH: codec.decode_health,
 }

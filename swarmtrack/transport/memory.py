@@ -14,10 +14,9 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind
-from swarmtrack.transport.peers import Outgoing, Peers
-
-PUBLISHED = (Kind.TRACKS, Kind.HEALTH)
+from swarmtrack.transport.base import PUBLISHED, Kind
+from swarmtrack.transport.outgoing import Outgoing, Sign
+from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
 
 
 class MemoryHub:
@@ -73,13 +72,13 @@ class MemoryHub:
             if member is not sender and self._carries(sender, member, key):
                 member._receive(key, payload)
 
-    def _ask(self, asker: MemoryTransport, drone_id: int) -> None:
+    def _ask(self, asker: MemoryTransport, drone_id: int, anew: bool) -> None:
         for member in self._members:
-            answer = member._outgoing.payload
-            if member.drone_id != drone_id or member is asker or answer is None:
-                continue
             key = member._key(Kind.POSE)
-            if self._carries(asker, member, key) and self._carries(member, asker, key):
+            if member.drone_id != drone_id or member is asker or not self._carries(asker, member, key):
+                continue
+            answer = member._answer(anew)
+            if answer is not None and self._carries(member, asker, key):
                 asker._receive(key, answer)
 
     def _carries(self, sender: MemoryTransport, receiver: MemoryTransport, key: str) -> bool:
@@ -100,27 +99,45 @@ class MemoryHub:
 
 
 class MemoryTransport:
-    """One drone's end of a `MemoryHub`."""
+    """One drone's end of a `MemoryHub`. sign, verify: of announcements, None to leave it."""
 
-    def __init__(self, hub: MemoryHub, team: str, drone_id: int, boot: str, clock: Clock) -> None:
+    def __init__(
+        self,
+        hub: MemoryHub,
+        team: str,
+        drone_id: int,
+        boot: str,
+        clock: Clock,
+        *,
+        sign: Sign | None = None,
+        verify: Verify | None = None,
+    ) -> None:
         self.team = team
         self.drone_id = drone_id
         self.token = keys.key(team, Kind.ALIVE, drone_id, boot)
         self._hub = hub
-        self._peers = Peers(team, drone_id, boot, clock)
-        self._outgoing = Outgoing(drone_id, boot, clock)
+        self._clock = clock
+        self._peers = Peers(team, drone_id, boot, clock, verify)
+        self._outgoing = Outgoing(team, drone_id, boot, clock, sign)
         self._reconciliation: asyncio.Task[None] | None = None
         self._published: Counter[str] = Counter()
 
     async def open(self) -> None:
         self._hub._join(self)
         self._reconciliation = asyncio.create_task(
-            self._peers.ask_for_missing(lambda drone_id: self._hub._ask(self, drone_id)),
+            self._peers.ask_for_missing(lambda drone_id: self._hub._ask(self, drone_id, anew=False)),
             name="reconciliation",
         )
 
     async def announce(self, announcement: Announcement) -> None:
-        self._hub._send(self, self._key(Kind.POSE), self._outgoing.replace(announcement))
+        self._outgoing.replace(announcement)
+        payload = self._outgoing.tell()
+        assert payload is not None
+        self._hub._send(self, self._key(Kind.POSE), payload)
+
+    def request_announcement(self, drone_id: int) -> None:
+        if self._peers.may_request(drone_id):
+            self._hub._ask(self, drone_id, anew=True)
 
     def publish(self, kind: Kind, payload: bytes) -> None:
         if kind not in PUBLISHED:
@@ -133,7 +150,13 @@ class MemoryTransport:
 
     def status(self) -> LinkStatus:
         alive, missing = self._peers.alive, self._peers.missing
-        counters = {"peers": len(alive), "missing": len(missing), **self._published, **self._peers.counters}
+        counters = {
+            "peers": len(alive),
+            "missing": len(missing),
+            **self._outgoing.counters,
+            **self._published,
+            **self._peers.counters,
+        }
         text = f"{len(alive)} peers, {len(missing)} of them unannounced"
         return LinkStatus("memory", self._reconciliation is not None, text, tuple(counters.items()))
 
@@ -153,10 +176,15 @@ class MemoryTransport:
     def _key(self, kind: Kind) -> str:
         return keys.key(self.team, kind, self.drone_id)
 
+    def _answer(self, anew: bool) -> bytes | None:
+        if anew and self._outgoing.accept_request():
+            self._peers.on_request()
+        return self._outgoing.answer()
+
     def _receive(self, key: str, payload: bytes) -> None:
         address = keys.parse(key)
-        if address is not None and address.team == self.team and address.kind == Kind.POSE:
-            self._peers.on_announcement(key, payload)
+        if address is not None and address.team == self.team and address.kind in SUBSCRIBED:
+            self._peers.on_message(key, payload, self._clock.now())
 
     def _receive_token(self, key: str, alive: bool) -> None:
         self._peers.on_token(key, alive)

@@ -1,6 +1,7 @@
 """The part every transport shares: keys and bytes in, `PeerEvent`s out, on the event loop.
 
-A transport brings what it hears to `on_token` and `on_announcement`, runs `ask_for_missing`, and lends `events`.
+A transport brings what it hears to `on_token`, `on_message` and `on_request`, runs `ask_for_missing`, and lends
+`events`.
 """
 
 from __future__ import annotations
@@ -12,41 +13,50 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 
 from swarmtrack import codec
-from swarmtrack.messages import Announcement, IdClash, PeerEvent
+from swarmtrack.messages import AnnouncementRequested, PeerEvent
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.membership import Membership
+from swarmtrack.transport.outgoing import REQUEST_S
+
+Verify = Callable[[int, bytes, bytes], bool]
+"""Whether the drone of this ID signed these bytes with this signature."""
 
 log = logging.getLogger(__name__)
 
 RECONCILE_S = 0.5  # between two questions to a teammate whose announcement is missing
-MAX_EVENTS = (
-    8192  # waiting for the agent: more than MAX_PEERS can cause at once, so only a stalled agent loses any
-)
-
-
-def utc_offset(clock: Clock) -> float:
-    """What added to our monotonic time gives UTC, as of now."""
-    return clock.utc() - clock.now()
+ANNOUNCED_CLOCKS_AGREE_S = 2.0  # an announcement may have been on its way for so long, and it is the only one
+REPORTED_CLOCKS_AGREE_S = 1.0  # of many reports one was quick
+# Waiting for the agent: more than MAX_PEERS can cause at once, so only a stalled agent loses any.
+MAX_EVENTS = 8192
+SUBSCRIBED = (Kind.POSE, Kind.IDENTITIES)  # what `on_message` understands
 
 
 class Peers:
     """What the team told us, until the agent takes it. Only the event loop may call."""
 
-    def __init__(self, team: str, drone_id: int, boot: str, clock: Clock) -> None:
+    def __init__(self, team: str, drone_id: int, boot: str, clock: Clock, verify: Verify | None) -> None:
         self._team = team
         self._clock = clock
+        self._verify = verify
         self._membership = Membership(drone_id, boot)
         self._events: deque[PeerEvent] = deque()
         self._news = asyncio.Event()
         self._asked_for = asyncio.Event()
+        self._requested_at: dict[int, float] = {}
         self._closed = False
         self._counters: Counter[str] = Counter()
+        self._listening_to = {Kind.POSE: self._on_announcement, Kind.IDENTITIES: self._on_sightings}
 
     def on_token(self, key: str, alive: bool) -> None:
-        address = self._address(key, Kind.ALIVE)
-        if address is None or len(address.rest) != 1 or not keys.is_boot(address.rest[0]):
+        address = self._address(key)
+        if (
+            address is None
+            or address.kind != Kind.ALIVE
+            or len(address.rest) != 1
+            or not keys.is_boot(address.rest[0])
+        ):
             self._counters["tokens_malformed"] += 1
             return
         tell = self._membership.arrived if alive else self._membership.departed
@@ -54,18 +64,68 @@ class Peers:
         if self._membership.missing:
             self._asked_for.set()
 
-    def on_announcement(self, key: str, payload: bytes) -> None:
-        address = self._address(key, Kind.POSE)
-        if address is None or address.rest:
-            self._counters["announcements_malformed"] += 1
+    def on_message(self, key: str, payload: bytes, arrived: float) -> None:
+        """An announcement or a report of sightings. arrived: by our monotonic clock."""
+        address = self._address(key)
+        if address is None or address.rest or address.kind not in self._listening_to:
+            self._counters["messages_on_no_key"] += 1
             return
         try:
-            announcement = codec.decode_announcement(payload, utc_offset(self._clock))
+            self._listening_to[address.kind](address.drone_id, key, payload, arrived)
         except codec.DecodeError as error:
-            self._counters["announcements_malformed"] += 1
-            log.debug("announcement refused key=%s: %s", key, error)
+            self._counters[f"{address.kind}_malformed"] += 1
+            log.debug("message refused key=%s: %s", key, error)
+
+    def on_request(self) -> None:
+        """Somebody wants us to announce anew."""
+        self._tell([AnnouncementRequested()])
+
+    def _on_announcement(self, drone_id: int, key: str, payload: bytes, arrived: float) -> None:
+        message = codec.decode_announcement(payload)
+        life = self._membership.life(drone_id, message)
+        if life is None or not self._is_genuine(drone_id, key, payload):
             return
-        self._tell(self._membership.heard(address.drone_id, announcement))
+        offset = self._utc_offset
+        t, t_sigma = life.clock.time_of(
+            message, arrived=arrived, utc_offset=offset, tolerance=ANNOUNCED_CLOCKS_AGREE_S
+        )
+        self._counters["clocks_off"] += abs(life.clock.apart_s) > ANNOUNCED_CLOCKS_AGREE_S
+        life.announcement = codec.announcement(message, t, t_sigma)
+        self._tell([life.announcement])
+
+    def _on_sightings(self, drone_id: int, key: str, payload: bytes, arrived: float) -> None:
+        message = codec.decode_sightings(payload)
+        life = self._membership.life(drone_id, message)
+        if life is None:
+            return
+        t, t_sigma = life.clock.time_of(
+            message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
+        )
+        life.sightings = message.sequence
+        self._tell([codec.sighting_report(message, t, t_sigma)])
+
+    def _is_genuine(self, drone_id: int, key: str, payload: bytes) -> bool:
+        """Whether an announcement is signed by whom it names, where that is asked for."""
+        if self._verify is None:
+            return True
+        part = codec.signed_part(payload, key)
+        if part is None:
+            self._counters["announcements_unsigned"] += 1
+            return False
+        genuine = self._verify(drone_id, part.signed, part.signature)
+        self._counters["announcements_forged"] += not genuine
+        return genuine
+
+    def may_request(self, drone_id: int) -> bool:
+        """Whether to ask this teammate to announce anew: if it lives, and once a second; counted as asked."""
+        now = self._clock.now()
+        self._requested_at = {i: t for i, t in self._requested_at.items() if now - t < REQUEST_S}
+        if drone_id in self._requested_at or drone_id not in self._membership.peers:
+            self._counters["requests_withheld"] += 1
+            return False
+        self._requested_at[drone_id] = now
+        self._counters["requests"] += 1
+        return True
 
     async def ask_for_missing(self, ask: Callable[[int], None]) -> None:
         """Until cancelled: at once for each newcomer, then every `RECONCILE_S` while its announcement is missing."""
@@ -103,43 +163,19 @@ class Peers:
         """What was refused or lost, by reason."""
         return self._counters + self._membership.counters
 
-    def _address(self, key: str, kind: Kind) -> keys.Address | None:
+    @property
+    def _utc_offset(self) -> float:
+        """What added to our monotonic time gives UTC, as of now."""
+        return self._clock.utc() - self._clock.now()
+
+    def _address(self, key: str) -> keys.Address | None:
         address = keys.parse(key)
-        return address if address and (address.team, address.kind) == (self._team, kind) else None
+        return address if address and address.team == self._team else None
 
     def _tell(self, events: list[PeerEvent]) -> None:
         for event in events:
-            if isinstance(event, IdClash):
-                log.warning("ID clash drone=%d boots=%s ours=%s", event.drone_id, event.boots, event.ours)
             if len(self._events) >= MAX_EVENTS:
                 self._events.popleft()
                 self._counters["events_dropped"] += 1
             self._events.append(event)
         self._news.set()
-
-
-class Outgoing:
-    """Our own announcement: checked, and only ever replaced by a later one."""
-
-    def __init__(self, drone_id: int, boot: str, clock: Clock) -> None:
-        self._drone_id = drone_id
-        self._boot = boot
-        self._clock = clock
-        self._sequence = -1
-        self.payload: bytes | None = None
-
-    def replace(self, announcement: Announcement) -> bytes:
-        """The bytes to send. Raises ValueError where the announcement is not ours, not newer, or not sound."""
-        if (announcement.drone_id, announcement.boot) != (self._drone_id, self._boot):
-            raise ValueError(
-                f"announcement of drone {announcement.drone_id} boot {announcement.boot}, "
-                f"expected our own: {self._drone_id} {self._boot}"
-            )
-        if announcement.sequence <= self._sequence:
-            raise ValueError(
-                f"announcement {announcement.sequence} follows {self._sequence}, expected a higher one"
-            )
-        payload = codec.encode_announcement(announcement, utc_offset(self._clock))
-        self._sequence = announcement.sequence
-        self.payload = payload
-        return payload

@@ -13,11 +13,9 @@ from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge, Sample
 from swarmtrack.transport.zenoh_session import (
-    BRIDGE_CAPACITY,
     OPEN_S,
-    Bridge,
-    Sample,
     ask_for_announcement,
     bounded,
     close_session,
@@ -55,8 +53,8 @@ class ZenohListener:
         self._dropped = 0
 
     async def open(self) -> None:
-        bridge = Bridge(self._take, self._capacity, self._newest_per_key)
-        tokens = Bridge(self._on_token, 65536, newest_per_key=True)
+        bridge = Bridge(self._take, self._capacity, int(self._newest_per_key))
+        tokens = Bridge(self._on_token, 65536, newest_per_key=1)
         self._bridge = bridge
         self._session = await open_session(self._network, listening=False)
 

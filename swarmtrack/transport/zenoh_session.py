@@ -1,7 +1,6 @@
-"""Zenoh from asyncio: sessions that open and close in bounded time, and the bridge from Zenoh's threads to the loop.
+"""Zenoh from asyncio: sessions that open and close in bounded time.
 
-Zenoh calls back on threads of its own. A callback copies the bytes into a bounded `Bridge` and returns; decoding and
-all state live on the event loop. Opening, closing and blocking puts run on threads of ours, each with a time bound.
+Opening, closing and blocking puts run on threads of ours, each with a time bound.
 
 On loopback, agents meet on well-known ports: each takes the lowest that is free and dials those below it, again and
 again, so whoever comes or comes back is met by all who are there, and no agent is special. When the ports are used
@@ -13,100 +12,31 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import itertools
 import json
 import logging
 import re
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar
 
 import zenoh
 
-from swarmtrack.codec import MAX_BYTES
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_bridge import Bridge
 
 log = logging.getLogger(__name__)
 
 RENDEZVOUS_PORTS: Final = range(17447, 17447 + 32)  # on loopback, below Linux's ephemeral ports
 MAX_ZENOH_BYTES: Final = 1024 * 1024  # of a fragmented message: Zenoh drops larger ones before we see them
-BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached while the loop turns
 
 OPEN_S: Final = 10.0
 CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs half open would hold us for 3
 
 _T = TypeVar("_T")
-
-
-class Sample(NamedTuple):
-    """What was heard. alive: False for a deletion, such as a token that went; payload is cut after MAX_BYTES + 1."""
-
-    key: str
-    payload: bytes
-    alive: bool
-
-
-class Bridge:
-    """Hands samples from Zenoh's threads to the event loop, in order, holding at most `capacity` of them.
-
-    When full, the oldest goes and is counted. With `newest_per_key` only the last sample of each key waits.
-    """
-
-    def __init__(
-        self, receive: Callable[[Sample], None], capacity: int = BRIDGE_CAPACITY, newest_per_key: bool = False
-    ) -> None:
-        self._receive = receive
-        self._capacity = capacity
-        self._newest_per_key = newest_per_key
-        self._loop = asyncio.get_running_loop()
-        self._lock = threading.Lock()
-        self._serial = itertools.count()
-        self._waiting: dict[str | int, Sample] = {}
-        self._scheduled = False
-        self.dropped = 0
-
-    def handler(self) -> Any:
-        """For Zenoh's `declare_*`: runs in Zenoh's thread, without a queue and a thread in between."""
-        return zenoh.handlers.Callback(self._on_sample, indirect=False)
-
-    def replies(self) -> Any:
-        """For Zenoh's `get`."""
-
-        def on_reply(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
-                self._on_sample(reply.ok)
-
-        return zenoh.handlers.Callback(on_reply, indirect=False)
-
-    def _on_sample(self, sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()[: MAX_BYTES + 1]  # one too many is enough to be refused
-        self.put(Sample(str(sample.key_expr), payload, sample.kind == zenoh.SampleKind.PUT))
-
-    def put(self, sample: Sample) -> None:
-        """From any thread."""
-        slot = sample.key if self._newest_per_key else next(self._serial)
-        with self._lock:
-            self._waiting.pop(slot, None)
-            self._waiting[slot] = sample
-            if len(self._waiting) > self._capacity:
-                del self._waiting[next(iter(self._waiting))]
-                self.dropped += 1
-            wake = not self._scheduled
-            self._scheduled = True
-        if wake:
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody listens any more
-                self._loop.call_soon_threadsafe(self._drain)
-
-    def _drain(self) -> None:
-        with self._lock:
-            waiting, self._waiting = self._waiting, {}
-            self._scheduled = False
-        for sample in waiting.values():
-            self._receive(sample)
 
 
 async def open_session(network: NetworkSettings, listening: bool = True) -> zenoh.Session:
@@ -178,11 +108,17 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
     )
 
 
-def ask_for_announcement(session: zenoh.Session, team: str, drone_id: int, answers: Bridge) -> None:
-    """Ask every process that speaks as `drone_id`: a clone must be heard too. Returns at once."""
+def ask_for_announcement(
+    session: zenoh.Session, team: str, drone_id: int, answers: Bridge, anew: bool = False
+) -> None:
+    """Ask every process that speaks as `drone_id`: a clone must be heard too. Returns at once.
+
+    anew: have it announce itself again, beside the answer.
+    """
+    key = keys.key(team, Kind.POSE, drone_id)
     with contextlib.suppress(zenoh.ZError):  # the session is closing
         session.get(
-            keys.key(team, Kind.POSE, drone_id),
+            f"{key}?{keys.ANEW}" if anew else key,
             answers.replies(),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,

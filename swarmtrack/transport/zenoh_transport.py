@@ -8,11 +8,12 @@ queryable's declaration. Tokens converge by themselves, so they drive the rest.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections import Counter
 from collections.abc import AsyncIterator
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import zenoh
 
@@ -20,12 +21,14 @@ from swarmtrack.errors import TransportError
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys, settings
-from swarmtrack.transport.base import Kind
-from swarmtrack.transport.peers import Outgoing, Peers
+from swarmtrack.transport.base import PUBLISHED, Kind
+from swarmtrack.transport.membership import MAX_BOOTS
+from swarmtrack.transport.outgoing import Outgoing, Sign
+from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
-    Bridge,
     ask_for_announcement,
     bounded,
     close_session,
@@ -36,19 +39,46 @@ log = logging.getLogger(__name__)
 
 PUT_S: Final = 3.0
 
-PRIORITIES: Final = {Kind.TRACKS: zenoh.Priority.DATA, Kind.HEALTH: zenoh.Priority.DATA_LOW}
+_MAX_TOKENS: Final = 65536
+
+
+class Carriage(NamedTuple):
+    """How a kind of message travels; none ever blocks us."""
+
+    reliability: zenoh.Reliability
+    priority: zenoh.Priority
+
+
+CARRIAGE: Final = {
+    Kind.IDENTITIES: Carriage(zenoh.Reliability.RELIABLE, zenoh.Priority.DATA_HIGH),
+    Kind.TRACKS: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA),
+    Kind.HEALTH: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA_LOW),
+}
 
 
 class ZenohTransport:
-    """One drone's end of the network. `boot` names this life of the process (`keys.new_boot`)."""
+    """One drone's end of the network. `boot` names this life of the process (`keys.new_boot`).
 
-    def __init__(self, network: NetworkSettings, drone_id: int, boot: str, clock: Clock) -> None:
+    sign, verify: of announcements; None to leave it.
+    """
+
+    def __init__(
+        self,
+        network: NetworkSettings,
+        drone_id: int,
+        boot: str,
+        clock: Clock,
+        *,
+        sign: Sign | None = None,
+        verify: Verify | None = None,
+    ) -> None:
         settings.check(network)
         self._network = network
         self._drone_id = drone_id
         self._boot = boot
-        self._peers = Peers(network.team, drone_id, boot, clock)
-        self._outgoing = Outgoing(drone_id, boot, clock)
+        self._clock = clock
+        self._peers = Peers(network.team, drone_id, boot, clock, verify)
+        self._outgoing = Outgoing(network.team, drone_id, boot, clock, sign)
         self._session: zenoh.Session | None = None
         self._publishers: dict[Kind, zenoh.Publisher] = {}
         self._declared: list[Any] = []
@@ -58,12 +88,18 @@ class ZenohTransport:
 
     async def open(self) -> None:
         # A token's key says all, so the last word on each is enough: no flood of tokens can push a departure out.
-        tokens = Bridge(lambda s: self._peers.on_token(s.key, s.alive), 65536, newest_per_key=True)
-        announcements = Bridge(lambda s: self._peers.on_announcement(s.key, s.payload))
-        self._bridges = [tokens, announcements]
+        tokens = Bridge(lambda s: self._peers.on_token(s.key, s.alive), _MAX_TOKENS, newest_per_key=1)
+        # Clones speak on one key, and each must be heard.
+        messages = Bridge(
+            lambda s: self._peers.on_message(s.key, s.payload, s.arrived),
+            newest_per_key=MAX_BOOTS,
+            clock=self._clock,
+        )
+        self._bridges = [tokens, messages]
+        self._loop = asyncio.get_running_loop()
         self._session = await open_session(self._network)
         try:
-            await bounded(partial(self._declare, self._session, tokens, announcements), OPEN_S, "declare")
+            await bounded(partial(self._declare, self._session, tokens, messages), OPEN_S, "declare")
         except BaseException:
             await self.close()
             raise
@@ -71,41 +107,46 @@ class ZenohTransport:
             self._peers.ask_for_missing(self._ask), name="reconciliation"
         )
 
-    def _declare(self, session: zenoh.Session, tokens: Bridge, announcements: Bridge) -> None:
+    def _declare(self, session: zenoh.Session, tokens: Bridge, messages: Bridge) -> None:
         team, me = self._network.team, self._drone_id
-        for kind, priority in PRIORITIES.items():
+        for kind, carriage in CARRIAGE.items():
             self._publishers[kind] = session.declare_publisher(
                 keys.key(team, kind, me),
                 encoding=keys.ENCODINGS[kind],
-                reliability=zenoh.Reliability.BEST_EFFORT,
+                reliability=carriage.reliability,
                 congestion_control=zenoh.CongestionControl.DROP,
-                priority=priority,
+                priority=carriage.priority,
             )
         # The token comes last: it makes others ask, and the queryable must be there to answer.
         self._declared = [
             *self._publishers.values(),
             session.declare_queryable(
-                self._key(Kind.POSE), zenoh.handlers.Callback(self._answer, indirect=False)
+                self._outgoing.key, zenoh.handlers.Callback(self._answer, indirect=False)
             ),
-            session.declare_subscriber(
-                keys.key(team, Kind.POSE, "*"), announcements.handler(), allowed_origin=zenoh.Locality.REMOTE
+            *(
+                session.declare_subscriber(
+                    keys.key(team, kind, "*"), messages.handler(), allowed_origin=zenoh.Locality.REMOTE
+                )
+                for kind in SUBSCRIBED
             ),
             session.liveliness().declare_subscriber(
                 keys.key(team, Kind.ALIVE, "*", "*"), tokens.handler(), history=True
             ),
             session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
         ]
-        self._announcements = announcements
+        self._messages = messages
 
     async def announce(self, announcement: Announcement) -> None:
-        payload = self._outgoing.replace(announcement)
+        self._outgoing.replace(announcement)
         session = self._session
         if session is None:
             return  # not open yet, or no more: those who come ask for it
 
         def put(open_session: zenoh.Session) -> None:
+            payload = self._outgoing.tell()
+            assert payload is not None
             open_session.put(
-                self._key(Kind.POSE),
+                self._outgoing.key,
                 payload,
                 encoding=keys.ENCODINGS[Kind.POSE],
                 congestion_control=zenoh.CongestionControl.BLOCK,
@@ -118,9 +159,13 @@ class ZenohTransport:
             self._counters["announcements_unsent"] += 1
             log.warning("announcement not put, teammates will ask for it: %s", error)
 
+    def request_announcement(self, drone_id: int) -> None:
+        if self._session is not None and self._peers.may_request(drone_id):
+            ask_for_announcement(self._session, self._network.team, drone_id, self._messages, anew=True)
+
     def publish(self, kind: Kind, payload: bytes) -> None:
-        if kind not in PRIORITIES:
-            raise ValueError(f"publish: found {kind}, expected one of {', '.join(PRIORITIES)}")
+        if kind not in PUBLISHED:
+            raise ValueError(f"publish: found {kind}, expected one of {', '.join(PUBLISHED)}")
         publisher = self._publishers.get(kind)
         if publisher is None:
             self._counters[f"{kind}_unsent"] += 1
@@ -141,7 +186,9 @@ class ZenohTransport:
             "peers": len(alive),
             "missing": len(missing),
             "links": len(links),
+            **self._outgoing.counters,
             "samples_dropped": sum(bridge.dropped for bridge in self._bridges),
+            "samples_superseded": sum(bridge.superseded for bridge in self._bridges),
             **self._counters,
             **self._peers.counters,
         }
@@ -159,15 +206,15 @@ class ZenohTransport:
             await close_session(session, declared)
         self._peers.close()
 
-    def _key(self, kind: Kind) -> str:
-        return keys.key(self._network.team, kind, self._drone_id)
-
     def _answer(self, query: zenoh.Query) -> None:
         """In Zenoh's thread."""
-        payload = self._outgoing.payload
+        payload = self._outgoing.answer()
         if payload is not None:
-            query.reply(self._key(Kind.POSE), payload, encoding=keys.ENCODINGS[Kind.POSE])
+            query.reply(self._outgoing.key, payload, encoding=keys.ENCODINGS[Kind.POSE])
+        if keys.ANEW in query.parameters and self._outgoing.accept_request():
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._peers.on_request)
 
     def _ask(self, drone_id: int) -> None:
         if self._session is not None:
-            ask_for_announcement(self._session, self._network.team, drone_id, self._announcements)
+            ask_for_announcement(self._session, self._network.team, drone_id, self._messages)

@@ -1,0 +1,114 @@
+"""Our own announcement, on its way out."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Final
+
+from swarmtrack import codec
+from swarmtrack.messages import Announcement
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+
+Sign = Callable[[bytes], bytes]
+"""Bytes to an Ed25519 signature."""
+
+REQUEST_S: Final = 1.0  # between two requests to announce anew, at both ends
+_FRESH_S: Final = 0.05  # s for which the same bytes are told again: a flood of questions costs no encoding
+_ANSWERS_PER_S: Final = 256  # more than a hundred newcomers ask at once; whoever is refused asks again
+
+
+class Outgoing:
+    """Checked, only ever replaced by a later one, and told each time with the age its pose has by then.
+
+    Any thread may call: Zenoh has questions answered in threads of its own.
+    """
+
+    def __init__(self, team: str, drone_id: int, boot: str, clock: Clock, sign: Sign | None) -> None:
+        self.key = keys.key(team, Kind.POSE, drone_id)
+        self._drone_id = drone_id
+        self._boot = boot
+        self._clock = clock
+        self._sign = sign
+        self._lock = threading.Lock()
+        self._announcement: Announcement | None = None
+        self._encoded = b""
+        self._encoded_at = 0.0
+        self._answers_since = 0.0
+        self._answers = 0
+        self._requested_at: float | None = None
+        self._counters: Counter[str] = Counter()
+
+    def replace(self, announcement: Announcement) -> None:
+        """Raises ValueError where the announcement is not ours, not newer, or not sound."""
+        if (announcement.drone_id, announcement.boot) != (self._drone_id, self._boot):
+            raise ValueError(
+                f"announcement of drone {announcement.drone_id} boot {announcement.boot}, "
+                f"expected our own: {self._drone_id} {self._boot}"
+            )
+        with self._lock:
+            last = self._announcement
+            if last is not None and announcement.sequence <= last.sequence:
+                raise ValueError(
+                    f"announcement {announcement.sequence} follows {last.sequence}, expected a higher one"
+                )
+            self._encode(announcement)
+            self._announcement = announcement
+
+    def tell(self) -> bytes | None:
+        """The bytes to send now; None before the first announcement."""
+        with self._lock:
+            return self._tell()
+
+    def answer(self) -> bytes | None:
+        """The same for whoever asks; None too where too many ask."""
+        with self._lock:
+            now = self._clock.now()
+            if now - self._answers_since >= 1.0:
+                self._answers_since, self._answers = now, 0
+            self._answers += 1
+            if self._answers > _ANSWERS_PER_S:
+                self._counters["answers_refused"] += 1
+                return None
+            return self._tell()
+
+    def accept_request(self) -> bool:
+        """Whether to heed one who wants us to announce anew: once a second, and if there is anything to renew."""
+        with self._lock:
+            now = self._clock.now()
+            soon = self._requested_at is not None and now - self._requested_at < REQUEST_S
+            if soon or self._announcement is None:
+                self._counters["requests_ignored"] += 1
+                return False
+            self._requested_at = now
+            self._counters["requests_received"] += 1
+            return True
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """announcement_bytes: of one; announcements_sent: puts and answers."""
+        with self._lock:
+            return {
+                "announcement_bytes": len(self._encoded),
+                "announcements_sent": self._counters["announcements_sent"],
+                "announcement_bytes_total": self._counters["announcement_bytes_total"],
+                **self._counters,
+            }
+
+    def _tell(self) -> bytes | None:
+        if self._announcement is None:
+            return None
+        if self._clock.now() - self._encoded_at > _FRESH_S:
+            self._encode(self._announcement)
+        self._counters["announcements_sent"] += 1
+        self._counters["announcement_bytes_total"] += len(self._encoded)
+        return self._encoded
+
+    def _encode(self, announcement: Announcement) -> None:
+        now = self._clock.now()
+        data = codec.encode_announcement(announcement, self._clock.utc() - now, now)
+        self._encoded = data if self._sign is None else codec.sign_announcement(data, self.key, self._sign)
+        self._encoded_at = now

@@ -1,0 +1,130 @@
+"""From Zenoh's threads to the event loop, with bounds on what may wait and on what is done at a time.
+
+Zenoh calls back on threads of its own. A callback notes the time, copies the bytes into a `Bridge` and returns;
+decoding and all state live on the event loop. Whoever sends more than we can take only replaces its own messages: the
+keys take turns, each keeps its newest, and between two handfuls the loop does everything else it has to do.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import zenoh
+
+from swarmtrack.codec import MAX_BYTES
+from swarmtrack.runtime.clock import Clock, SystemClock
+
+BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached while the loop turns
+_HANDFUL: Final = 32  # samples taken in one turn of the loop: at 0.2 ms for the dearest, 6 ms
+_REST_S: Final = 0.01  # until the next handful, where only the newest counts: 3200 samples a second at most
+
+
+class Sample(NamedTuple):
+    """What was heard, and when by our monotonic clock.
+
+    alive: False for a deletion, such as a token that went; payload is cut after MAX_BYTES + 1.
+    """
+
+    key: str
+    payload: bytes
+    alive: bool
+    arrived: float
+
+
+class Bridge:
+    """Hands samples from Zenoh's threads to the event loop, in order, holding at most `capacity` of them.
+
+    When full, the oldest goes, counted in `dropped`. With `newest_per_key` only the last so many of each key wait, what
+    they replace is counted in `superseded`, and the loop rests between two handfuls.
+    """
+
+    def __init__(
+        self,
+        receive: Callable[[Sample], None],
+        capacity: int = BRIDGE_CAPACITY,
+        newest_per_key: int = 0,
+        clock: Clock | None = None,
+    ) -> None:
+        self._receive = receive
+        self._capacity = capacity
+        self._newest_per_key = newest_per_key
+        self._clock = clock or SystemClock()
+        self._loop = asyncio.get_running_loop()
+        self._lock = threading.Lock()
+        # Samples by key, the keys in order of arrival; in order of arrival altogether under the one key "".
+        self._waiting: dict[str, deque[Sample]] = {}
+        self._count = 0
+        self._scheduled = False
+        self.dropped = 0
+        self.superseded = 0
+
+    def handler(self) -> Any:
+        """For Zenoh's `declare_*`: runs in Zenoh's thread, without a queue and a thread in between."""
+        return zenoh.handlers.Callback(self._on_sample, indirect=False)
+
+    def replies(self) -> Any:
+        """For Zenoh's `get`."""
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                self._on_sample(reply.ok)
+
+        return zenoh.handlers.Callback(on_reply, indirect=False)
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()[: MAX_BYTES + 1]  # one too many is enough to be refused
+        alive = sample.kind == zenoh.SampleKind.PUT
+        self.put(Sample(str(sample.key_expr), payload, alive, self._clock.now()))
+
+    def put(self, sample: Sample) -> None:
+        """From any thread."""
+        slot = sample.key if self._newest_per_key else ""
+        with self._lock:
+            queue = self._waiting.setdefault(slot, deque())
+            queue.append(sample)
+            self._count += 1
+            if self._newest_per_key and len(queue) > self._newest_per_key:
+                queue.popleft()
+                self._count -= 1
+                self.superseded += 1
+            elif self._count > self._capacity:
+                self._take()
+                self.dropped += 1
+            wake = not self._scheduled
+            self._scheduled = True
+        if wake:
+            self._schedule(self._loop.call_soon_threadsafe, self._drain)
+
+    def _drain(self) -> None:
+        with self._lock:
+            handful = [self._take() for _ in range(min(_HANDFUL, self._count))]
+        try:
+            for sample in handful:
+                self._receive(sample)
+        finally:
+            self._schedule(self._loop.call_later, _REST_S if self._newest_per_key else 0.0, self._rested)
+
+    def _rested(self) -> None:
+        with self._lock:
+            self._scheduled = self._count > 0
+        if self._scheduled:
+            self._drain()
+
+    def _take(self) -> Sample:
+        """The oldest sample of the key whose turn it is, which then goes to the back."""
+        slot = next(iter(self._waiting))
+        queue = self._waiting.pop(slot)
+        sample = queue.popleft()
+        self._count -= 1
+        if queue:
+            self._waiting[slot] = queue
+        return sample
+
+    def _schedule(self, call: Callable[..., object], *arguments: object) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody listens any more
+            call(*arguments)
