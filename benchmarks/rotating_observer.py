@@ -33,7 +33,8 @@ from swarmtrack.messages import Array, Detections, ImuSample, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.onboard import Mounting, Onboard
-from swarmtrack.simulation.scenarios import HOVER, Scenario, yawing_observer
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.scenarios import HOVER_S, Scenario
 from swarmtrack.simulation.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
 from swarmtrack.simulation.trajectory import SteadyYaw, Trajectory
 from swarmtrack.simulation.world import World
@@ -61,13 +62,13 @@ class Experiment:
     clutter_per_frame: float = 0.1
     imu_hz: float = 200.0
     begins_s: float = (
-        HOVER - 1.0
-    )  # of the world's time: the swing sets in at HOVER and is full a second later
-    measured_from_s: float = HOVER + 1.0
-    ends_s: float = HOVER + 9.0
+        HOVER_S - 1.0
+    )  # of the world's time: the swing sets in at HOVER_S and is full a second later
+    measured_from_s: float = HOVER_S + 1.0
+    ends_s: float = HOVER_S + 9.0
 
 
-QUICK = Experiment(ends_s=HOVER + 4.0)
+QUICK = Experiment(ends_s=HOVER_S + 4.0)
 
 
 class Condition(NamedTuple):
@@ -116,7 +117,7 @@ class Sensed(NamedTuple):
 
 def fly(experiment: Experiment, seed: int, tracker: str, parameters: dict[str, Any]) -> dict[str, Run]:
     """All conditions of one seed; those that swing see the same samples and scans."""
-    scenario = yawing_observer(seed)
+    scenario = load_scenario("yawing-observer", seed=seed)
     swinging = _sense(scenario, experiment)
     still = _sense(replace(scenario, world=_without_yaw(scenario.world)), experiment)
     return {

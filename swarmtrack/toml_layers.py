@@ -168,7 +168,7 @@ def key_lines(text: str) -> dict[Key, int]:
     table: Key = ()
     tables: dict[Key, int] = {}  # of each array of tables, how many there are so far
     pending: list[str] = []
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1):
         pending.append(line)
         try:
             parsed = tomllib.loads("\n".join(pending))

@@ -91,7 +91,8 @@ probability = 2
     found = problems_of(path)
     expected = [
         "drone.toml:3: drone.id: 0, expected",
-        'drone.toml:4: drone.start.from: "gps" is not supported yet',
+        'drone.toml:4: drone.start.from: "gps" without a MAVLink autopilot',
+        'drone.toml:4: drone.start.from: "gps" without an origin of the team frame',
         "drone.toml:4: drone.start.position_m[2]: missing",
         'drone.toml:8: camera.calibrtion: unknown key, did you mean "calibration"?',
         "drone.toml:9: camera.imu_rate_hz: unknown key here, expected in [autopilot]",
@@ -237,14 +238,15 @@ def test_the_schema_knows_every_key_of_the_examples():
 
 
 def test_lines_are_found_through_comments_strings_and_arrays_of_many_lines():
-    text = '# [x]\n[a.b]\n"c.d" = """\n[e]\n"""\nf = [\n  1, # ]\n]\ng.h = { i = 1 }\n[[j]]\nk = 1\r\n'
+    text = '# [x]\n[a.b]\n"c.d" = """\n[e]\n"""\nf = [\n  1, # ]\n]\ng.h = { i = 1 }\n[[j]]\nk = 1\r\n[[j]]\nk = 2\n[j.l]\nm = 3\n'
     assert tomllib.loads(text)
     lines = key_lines(text)
     assert lines["a",] == lines["a", "b"] == 2
     assert lines["a", "b", "c.d"] == 3
     assert lines["a", "b", "f"] == 6
     assert lines["a", "b", "g", "h", "i"] == 9
-    assert (lines["j",], lines["j", "k"]) == (10, 11)
+    assert (lines["j",], lines["j", 0, "k"]) == (10, 11)
+    assert (lines["j", 1], lines["j", 1, "k"], lines["j", 1, "l", "m"]) == (12, 13, 15)
     assert ("e",) not in lines
 
 

@@ -15,9 +15,10 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera
 from swarmtrack.messages import Array, EgoPose, Frame, Image, ImuSample
 from swarmtrack.runtime.clock import ManualClock
+from swarmtrack.scenario_file import load_scenario
 from swarmtrack.sensors.simulated import Simulation, open_simulation
 from swarmtrack.simulation.rendering import Optics, Renderer
-from swarmtrack.simulation.scenarios import SCENARIOS, Scenario, crossing, hover_triangle, yawing_observer
+from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA
 from swarmtrack.simulation.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
 from swarmtrack.simulation.trajectory import (
     STANDARD_GRAVITY,
@@ -119,26 +120,12 @@ def test_the_thrust_of_a_flying_quadrotor_lies_along_its_own_axis_and_its_nose_a
         assert math.atan2(nose[1], nose[0]) == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_the_drones_of_a_scenario_keep_a_metre_apart_and_are_in_view_while_they_hover(name):
-    scenario = SCENARIOS[name](3)
-    world = scenario.world
-    for t in np.arange(0.0, 120.0, 0.5):
-        points = np.stack([world.drones[drone].position(t) for drone in world.drones])
-        apart = np.linalg.norm(points[:, None] - points, axis=2) + 10.0 * np.eye(len(points))
-        assert apart.min() > 1.0
-        assert points[:, 2].max() < -1.0, "above the ground"
-    boxes = visible(world, 1, scenario.camera, scenario.body_from_camera, 2.0)
-    assert set(boxes) == set(world.drones) - {1}
-    assert all(25.0 < box[2] < 120.0 for box in boxes.values())
-
-
 # --- sensors ---------------------------------------------------------------------------------------
 
 
 def test_gyro_noise_and_bias_are_those_asked_for():
     parameters = ImuParameters(rate_hz=400.0, gyro_noise_density=1e-3, gyro_bias_sigma=0.02)
-    world = hover_triangle(4).world
+    world = load_scenario("hover-triangle", seed=4).world
     imu = Imu(world, 1, parameters)
     error = np.stack([imu.sample(k).gyro - world.body_rate(1, k / 400.0) for k in range(4000)])
     sigma = 1e-3 * math.sqrt(400.0)
@@ -152,16 +139,16 @@ def test_gyro_noise_and_bias_are_those_asked_for():
 
 
 def test_samples_are_the_same_bits_in_whatever_order_they_are_asked_for():
-    forwards = Imu(hover_triangle(9).world, 2)
-    backwards = Imu(hover_triangle(9).world, 2)
+    forwards = Imu(load_scenario("hover-triangle", seed=9).world, 2)
+    backwards = Imu(load_scenario("hover-triangle", seed=9).world, 2)
     first = [forwards.sample(k).gyro for k in range(50)]
     second = [backwards.sample(k).gyro for k in reversed(range(50))][::-1]
     np.testing.assert_array_equal(first, second)
-    assert not np.array_equal(first[0], Imu(hover_triangle(10).world, 2).sample(0).gyro)
+    assert not np.array_equal(first[0], Imu(load_scenario("hover-triangle", seed=10).world, 2).sample(0).gyro)
 
 
 def test_a_drone_behind_another_is_not_visible_and_the_nearer_one_is():
-    camera, body_from_camera = Scenario(World(0, {})).camera, Scenario(World(0, {})).body_from_camera
+    camera, body_from_camera = CAMERA, BODY_FROM_CAMERA
     still = {
         drone: Trajectory(Hover((x, y, -2.0)), SteadyYaw())
         for drone, x, y in ((1, 0, 0), (2, 3, 0), (3, 7, 0))
@@ -174,7 +161,7 @@ def test_a_drone_behind_another_is_not_visible_and_the_nearer_one_is():
 
 
 def test_the_stand_in_detector_misses_errs_and_invents_as_often_as_it_says():
-    scenario = crossing(1)
+    scenario = load_scenario("crossing", seed=1)
     boxes = visible(scenario.world, 1, scenario.camera, scenario.body_from_camera, 0.0)
     parameters = DetectorParameters(p_detection=0.8, centre_sigma=2.0, clutter_per_frame=1.5)
     rng = np.random.default_rng(0)
@@ -209,7 +196,7 @@ def changed(renderer: Renderer, drone: int, t: float) -> tuple[Array, NDArray[np
 @pytest.mark.parametrize("t", [0.0, 9.0, 13.3])
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_each_drone_is_drawn_where_the_camera_model_projects_it_and_as_large(t, fisheye):
-    scenario = crossing(2)
+    scenario = load_scenario("crossing", seed=2)
     camera = scenario.camera
     if fisheye:
         camera = PinholeCamera(300.0, 300.0, 319.5, 239.5, 640, 480, Equidistant((-0.01, 0.0, 0.0, 0.0)))
@@ -233,7 +220,10 @@ def test_each_drone_is_drawn_where_the_camera_model_projects_it_and_as_large(t, 
 def test_a_nearer_drone_is_drawn_over_a_farther_one():
     still = {drone: Trajectory(Hover((x, 0, -2.0)), SteadyYaw()) for drone, x in ((1, 0), (2, 3), (3, 4))}
     renderer = Renderer(
-        World(0, still), Scenario(World(0, {})).camera, hover_triangle(0).body_from_camera, NO_NOISE
+        World(0, still),
+        CAMERA,
+        BODY_FROM_CAMERA,
+        NO_NOISE,
     )
     both, front = renderer.image(1, 0.0, 0), renderer.image(1, 0.0, 0, targets=(2,))
     middle = (slice(236, 244), slice(316, 324))  # the front drone's solid body
@@ -244,7 +234,11 @@ def test_a_nearer_drone_is_drawn_over_a_farther_one():
 def test_the_same_seed_draws_the_same_picture_and_another_seed_another():
     pictures = [
         Renderer(s.world, s.camera, s.body_from_camera).image(1, 5.0, 75)
-        for s in (hover_triangle(6), hover_triangle(6), hover_triangle(7))
+        for s in (
+            load_scenario("hover-triangle", seed=6),
+            load_scenario("hover-triangle", seed=6),
+            load_scenario("hover-triangle", seed=7),
+        )
     ]
     np.testing.assert_array_equal(pictures[0], pictures[1])
     assert not np.array_equal(pictures[0], pictures[2])
@@ -273,7 +267,7 @@ def test_the_horizon_rolls_against_the_observer():
     angles = {}
     for acceleration in (0.0, 2.0, -3.0):
         world = World(1, {1: Trajectory(Sideways(acceleration), SteadyYaw(0.0))})
-        renderer = Renderer(world, hover_triangle(0).camera, hover_triangle(0).body_from_camera, NO_NOISE)
+        renderer = Renderer(world, CAMERA, BODY_FROM_CAMERA, NO_NOISE)
         angles[acceleration] = horizon_angle(renderer.image(1, 0.0, 0))
     for acceleration in (2.0, -3.0):
         roll = math.atan2(acceleration, STANDARD_GRAVITY)  # to the right for an acceleration to the right
@@ -282,7 +276,7 @@ def test_the_horizon_rolls_against_the_observer():
 
 
 def test_scenery_moves_as_a_far_point_does_when_the_observer_turns():
-    scenario = yawing_observer(5)
+    scenario = load_scenario("yawing-observer", seed=5)
     renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera, NO_NOISE)
     t, later = 4.75, 4.77  # fast yaw
     before, after = (renderer.image(1, s, 0, targets=()) for s in (t, later))
@@ -296,7 +290,7 @@ def test_scenery_moves_as_a_far_point_does_when_the_observer_turns():
 
 
 def test_a_drone_too_near_or_behind_is_left_out_and_breaks_nothing():
-    camera, body_from_camera = hover_triangle(0).camera, hover_triangle(0).body_from_camera
+    camera, body_from_camera = CAMERA, BODY_FROM_CAMERA
     for place in ((0.15, 0.0, -2.0), (-3.0, 0.0, -2.0), (0.5, 3.0, -2.0), (0.35, 0.3, -2.0)):
         drones = {1: Trajectory(Hover((0, 0, -2)), SteadyYaw()), 2: Trajectory(Hover(place), SteadyYaw())}
         assert Renderer(World(0, drones), camera, body_from_camera).image(1, 0.0, 0).shape == (480, 640, 3)
@@ -412,7 +406,7 @@ def test_teammates_announce_where_they_start_within_what_they_claim():
     announcements = sim.teammates_announcements()
     assert [a.drone_id for a in announcements] == [1, 3]
     for announcement in announcements:
-        truth = hover_triangle(8).initial_poses[announcement.drone_id]
+        truth = load_scenario("hover-triangle", seed=8).initial_poses[announcement.drone_id]
         error = announcement.position - truth.position
         assert (
             0.0 < error @ np.linalg.solve(announcement.position_cov, error) < 16.3
@@ -437,7 +431,7 @@ async def test_agents_with_one_epoch_fly_in_one_world():
 @pytest.mark.parametrize(
     ("address", "complaint"),
     [
-        ("sim://nowhere", "scenario 'nowhere', expected one of hover-triangle"),
+        ("sim://nowhere", 'scenario "nowhere", expected one of'),
         ("v4l2:///dev/video0", "scheme 'v4l2'"),
         ("sim://hover-triangle?sed=1", "did you mean 'seed'"),
         ("sim://hover-triangle?fps=fast", "fps: 'fast', expected a number"),

@@ -1,8 +1,9 @@
 """`sim://`: a camera and an autopilot that look into a simulated world, in real time.
 
     sim://hover-triangle?seed=1&fps=15&drone=1&latency_ms=30
+    sim:///path/to/scenario.toml
 
-The path names a scenario of `swarmtrack.simulation.scenarios`; every key has a default (`SimulationAddress`). World
+It names a scenario that is shipped, or the file of one; every key has a default (`SimulationAddress`). World
 time 0 is `epoch_s` on the agent's monotonic clock, or the moment of opening: give several agents of one machine
 the same epoch, and they fly together. Frames and samples are functions of the seed and their index, so two runs
 see the same; only which frames a busy consumer misses depends on the machine. Truth stays in here: what leaves
@@ -19,19 +20,20 @@ import zlib
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 import numpy as np
 
-from swarmtrack.errors import SourceError
+from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Announcement, Frame, LinkStatus, StampKind
 from swarmtrack.runtime.clock import Clock
+from swarmtrack.scenario_file import load_scenario
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.simulation.rendering import Renderer
-from swarmtrack.simulation.scenarios import SCENARIOS, Scenario
+from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, ego_pose
 
 Sleep = Callable[[float], Awaitable[None]]
@@ -47,8 +49,9 @@ BATCH = 256  # samples handed over before others on the event loop get their tur
 class SimulationAddress:
     """A `sim://` address, taken apart."""
 
-    scenario: str
+    scenario: str  # a name, or the path of a file
     seed: int = 1
+    drones: int | None = None  # how many fly; None: as many as the scenario says
     drone: int | None = None  # None: the ID in the config
     fps: float = 15.0
     latency_ms: float = 30.0  # from exposure to delivery
@@ -60,11 +63,9 @@ class SimulationAddress:
 def parse_address(address: str) -> SimulationAddress:
     """Raises SourceError, with a sentence, for whatever is not a simulation that can be opened."""
     parts = urlsplit(address)
-    scenario = (parts.netloc + parts.path).strip("/")
+    scenario = unquote(parts.netloc + parts.path).rstrip("/")
     if parts.scheme != "sim":
         raise SourceError(f"{address}: scheme '{parts.scheme}', expected sim://SCENARIO")
-    if scenario not in SCENARIOS:
-        raise SourceError(f"{address}: scenario '{scenario}', expected one of {', '.join(SCENARIOS)}")
     known = [field.name for field in dataclasses.fields(SimulationAddress) if field.name != "scenario"]
     numbers: dict[str, float] = {}
     for key, text in parse_qsl(parts.query, keep_blank_values=True):
@@ -83,7 +84,7 @@ def parse_address(address: str) -> SimulationAddress:
     for key, low, high in (("fps", 0.1, 1000.0), ("imu_hz", 1.0, 10000.0), ("latency_ms", 0.0, 60000.0)):
         if key in numbers and not low <= numbers[key] <= high:
             raise SourceError(f"{address}: {key}: {numbers[key]:g}, expected {low:g} to {high:g}")
-    for key in ("seed", "drone"):
+    for key in ("seed", "drone", "drones"):
         if key in numbers and (numbers[key] != int(numbers[key]) or numbers[key] < 0):
             raise SourceError(f"{address}: {key}: {numbers[key]:g}, expected a whole number from 0")
     if numbers.get("seconds", 1.0) <= 0.0:
@@ -91,6 +92,7 @@ def parse_address(address: str) -> SimulationAddress:
     return SimulationAddress(
         scenario=scenario,
         seed=int(numbers.get("seed", 1)),
+        drones=int(numbers["drones"]) if "drones" in numbers else None,
         drone=int(numbers["drone"]) if "drone" in numbers else None,
         fps=numbers.get("fps", 15.0),
         latency_ms=numbers.get("latency_ms", 30.0),
@@ -158,7 +160,10 @@ def open_simulation(
             f"{address}: drone: {parsed.drone}, expected {drone_id} as in the config, or no such key"
         )
     chosen = drone_id if drone_id is not None else parsed.drone if parsed.drone is not None else 1
-    scenario = SCENARIOS[parsed.scenario](parsed.seed)
+    try:
+        scenario = load_scenario(parsed.scenario, seed=parsed.seed, drones=parsed.drones)
+    except ConfigError as error:
+        raise SourceError(f"{address}: {error}") from error
     if chosen not in scenario.world.drones:
         flying = ", ".join(str(drone) for drone in scenario.world.drones)
         raise SourceError(f"{address}: drone {chosen} does not fly in it, expected one of {flying}")

@@ -1,14 +1,17 @@
-"""Named flights: who flies where, and which camera everyone carries. `SCENARIOS` is the list.
+"""Who flies where, which camera everyone carries, and what goes wrong when: one simulated flight of a swarm.
 
-All begin with `HOVER` seconds of hovering in view of drone 1, so that the announced initial poses fit what it
-sees; then they move, without end. Distances between drones stay above a metre.
+A scenario is a value. `swarmtrack.scenario_file` reads one from TOML with the builders below. All drones hover until
+world time `HOVER_S`, and at every negative time: however slowly processes start, the announced poses fit what is seen.
+Then they move, without end.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +19,15 @@ from numpy.typing import ArrayLike
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.messages import Array
+from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.trajectory import (
     Facing,
     Handover,
     Hover,
     Lissajous,
     Path,
+    SteadyYaw,
     SwingingYaw,
     Together,
     Trajectory,
@@ -30,116 +36,309 @@ from swarmtrack.simulation.trajectory import (
 )
 from swarmtrack.simulation.world import World
 
-HOVER = 4.0  # s: an agent needs one to start, and one to see and name everyone
-DEPARTURE = 5.0  # s: from hover into the flight proper
+HOVER_S = 4.5  # s: an agent needs one to start, and one to see and name everyone
+DEPARTURE_S = 5.0  # s: from hover into the flight proper
+DRIFT_M = 0.03  # m RMS an axis: how well a drone holds its position
 CAMERA = PinholeCamera(fx=430.0, fy=430.0, cx=319.5, cy=239.5, width=640, height=480)
 BODY_FROM_CAMERA = Pose(BODY_FROM_FORWARD_CAMERA, np.array([0.1, 0.0, 0.0]))
 
 
+class FaultKind(StrEnum):
+    CAMERA_STALL = "camera-stall"
+    IMU_GAP = "imu-gap"
+    AUTOPILOT_REBOOT = "autopilot-reboot"
+    KILL = "kill"  # kill -9 of the agent, started again after `seconds`; 0: it stays dead
+    PARTITION = "partition"  # `drones` hear each other, and so does everybody else; nobody hears across
+    LOSS = "loss"
+    LATENCY = "latency"
+    CLUTTER = "clutter"
+
+
+RADIO_FAULTS = frozenset({FaultKind.PARTITION, FaultKind.LOSS, FaultKind.LATENCY})
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What goes wrong from world time `at_s` on for `seconds`, with `drones` (none named: with all).
+
+    value: of a loss the share 0…1 of frames lost, of a latency s, of clutter the false detections expected per frame.
+    """
+
+    kind: FaultKind
+    at_s: float
+    seconds: float
+    drones: tuple[int, ...] = ()
+    value: float = 0.0
+
+    def concerns(self, drone_id: int, t: float) -> bool:
+        """Whether it holds for this drone at world time t."""
+        return (not self.drones or drone_id in self.drones) and self.at_s <= t < self.at_s + self.seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Radio:
+    """Every link of the team's radio, all the time. loss 0…1; latency and its jitter (±) in s."""
+
+    loss: float = 0.0
+    latency_s: float = 0.0
+    jitter_s: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
+class AnnouncedStart:
+    """Where a drone's config says that it starts: measured, hence off by about `position_sigma_m` per axis.
+
+    position_m (3,) m in the team frame; yaw in rad from north.
+    """
+
+    position_m: Array
+    yaw: float
+    position_sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Scenario:
-    """A world, and the camera that every drone in it carries."""
+    """A world, the camera that every drone in it carries, and what its agents and their machines are like.
+
+    seconds is its natural length. starts_s: when a drone's agent is started, in world time; 0: before the flight
+    begins. utc_offset_s: how wrong its companion's wall clock is. autopilot_skew: how much faster than true time its
+    autopilot's clock runs (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. Drones that a
+    mapping leaves out start at 0, with right clocks, an autopilot that was switched on at world time 0 included.
+    """
 
     world: World
+    name: str = "unnamed"
+    about: str = ""
+    seconds: float = 30.0
     camera: PinholeCamera = CAMERA
     body_from_camera: Pose = BODY_FROM_CAMERA
+    fps: float = 15.0
+    imu_rate_hz: float = 200.0
+    tracks_hz: float = 100.0
+    detector: DetectorParameters = field(default_factory=DetectorParameters)
+    announced: Mapping[int, AnnouncedStart] = field(default_factory=dict)
+    strangers: frozenset[int] = frozenset()
+    starts_s: Mapping[int, float] = field(default_factory=dict)
+    utc_offset_s: Mapping[int, float] = field(default_factory=dict)
+    autopilot_skew: Mapping[int, float] = field(default_factory=dict)
+    autopilot_boot_s: Mapping[int, float] = field(default_factory=dict)
+    radio: Radio = Radio()
+    faults: tuple[Fault, ...] = ()
+
+    @property
+    def seed(self) -> int:
+        return self.world.seed
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """The drones that have an agent."""
+        return tuple(drone_id for drone_id in self.world.drones if drone_id not in self.strangers)
 
     @property
     def initial_poses(self) -> Mapping[int, Pose]:
         """world_from_body at world time 0, by drone."""
         return {drone_id: self.world.pose(drone_id, 0.0) for drone_id in self.world.drones}
 
+    @property
+    def needs_radio(self) -> bool:
+        """Whether its links lose, delay or part: it then needs a network of its own."""
+        return self.radio != Radio() or any(fault.kind in RADIO_FAULTS for fault in self.faults)
+
+
+# --- who flies where -------------------------------------------------------------------------------
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
-    """Hover at `start`; then, unless `flight` is None, go over into it."""
+class Plan:
+    """Hover at `start` (3,) m; at `departs_s`, unless `flight` is None, go over into it."""
 
     start: ArrayLike
-    yaw: YawProfile
+    view: YawProfile
     flight: Path | None = None
+    departs_s: float = HOVER_S
 
 
-def _scenario(seed: int, plans: Mapping[int, _Plan]) -> Scenario:
+def fly(seed: int, plans: Mapping[int, Plan], drift_m: float = DRIFT_M) -> World:
+    """The world in which each drone follows its plan, give or take the drift of a drone that holds its position."""
+    chance = World(seed, {}).chance
     drones = {}
     for drone_id, plan in plans.items():
         path: Path = Hover(plan.start)
         if plan.flight is not None:
-            path = Handover(path, plan.flight, HOVER, DEPARTURE)
-        drift = wander(World(seed, {}).chance("wander", drone_id))
-        drones[drone_id] = Trajectory(Together((path, drift)), plan.yaw)
-    return Scenario(World(seed, drones))
+            path = Handover(path, plan.flight, plan.departs_s, DEPARTURE_S)
+        drift = wander(chance("wander", drone_id), drift_m)
+        drones[drone_id] = Trajectory(Together((path, drift)), plan.view)
+    return World(seed, drones)
 
 
-def hover_triangle(seed: int) -> Scenario:
-    """Drones 1, 2, 3 in a triangle, facing its middle. Then 2 and 3 cross again and again in front of 1."""
-    middle = (0.5, 0.0, -2.5)
-    return _scenario(
-        seed,
-        {
-            1: _Plan((-4.0, 0.0, -2.5), Facing(middle)),
-            2: _Plan(
-                (0.2, -1.4, -3.8),
-                Facing((-6.0, 0.0, -2.5)),
-                Lissajous((0.2, 0.0, -3.6), (0.4, 1.6, 0.5), (0.16, 0.08, 0.12), (0.0, -1.3, 0.5)),
-            ),
-            3: _Plan(
-                (1.8, 1.6, -3.4),
-                Facing((-6.0, 0.0, -2.5)),
-                Lissajous((1.9, 0.0, -3.8), (0.4, 1.9, 0.6), (0.10, 0.07, 0.14), (1.0, 1.3, 0.0)),
-            ),
-        },
-    )
+def announced_starts(world: World, position_sigma_m: float) -> dict[int, AnnouncedStart]:
+    """What the drones' configs say of their starts, measured with errors of that standard deviation per axis."""
+    starts = {}
+    for drone_id, trajectory in world.drones.items():
+        error = position_sigma_m * world.chance("start", drone_id).standard_normal(3)
+        starts[drone_id] = AnnouncedStart(
+            trajectory.position(0.0) + error, trajectory.yaw(0.0), position_sigma_m
+        )
+    return starts
 
 
-def yawing_observer(seed: int) -> Scenario:
-    """Drones 2 and 3 fly gently ahead of drone 1, which swings its view left and right at up to 2 rad/s."""
-    return _scenario(
-        seed,
-        {
-            1: _Plan((-4.0, 0.0, -2.5), SwingingYaw(0.0, peak_rate=2.0, period=1.4, start=HOVER)),
-            2: _Plan(
-                (0.2, -0.7, -3.8),
-                Facing((-6.0, 0.0, -2.5)),
-                Lissajous((0.2, -0.4, -3.7), (0.4, 0.5, 0.3), (0.11, 0.13, 0.17), (0.0, -1.2, 0.4)),
-            ),
-            3: _Plan(
-                (1.8, 0.9, -3.4),
-                Facing((-6.0, 0.0, -2.5)),
-                Lissajous((1.8, 0.6, -3.6), (0.4, 0.6, 0.3), (0.12, 0.09, 0.15), (1.0, 1.2, 0.0)),
-            ),
-        },
-    )
+# --- formations ------------------------------------------------------------------------------------
 
 
-def crossing(seed: int) -> Scenario:
-    """Drones 2, 3 and 4 cross in front of drone 1, each at its own distance."""
-    return _scenario(
-        seed,
-        {
-            1: _Plan((-4.0, 0.0, -2.5), SwingingYaw(0.0, peak_rate=0.3, period=6.0, start=HOVER)),
-            **{
-                drone_id: _Plan(
-                    (north, side, -3.7 - 0.3 * math.copysign(1.0, side)),
-                    Facing((-7.0, 0.0, -2.5)),
-                    Lissajous(
-                        (north, 0.0, -3.7),
-                        (0.3, reach, 0.4),
-                        (0.1, frequency, 0.13),
-                        (0.0, math.asin(side / reach), drone_id),
-                    ),
-                )
-                for drone_id, north, side, reach, frequency in (
-                    (2, 0.0, -1.4, 1.6, 0.09),
-                    (3, 1.4, 1.6, 1.9, 0.075),
-                    (4, 2.8, -0.3, 2.6, 0.06),
-                )
-            },
-        },
-    )
+class Station(NamedTuple):
+    """A drone's place in a formation: position (3,) m; lane: those of one lane move together, if they move as lanes."""
+
+    position: Array
+    lane: int
 
 
-SCENARIOS: dict[str, Callable[[int], Scenario]] = {
-    "hover-triangle": hover_triangle,
-    "yawing-observer": yawing_observer,
-    "crossing": crossing,
-}
+def ring(n: int, *, radius_m: float, spacing_m: float, heights_m: Sequence[float]) -> list[Station]:
+    """n stations about the origin, `spacing_m` along the circle or more, at the heights in turn.
+
+    Four are pressed into a rhombus of two equilateral triangles: in a square, cameras of 73° would show each drone
+    only its opposite and one neighbour, so 8 of the 12 pairs; there it is 10.
+    """
+    radius = max(radius_m, n * spacing_m / (2.0 * math.pi))
+    angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
+    across = math.tan(math.radians(30.0)) if n == 4 else 1.0
+    return [
+        Station(
+            np.array([radius * math.cos(a), across * radius * math.sin(a), -heights_m[k % len(heights_m)]]), k
+        )
+        for k, a in enumerate(angle)
+    ]
+
+
+def lanes(
+    n: int,
+    *,
+    gap_m: float,
+    lane_step_m: float,
+    lanes_a_side: int,
+    spacing_m: float,
+    heights_m: Sequence[float],
+) -> list[Station]:
+    """Two sides, south and north of the origin and `gap_m` apart, of lanes one behind the other.
+
+    The drones of a lane stand side by side, `spacing_m` apart; the next lane stands in its gaps, at the next height.
+    The north side is the larger one if n is odd. The first drone is in the south, the second in the north, and so on.
+    """
+    south = n // 2
+    stations = []
+    for k in range(n):
+        place, northern = (k // 2, k % 2 == 1) if k < 2 * south else (k // 2, True)
+        size = n - south if northern else south
+        lane, rank = place % lanes_a_side, place // lanes_a_side
+        here = math.ceil((size - lane) / lanes_a_side)  # drones in this lane
+        east = (rank - (here - 1) / 2.0) * spacing_m
+        if size > 1:
+            east += (lane - (min(size, lanes_a_side) - 1) / 2.0) * spacing_m / lanes_a_side
+        north = (gap_m / 2.0 + lane * lane_step_m) * (1.0 if northern else -1.0)
+        stations.append(
+            Station(np.array([north, east, -heights_m[lane % len(heights_m)]]), 2 * lane + northern)
+        )
+    return stations
+
+
+def best_view(eye: ArrayLike, others: Sequence[ArrayLike], width: float) -> Array:
+    """The point (3,) m to look at from `eye` so that a view `width` rad wide shows as many of the others as it can.
+
+    It lies as far away as the farthest of those in view; among equally many, the narrowest group is preferred.
+    """
+    offsets = np.array([np.asarray(other, float) - np.asarray(eye, float) for other in others]).reshape(-1, 3)
+    if not len(offsets):
+        return np.array(eye, float) + [1.0, 0.0, 0.0]
+    bearing = np.arctan2(offsets[:, 1], offsets[:, 0])
+    distance = np.hypot(offsets[:, 0], offsets[:, 1])
+    best: tuple[int, float, float, float] | None = None
+    for leftmost in bearing:
+        turn = (bearing - leftmost) % (2.0 * math.pi)
+        seen = turn <= width + 1e-9
+        spread = float(turn[seen].max())
+        candidate = (
+            int(seen.sum()),
+            -round(spread, 6),
+            float(leftmost) + spread / 2.0,
+            float(distance[seen].max()),
+        )
+        if best is None or candidate[:2] > best[:2]:
+            best = candidate
+    assert best is not None
+    _, _, heading, reach = best
+    return np.asarray(eye, float) + reach * np.array([math.cos(heading), math.sin(heading), 0.0])
+
+
+# --- flights ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Sway:
+    """Each drone by itself about its station: amplitudes [north, east, down] m, periods drawn from a range of s."""
+
+    amplitude_m: tuple[float, float, float]
+    period_s: tuple[float, float]
+
+    def path(self, station: Station, chance: np.random.Generator) -> Path:
+        periods = chance.uniform(*self.period_s, 3)
+        return Lissajous(
+            station.position, self.amplitude_m, 1.0 / periods, chance.uniform(0.0, 2.0 * math.pi, 3)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Weave:
+    """All drones of a lane swing east and west together, up to `reach_m`; the period is drawn from a range of s."""
+
+    reach_m: float
+    period_s: tuple[float, float]
+
+    def path(self, station: Station, chance: np.random.Generator) -> Path:
+        frequency = 1.0 / chance.uniform(*self.period_s)
+        phase = chance.uniform(0.0, 2.0 * math.pi)
+        return Lissajous(station.position, (0.0, self.reach_m, 0.0), (0.0, frequency, 0.0), (0.0, phase, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """Looking left and right, up to `peak_rad_s`; each drone in its own time, its period drawn from a range of s."""
+
+    peak_rad_s: float
+    period_s: tuple[float, float]
+
+
+def form_up(
+    seed: int,
+    stations: Mapping[int, Station],
+    *,
+    flight: Sway | Weave | None,
+    swing: Swing | None,
+    departs_s: Mapping[int, float],
+    view: float,
+) -> dict[int, Plan]:
+    """The plans of a formation whose drones each look where they see most of the others. view: rad, see `best_view`."""
+    chance = World(seed, {}).chance
+    plans = {}
+    for drone_id, station in stations.items():
+        target = best_view(
+            station.position, [other.position for key, other in stations.items() if key != drone_id], view
+        )
+        profile: YawProfile = Facing(target)
+        if isinstance(
+            flight, Sway
+        ):  # the heading stays: a point at arm's length would turn the view with every sway
+            north, east, _ = target - station.position
+            profile = SteadyYaw(math.atan2(east, north))
+        if swing is not None:
+            north, east, _ = target - station.position
+            timing = chance("swing", drone_id)
+            period = timing.uniform(*swing.period_s)
+            begin = departs_s[drone_id] + timing.uniform(0.0, period)
+            profile = SwingingYaw(math.atan2(east, north), swing.peak_rad_s, period, begin)
+        path = None
+        if flight is not None:
+            path = flight.path(
+                station,
+                chance("lane", station.lane) if isinstance(flight, Weave) else chance("sway", drone_id),
+            )
+        plans[drone_id] = Plan(station.position, profile, path, departs_s[drone_id])
+    return plans

@@ -1,0 +1,466 @@
+"""Scenarios as TOML files: read, checked, and turned into a `Scenario`. configs/scenarios holds those that are shipped.
+
+A file describes a formation, which makes as many drones as are asked for, or drones one by one (`[[drone]]`), or both.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, Strict, ValidationError, ValidationInfo, field_validator, model_validator
+
+from swarmtrack.errors import ConfigError
+from swarmtrack.simulation.scenarios import (
+    CAMERA,
+    DRIFT_M,
+    HOVER_S,
+    Fault,
+    FaultKind,
+    Plan,
+    Radio,
+    Scenario,
+    Station,
+    Sway,
+    Swing,
+    Weave,
+    announced_starts,
+    fly,
+    form_up,
+    lanes,
+    ring,
+)
+from swarmtrack.simulation.sensors import DetectorParameters
+from swarmtrack.simulation.trajectory import (
+    Facing,
+    Lissajous,
+    MinimumSnap,
+    SteadyYaw,
+    SwingingYaw,
+    YawProfile,
+)
+from swarmtrack.simulation.trajectory import (
+    Path as FlightPath,
+)
+from swarmtrack.toml_layers import Key, Layers, Problem, read_layers
+from swarmtrack.toml_sections import (
+    Count,
+    Number,
+    ParameterSection,
+    Positive,
+    Section,
+    Switch,
+    Text,
+    Vector,
+    found,
+    one_of,
+    parameter_problems,
+    section_problem,
+)
+
+FOLDER = Path(__file__).with_name("configs") / "scenarios"
+MAX_DRONES = 1000
+VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
+VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
+
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+NotNegative = Annotated[Number, Field(ge=0.0)]
+DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
+DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_DRONES)]
+Range = tuple[Positive, Positive]
+Heights = Annotated[tuple[Positive, ...], Field(min_length=1)]
+# The value of a fault: the largest one, and what it is; kinds that are not listed have none.
+FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
+    FaultKind.LOSS: (1.0, "the share of frames that are lost, 0 to 1"),
+    FaultKind.LATENCY: (60.0, "a delay of 0 to 60 s"),
+    FaultKind.CLUTTER: (1000.0, "0 to 1000 false detections a frame"),
+}
+
+
+class CameraSection(Section):
+    """[camera]"""
+
+    fps: Annotated[Positive, Field(le=1000.0)] = 15.0
+
+
+class AgentsSection(Section):
+    """[agents]: what their configs say."""
+
+    imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = 200.0
+    tracks_hz: Annotated[Positive, Field(le=1000.0)] = 100.0
+    position_sigma_m: Positive = Field(
+        default=0.05, description="how well the starts are measured, m per axis"
+    )
+    late: Annotated[int, Strict(), Field(ge=0)] = Field(
+        default=0, description="how many agents, those with the highest IDs, start late"
+    )
+    late_by_s: Positive = Field(default=8.0, description="by how much")
+
+
+class ClocksSection(Section):
+    """[clocks]: lists that the drones take their values from in turn, in the order of their IDs."""
+
+    utc_offset_s: tuple[Number, ...] = Field(
+        default=(), description="how wrong the companion's wall clock is"
+    )
+    autopilot_skew_ppm: tuple[Annotated[Number, Field(ge=-1000.0, le=1000.0)], ...] = Field(
+        default=(), description="how much too fast the autopilot's clock is"
+    )
+    autopilot_boot_s: tuple[NotNegative, ...] = Field(
+        default=(), description="what that clock shows at world time 0"
+    )
+
+
+class RadioSection(Section):
+    """[radio]: of every link, all the time."""
+
+    loss: Share = 0.0
+    latency_s: NotNegative = 0.0
+    jitter_s: NotNegative = 0.0
+
+
+class RingSection(Section):
+    """Stations on a circle; see `simulation.scenarios.ring`."""
+
+    radius_m: Positive = Field(description="at least, m")
+    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(
+        default=1.8, description="at least, along the circle, m"
+    )
+    heights_m: Heights = Field(default=(3.0,), description="above the ground, in turn, m")
+
+
+class LanesSection(Section):
+    """Two sides of lanes; see `simulation.scenarios.lanes`."""
+
+    gap_m: Positive = Field(description="between the two sides, m")
+    lane_step_m: Annotated[Number, Field(ge=1.2)] = Field(default=1.6, description="from lane to lane, m")
+    lanes_a_side: Count = Field(default=2, description="one behind the other")
+    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(default=2.5, description="within a lane, m")
+    heights_m: Heights = Field(
+        default=(3.0,), description="of the lanes of a side above the ground, in turn, m"
+    )
+
+
+class SwaySection(Section):
+    amplitude_m: Vector = Field(description="[north, east, down], m")
+    period_s: Range = Field(description="[shortest, longest], s")
+
+
+class WeaveSection(Section):
+    reach_m: Positive
+    period_s: Range = Field(description="[shortest, longest], s")
+
+
+class SwingSection(Section):
+    peak_rad_s: Positive
+    period_s: Range = Field(description="[shortest, longest], s")
+
+
+class FormationSection(Section):
+    """[formation]: a shape that makes any number of drones, and how they move once the hover is over."""
+
+    drones: DroneCount = Field(description="how many, unless another number is asked for")
+    ring: RingSection | None = None
+    lanes: LanesSection | None = None
+    sway: SwaySection | None = None
+    weave: WeaveSection | None = None
+    swing: SwingSection | None = None
+
+    @model_validator(mode="after")
+    def _one_shape_and_one_flight(self) -> FormationSection:
+        if (self.ring is None) == (self.lanes is None):
+            raise ValueError("neither or both of ring and lanes, expected one of them")
+        if self.sway is not None and self.weave is not None:
+            raise ValueError("both sway and weave, expected one of them")
+        if self.weave is not None and self.lanes is None:
+            raise ValueError(
+                "weave beside ring, expected sway, or lanes, whose drones can swing sideways together"
+            )
+        return self
+
+    def stations(self, n: int) -> list[Station]:
+        if self.ring is not None:
+            return ring(n, **self.ring.model_dump())
+        assert self.lanes is not None
+        return lanes(n, **self.lanes.model_dump())
+
+    def flight(self) -> Sway | Weave | None:
+        if self.sway is not None:
+            return Sway(**self.sway.model_dump())
+        return Weave(**self.weave.model_dump()) if self.weave is not None else None
+
+
+class OscillationSection(Section):
+    """centre + amplitude sin(2π frequency t + phase), each [north, east, down]."""
+
+    centre_m: Vector
+    amplitude_m: Vector
+    frequency_hz: Vector
+    phase_rad: Vector = (0.0, 0.0, 0.0)
+
+
+class WaypointSection(Section):
+    at_s: Number = Field(description="world time, s, later than the one before")
+    position_m: Vector = Field(description="[north, east, down], m")
+
+
+class OwnSwingSection(Section):
+    peak_rad_s: Positive
+    period_s: Positive
+
+
+class DroneSection(Section):
+    """[[drone]]: one drone by itself, beside a formation or without."""
+
+    id: DroneId = Field(description="1 … 65535, unique")
+    stranger: Switch = Field(default=False, description="true: it has no agent and is none of the team")
+    position_m: Vector = Field(description="where it hovers at first, [north, east, down], m; up is negative")
+    looks_at_m: Vector | None = Field(default=None, description="a point, from wherever it flies")
+    heading_deg: Number | None = Field(
+        default=None, description="clockwise from north, instead of looks_at_m"
+    )
+    swing: OwnSwingSection | None = Field(default=None, description="about its heading")
+    flight: OscillationSection | None = Field(default=None, description="after the hover, without end")
+    waypoints: tuple[WaypointSection, ...] = Field(
+        default=(), description="instead of a hover and a flight: from rest at the first to rest at the last"
+    )
+
+    @model_validator(mode="after")
+    def _one_way_to_fly_and_to_look(self) -> DroneSection:
+        if self.looks_at_m is not None and (self.heading_deg is not None or self.swing is not None):
+            raise ValueError("looks_at_m beside heading_deg or swing, expected either")
+        if self.flight is not None and self.waypoints:
+            raise ValueError("both flight and waypoints, expected one of them")
+        return self
+
+    @field_validator("waypoints")
+    @classmethod
+    def _later_and_later(cls, waypoints: tuple[WaypointSection, ...]) -> tuple[WaypointSection, ...]:
+        if len(waypoints) == 1:
+            raise ValueError("one waypoint, expected two or more")
+        if any(after.at_s <= before.at_s for before, after in itertools.pairwise(waypoints)):
+            raise ValueError(
+                f"at_s {[point.at_s for point in waypoints]}, expected each later than the one before"
+            )
+        return waypoints
+
+    def plan(self, hover_s: float) -> Plan:
+        return Plan(self.position_m, self._view(hover_s), self._flight(), hover_s)
+
+    def _view(self, hover_s: float) -> YawProfile:
+        heading = math.radians(self.heading_deg or 0.0)
+        if self.looks_at_m is not None:
+            return Facing(self.looks_at_m)
+        if self.swing is not None:
+            return SwingingYaw(heading, self.swing.peak_rad_s, self.swing.period_s, hover_s)
+        return SteadyYaw(heading)
+
+    def _flight(self) -> FlightPath | None:
+        if self.flight is not None:
+            f = self.flight
+            return Lissajous(f.centre_m, f.amplitude_m, f.frequency_hz, f.phase_rad)
+        if self.waypoints:
+            return MinimumSnap(
+                [point.at_s for point in self.waypoints], [point.position_m for point in self.waypoints]
+            )
+        return None
+
+
+class FaultSection(Section):
+    """[[fault]]"""
+
+    kind: FaultKind
+    at_s: NotNegative = Field(description="when it begins, world time, s")
+    seconds: NotNegative = Field(
+        default=0.0,
+        description="how long it lasts; of a kill: until the agent is restarted",
+        validate_default=True,
+    )
+    drones: tuple[DroneId, ...] = Field(default=(), description="those concerned; none: all")
+    value: Number | None = Field(
+        default=None, description="of loss, latency and clutter: how much", validate_default=True
+    )
+
+    @field_validator("seconds")
+    @classmethod
+    def _lasting(cls, seconds: float, info: ValidationInfo) -> float:
+        momentary = (FaultKind.KILL, FaultKind.AUTOPILOT_REBOOT)
+        if seconds == 0.0 and "kind" in info.data and info.data["kind"] not in momentary:
+            raise ValueError(f"{seconds:g}, expected how long the {info.data['kind']} lasts, more than 0 s")
+        return seconds
+
+    @field_validator("value")
+    @classmethod
+    def _of_its_kind(cls, value: float | None, info: ValidationInfo) -> float | None:
+        kind = info.data.get("kind")
+        if kind in FAULT_VALUES:
+            most, meaning = FAULT_VALUES[kind]
+            if value is None or not 0.0 <= value <= most:
+                raise ValueError(f"{'missing' if value is None else format(value, 'g')}, expected {meaning}")
+        elif kind is not None and value is not None:
+            raise ValueError(f"{value:g}, expected none: a {kind} has no strength")
+        return value
+
+    def fault(self) -> Fault:
+        return Fault(self.kind, self.at_s, self.seconds, self.drones, self.value or 0.0)
+
+
+class ScenarioFile(Section):
+    """A whole file."""
+
+    about: Text = Field(description="a sentence that says what it shows")
+    seconds: Positive = Field(description="its natural length, s")
+    hover_s: NotNegative = Field(default=HOVER_S, description="how long everybody hovers at first, s")
+    drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
+        default=DRIFT_M, description="how badly a drone holds its position, RMS per axis, m"
+    )
+    camera: CameraSection = CameraSection()
+    agents: AgentsSection = AgentsSection()
+    clocks: ClocksSection = ClocksSection()
+    detector: ParameterSection = ParameterSection()
+    radio: RadioSection = RadioSection()
+    formation: FormationSection | None = None
+    drone: tuple[DroneSection, ...] = ()
+    fault: tuple[FaultSection, ...] = ()
+
+
+def SCENARIO_NAMES() -> list[str]:
+    """The scenarios that are shipped."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None = None) -> Scenario:
+    """The scenario of a TOML file, or of a bare name: the one of that name that is shipped.
+
+    seed ≥ 0 decides all that is left to chance. drones: how many of the team fly; None: as many as the file says.
+    Raises ConfigError with every problem that was found.
+    """
+    path = _path(name_or_path)
+    layers = read_layers(path, lambda table, folder: None)
+    problems = parameter_problems(layers, "detector", DetectorParameters)
+    try:
+        file = ScenarioFile.model_validate(layers.table)
+    except ValidationError as error:
+        problems += [
+            section_problem(layers, details, ScenarioFile) for details in error.errors(include_url=False)
+        ]
+    if not problems:
+        problems = _drone_problems(layers, file, drones)
+    if problems:
+        raise ConfigError([str(problem) for problem in sorted(problems)])
+    return _scenario(path.stem, file, seed, drones)
+
+
+def _path(name_or_path: str | Path) -> Path:
+    name = str(name_or_path)
+    if isinstance(name_or_path, Path) or "/" in name or name.endswith(".toml"):
+        return Path(name_or_path)
+    known = SCENARIO_NAMES()
+    if name not in known:
+        raise ConfigError([f"scenario {found(name)}, {one_of(name, known)}"])
+    return FOLDER / f"{name}.toml"
+
+
+def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> list[Problem]:
+    """What is wrong with how many drones there are, and with the IDs that are named."""
+    problems: list[Problem] = []
+
+    def wrong(key: Key, text: str) -> None:
+        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key)
+        problems.append(layers.problem(key, f"{place.removeprefix('.')}: {text}"))
+
+    ids = [drone.id for drone in file.drone]
+    for k, drone_id in enumerate(ids):
+        if drone_id in ids[:k]:
+            wrong(("drone", k, "id"), f"{drone_id}, expected an ID that no other drone has")
+    one_by_one = sum(not drone.stranger for drone in file.drone)
+    wanted = _team_size(file, drones)
+    if file.formation is None:
+        if not one_by_one:
+            wrong(("formation",), "missing, expected a table [formation], or drones one by one in [[drone]]")
+        elif wanted != one_by_one:
+            wrong(
+                ("drone",),
+                f"{wanted} drones wanted, expected {one_by_one}: it has no [formation] that makes others",
+            )
+    elif not max(1, one_by_one) <= wanted <= MAX_DRONES:
+        wrong(
+            ("formation", "drones"), f"{wanted} drones wanted, expected {max(1, one_by_one)} to {MAX_DRONES}"
+        )
+    if problems:
+        return problems
+    flying = {*ids, *_formation_ids(file, wanted)}
+    for k, fault in enumerate(file.fault):
+        absent = sorted(set(fault.drones) - flying)
+        if absent:
+            wrong(
+                ("fault", k, "drones"),
+                f"drone {absent[0]}, which does not fly, expected some of {sorted(flying)}",
+            )
+    return problems
+
+
+def _team_size(file: ScenarioFile, drones: int | None) -> int:
+    if drones is not None:
+        return drones
+    return (
+        file.formation.drones
+        if file.formation is not None
+        else sum(not drone.stranger for drone in file.drone)
+    )
+
+
+def _formation_ids(file: ScenarioFile, team: int) -> list[int]:
+    """The lowest IDs that no single drone has, for all of the team that are not described one by one."""
+    taken = {drone.id for drone in file.drone}
+    free = (drone_id for drone_id in itertools.count(1) if drone_id not in taken)
+    return list(itertools.islice(free, team - sum(not drone.stranger for drone in file.drone)))
+
+
+def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> Scenario:
+    ids = _formation_ids(file, _team_size(file, drones)) if file.formation is not None else []
+    members = sorted([*ids, *(drone.id for drone in file.drone if not drone.stranger)])
+    agents = file.agents
+    starts = dict.fromkeys(members[len(members) - agents.late :], agents.late_by_s) if agents.late else {}
+    plans = {drone.id: drone.plan(file.hover_s + starts.get(drone.id, 0.0)) for drone in file.drone}
+    if file.formation is not None:
+        plans |= form_up(
+            seed,
+            dict(zip(ids, file.formation.stations(len(ids)), strict=True)),
+            flight=file.formation.flight(),
+            swing=Swing(**file.formation.swing.model_dump()) if file.formation.swing else None,
+            departs_s={drone_id: file.hover_s + starts.get(drone_id, 0.0) for drone_id in ids},
+            view=VIEW,
+        )
+    world = fly(seed, dict(sorted(plans.items())), file.drift_m)
+    strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
+
+    def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
+        return dict(zip(members, itertools.cycle(factor * np.array(values)), strict=False)) if values else {}
+
+    return Scenario(
+        world=world,
+        name=name,
+        about=file.about,
+        seconds=file.seconds,
+        fps=file.camera.fps,
+        imu_rate_hz=agents.imu_rate_hz,
+        tracks_hz=agents.tracks_hz,
+        detector=DetectorParameters(**file.detector.parameters),
+        announced={
+            drone_id: start
+            for drone_id, start in announced_starts(world, agents.position_sigma_m).items()
+            if drone_id not in strangers
+        },
+        strangers=strangers,
+        starts_s=starts,
+        utc_offset_s=in_turn(file.clocks.utc_offset_s),
+        autopilot_skew=in_turn(file.clocks.autopilot_skew_ppm, 1e-6),
+        autopilot_boot_s=in_turn(file.clocks.autopilot_boot_s),
+        radio=Radio(**file.radio.model_dump()),
+        faults=tuple(fault.fault() for fault in file.fault),
+    )
