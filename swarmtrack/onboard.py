@@ -9,6 +9,7 @@ committed.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -17,14 +18,20 @@ import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.agreement import Agreement, Disagreement, OwnView
 from swarmtrack.identity.identities import Identities, IdentityParameters
 from swarmtrack.messages import (
     Announcement,
     Array,
     Detections,
     EgoPose,
+    IdClash,
     ImuSample,
+    PeerArrived,
+    PeerDeparted,
     Scan,
+    Sighting,
+    SightingReport,
     TrackList,
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
@@ -53,6 +60,8 @@ class Counters:
     scans: int = 0
     detections: int = 0
     announcements_refused: int = 0
+    identities_overruled: int = 0
+    """Given up because other observers see that drone elsewhere."""
 
 
 @dataclass(slots=True)
@@ -82,8 +91,8 @@ class Onboard:
         identity: IdentityParameters,
         measurement_sigma: float | None = None,
     ) -> None:
-        """measurement_sigma: px per axis, in the image as the camera gives it, of detections that bring no covariance;
-        None: the tracker's own, in undistorted pixels."""
+        """measurement_sigma: px per axis, in the image as the camera gives it, of detections that bring no
+        covariance; None: the tracker's own, in undistorted pixels."""
         self.counters = Counters()
         self.gyro = gyro
         self._camera = camera
@@ -94,6 +103,11 @@ class Onboard:
         self._identities = Identities(
             drone_id, camera=camera, body_from_camera=mounting.body_from_camera, parameters=identity
         )
+        self._drone_id = drone_id
+        self._agreement = Agreement()
+        self._clashing: dict[int, set[str]] = {}
+        self._view: OwnView | None = None
+        self._disagreements: list[Disagreement] = []
         self._orientation: Orientation | None = None  # of the camera at the tracker's time
         self._waiting: deque[Detections] = deque()
         self._reports: list[ScanReport] = []
@@ -121,6 +135,61 @@ class Onboard:
         """A teammate's ID and initial pose."""
         if not self._identities.announce(announcement):
             self.counters.announcements_refused += 1
+
+    def on_membership(self, event: PeerArrived | PeerDeparted | IdClash) -> None:
+        """Who lives. While two processes speak as one drone, nobody is identified as it."""
+        drone = event.drone_id
+        match event:
+            case PeerArrived():
+                self._identities.arrived(drone)
+            case IdClash(boots=boots, ours=False):
+                self._clashing[drone] = set(boots)
+                self._identities.suspend(drone)
+            case PeerDeparted(boot=boot):
+                clash = self._clashing.get(drone, set())
+                clash.discard(boot)
+                if len(clash) == 1:
+                    del self._clashing[drone]
+                    self._identities.resume(drone)
+                elif not clash:
+                    self._identities.departed(drone)
+
+    def on_sightings(self, report: SightingReport) -> None:
+        """Whom a teammate sees, and where it stands: do we see the same?"""
+        for disagreement in self._agreement.compare(report):
+            self._disagreements.append(disagreement)
+            if disagreement.overruled:
+                drone = disagreement.drone_id
+                self.counters.identities_overruled += 1
+                self._agreement.forget(drone)
+                self._identities.withdraw(drone)
+                self._identities.ask_for(drone)
+
+    def sighting_report(self, boot: str, sequence: int) -> SightingReport | None:
+        """Whom this drone saw in its last scan; None where it does not know where it stands."""
+        view = self._view
+        if view is None:
+            return None
+        return SightingReport(
+            observer=self._drone_id,
+            boot=boot,
+            sequence=sequence,
+            t=view.t,
+            t_sigma=0.0,
+            position=view.position,
+            position_sigma=view.position_sigma,
+            known=tuple(sorted(self._identities.announced)),
+            sightings=tuple(view.sightings.values()),
+        )
+
+    def take_wanted(self) -> tuple[int, ...]:
+        """The drones whose pose is wanted anew; each is told once."""
+        return self._identities.take_wanted()
+
+    def take_disagreements(self) -> list[Disagreement]:
+        """What others see differently, since the last call."""
+        found, self._disagreements = self._disagreements, []
+        return found
 
     def tracks(self, now: float) -> TrackList:
         """Everything tracked, carried on to now; nothing once the scans have stayed away for too long."""
@@ -154,6 +223,8 @@ class Onboard:
             "poses_out_of_order": ego.out_of_order,
             "poses_without_place": ego.without_position,
             "heading_jumps": ego.heading_jumps,
+            "sightings_agreed": self._agreement.agreed,
+            "sightings_disagreed": self._agreement.disagreed,
         }
 
     def take_reports(self) -> list[ScanReport]:
@@ -194,8 +265,21 @@ class Onboard:
         observer = self._ego.at(t)
         if observer is not None:
             self._identities.observe(tracks, observer)
+            self._look_around(observer)
         labelled = self._identities.label(tracks)
         self._reports.append(ScanReport(detections.sequence, TrackList(t, t, labelled)))
+
+    def _look_around(self, observer: TeamPose) -> None:
+        """Note the rays on which this drone sees its teammates now."""
+        position = observer.position + observer.world_from_body @ self._mounting.body_from_camera.position
+        sightings = {
+            seen.drone_id: Sighting(
+                seen.drone_id, p, seen.direction, math.hypot(seen.sigma, observer.attitude_sigma)
+            )
+            for seen, p in self._identities.sightings(observer.t)
+        }
+        self._view = OwnView(observer.t, position, observer.position_sigma, sightings)
+        self._agreement.remember(self._view)
 
 
 def _scan(detections: Detections, t: float, camera: PinholeCamera, sigma: float | None) -> Scan:

@@ -1,8 +1,14 @@
-"""Where the announced drones should appear in this drone's image."""
+"""Where teammates should appear in this drone's image: by what they announced, or by where it saw them last.
+
+What is known of a drone's motion since is a mixture of Gaussians (decision 5). One that announced itself from its pad
+is as sure after a minute as at once, so age alone must not blur it: it is still there, or it has flown off slowly, or
+fast.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,47 +19,145 @@ from swarmtrack.messages import Announcement, Array
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.motion_model import optical_flow
 
+STAY_IN_FLIGHT = 0.1  # s
+SHARE_FAST = 0.2  # of the drones that have left their pose
+FAST = 10.0  # times drift_speed
+COURSE_S = 1.0  # s: how long a drone that went out of sight keeps its velocity
+LOST_SHARE = 0.1  # of the drones that went out of sight, those that may be nearly anywhere
+TURNED_AWAY = 0.3  # rad: how far these are at once
+NEAREST = (
+    2.0  # m: no teammate is closer, so no motion of the observer moves a bearing by more than the angle at it
+)
 
-class Reprojections(NamedTuple):
-    """Announced drones that lie before the camera: drone_id (k,), pixel (k, 2) undistorted.
 
-    A drone is still where it announced itself, with probability p_still (k,) and covariance cov_still (k, 2, 2) px², or
-    has flown off since, with covariance cov_flown (k, 2, 2) px².
-    """
+class Predictions(NamedTuple):
+    """Teammates that lie before the camera: key (k,) of whatever each was predicted from, its drone_id (k,), and
+    pixel (k, 2), undistorted; a mixture of c Gaussians around it: share (c, k), cov (c, k, 2, 2) px²."""
 
+    key: list[tuple[object, ...]]
     drone_id: list[int]
     pixel: Array
-    p_still: Array
-    cov_still: Array
-    cov_flown: Array
+    share: Array
+    cov: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LastSeen:
+    """An identified drone that went out of sight at t.
+
+    direction (3,): unit vector from the observer's camera, team frame; rate (3,) rad/s: its derivative; sigma [rad];
+    origin (3,) m: where the camera was.
+    """
+
+    drone_id: int
+    t: float
+    direction: Array
+    rate: Array
+    sigma: float
+    origin: Array
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """An observer's camera at the time of a scan."""
+
+    observer: TeamPose
+    camera: PinholeCamera
+    team_from_camera: Pose
+
+    @classmethod
+    def of(cls, observer: TeamPose, camera: PinholeCamera, body_from_camera: Pose) -> View:
+        return cls(observer, camera, Pose(observer.world_from_body, observer.position) @ body_from_camera)
+
+    def rays(self, pixel: Array) -> Array:
+        """Unit vectors (n, 3) in the team frame of undistorted pixels (n, 2)."""
+        ray = self.camera.bearing_undistorted(pixel)
+        return np.asarray(ray @ self.team_from_camera.rotation.T)
 
 
 def reproject(
-    announcements: Sequence[Announcement],
-    observer: TeamPose,
-    *,
-    camera: PinholeCamera,
-    body_from_camera: Pose,
-    drift_speed: float,
-    stay_s: float,
-) -> Reprojections:
-    """Project announced positions into the observer's image at observer.t.
+    announcements: Sequence[Announcement], view: View, *, drift_speed: float, stay_s: float
+) -> Predictions:
+    """Announced positions in the observer's image.
 
     The covariance is that of the announced position, of the observer's own and of its attitude; for a drone that has
-    flown off also of how far it may be, drift_speed [m/s] times the age of the pose. One that waits on its pad is as
-    sure after a minute as at once, so age alone must not blur it: after stay_s [s] half of them are still there.
+    flown off also of how far it may be: drift_speed [m/s] times the age of the pose, or `FAST` times that. After
+    stay_s [s] half of them are still there, but who announces itself again is flying.
     """
-    camera_from_team = (Pose(observer.world_from_body, observer.position) @ body_from_camera).inverse()
+    observer, camera = view.observer, view.camera
+    camera_from_team = view.team_from_camera.inverse()
     positions = np.array([a.position for a in announcements]).reshape(-1, 3)
     pixel, jacobian, valid = camera.project_undistorted(camera_from_team.transform(positions))
     by_team = jacobian @ camera_from_team.rotation
-    age = np.array([abs(observer.t - a.t) + a.t_sigma for a in announcements])
+    metres = by_team @ by_team.swapaxes(1, 2)  # px² for 1 m²
     spread = np.array([a.position_cov for a in announcements]).reshape(-1, 3, 3)
-    spread = spread + observer.position_sigma**2 * np.eye(3)
+    still = by_team @ spread @ by_team.swapaxes(1, 2) + observer.position_sigma**2 * metres
+    still += observer.attitude_sigma**2 * _per_radian(pixel, camera)
+    age = np.array([abs(observer.t - a.t) + a.t_sigma for a in announcements])
+    drifted = ((drift_speed * age) ** 2)[:, None, None] * metres
+    stay = np.array([stay_s if a.sequence <= 1 else STAY_IN_FLIGHT for a in announcements])
+    p_still = stay / (stay + age)
+    share = np.stack([p_still, (1.0 - p_still) * (1.0 - SHARE_FAST), (1.0 - p_still) * SHARE_FAST])
+    cov = np.stack([still, still + drifted, still + FAST**2 * drifted])
+    before = [a for a, good in zip(announcements, valid, strict=True) if good]
+    return Predictions(
+        [(a.drone_id, a.boot, a.sequence) for a in before],
+        [a.drone_id for a in before],
+        pixel[valid],
+        share[:, valid],
+        cov[:, valid],
+    )
+
+
+def retrace(seen: Sequence[LastSeen], view: View, *, turn_rate: float) -> Predictions:
+    """Drones that went out of sight, where they should come back: on along their course, as seen from here.
+
+    turn_rate [rad/s]: how far their bearing may have left that course, for each second, or for a tenth of them `FAST`
+    times as far. Distances are not known, so whoever is out of sight while the observer moves may appear to have
+    moved as much as a drone at `NEAREST`.
+    """
+    camera = view.camera
+    age = np.array([view.observer.t - s.t for s in seen])
+    travelled = COURSE_S * -np.expm1(-age / COURSE_S)
+    direction = np.array([s.direction for s in seen]) + travelled[:, None] * np.array([s.rate for s in seen])
+    in_camera = direction @ view.team_from_camera.rotation
+    pixel, _, valid = camera.project_undistorted(in_camera)
+    moved = np.array([np.linalg.norm(view.team_from_camera.position - s.origin) for s in seen])
+    sigma0 = np.array([s.sigma for s in seen])
+    on_course = sigma0**2 + view.observer.attitude_sigma**2 + (moved / NEAREST) ** 2
+    off_course = on_course + (turn_rate * age) ** 2
+    lost = off_course + (TURNED_AWAY + FAST * turn_rate * age) ** 2
+    per_radian = _per_radian(pixel, camera)
+    cov = np.stack([off_course, lost])[:, :, None, None] * per_radian
+    share = np.repeat([[1.0 - LOST_SHARE], [LOST_SHARE]], len(seen), axis=1)
+    before = [s for s, good in zip(seen, valid, strict=True) if good]
+    return Predictions(
+        [(s.drone_id, s.t) for s in before],
+        [s.drone_id for s in before],
+        pixel[valid],
+        share[:, valid],
+        cov[:, valid],
+    )
+
+
+def joined(first: Predictions, second: Predictions) -> Predictions:
+    """Both as one, in order; the shorter mixture is filled up with shares of zero."""
+    c = max(len(first.share), len(second.share))
+    return Predictions(
+        first.key + second.key,
+        first.drone_id + second.drone_id,
+        np.concatenate([first.pixel, second.pixel]),
+        np.concatenate([_filled(first.share, c, 0.0), _filled(second.share, c, 0.0)], axis=1),
+        np.concatenate([_filled(first.cov, c, np.eye(2)), _filled(second.cov, c, np.eye(2))], axis=1),
+    )
+
+
+def _filled(parts: Array, c: int, blank: float | Array) -> Array:
+    missing = np.broadcast_to(blank, (c - len(parts), *parts.shape[1:]))
+    return np.concatenate([parts, missing])
+
+
+def _per_radian(pixel: Array, camera: PinholeCamera) -> Array:
+    """px² (n, 2, 2) for a turn of the camera by 1 rad about each axis, independently."""
     flow = optical_flow(pixel, camera)
-    cov_still = by_team @ spread @ by_team.swapaxes(1, 2)
-    cov_still += observer.attitude_sigma**2 * flow @ flow.swapaxes(1, 2)
-    flown = ((drift_speed * age) ** 2)[:, None, None] * by_team @ by_team.swapaxes(1, 2)
-    ids = [a.drone_id for a, before in zip(announcements, valid, strict=True) if before]
-    p_still = stay_s / (stay_s + age)
-    return Reprojections(ids, pixel[valid], p_still[valid], cov_still[valid], (cov_still + flown)[valid])
+    return np.asarray(flow @ flow.swapaxes(1, 2))

@@ -9,28 +9,21 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from swarmtrack.codec import encode_health, encode_tracks, tracks_message
-from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import (
-    Announcement,
     Detections,
     EgoPose,
-    IdClash,
     ImuSample,
-    PeerArrived,
-    PeerDeparted,
-    PeerEvent,
 )
 from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.clock import ManualClock, SystemClock
+from swarmtrack.runtime.clock import UTC_SIGMA, ManualClock, SystemClock
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.outputs import JsonLines, as_seen
 from swarmtrack.runtime.systemd import Notifier
+from swarmtrack.runtime.teamwork import Teamwork
 from swarmtrack.sensors.base import Camera, DetectionSource
-from swarmtrack.transport.base import Kind, Transport
+from swarmtrack.transport.base import Kind
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector

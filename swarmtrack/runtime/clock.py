@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
+UTC_SIGMA = 0.05  # s: what a companion kept by NTP knows of UTC
+
 
 class Clock(Protocol):
     """Seconds. `now` never steps; `utc` is the wall clock, which may."""

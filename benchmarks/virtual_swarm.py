@@ -1,0 +1,173 @@
+"""A whole swarm in one process, as fast as it computes: every drone's real `Onboard`, fed by a scenario's sensors.
+
+What processes, sockets and clocks add is left out, so a Monte Carlo run of twenty seconds takes a few. Messages
+arrive at the instants a good radio would bring them: announcements when they are made, `RADIO_S` after they were
+asked for; sightings once a second and when they change.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.messages import Announcement, EgoPose, PeerArrived, TrackList
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
+from swarmtrack.tracking import create_tracker
+
+RADIO_S = 0.05  # s from a question to the announcement it asked for
+REPORT_S = 1.0  # s between two reports of sightings
+LATENCY_S = 0.08  # s from exposure to detections
+LEAD_S = 1.0  # s that the sensors run before world time 0
+
+
+class Look(NamedTuple):
+    """What `observer` tracked in the scan exposed at t [s, world time]."""
+
+    observer: int
+    t: float
+    tracks: TrackList
+
+
+@dataclasses.dataclass(slots=True)
+class _Drone:
+    onboard: Onboard
+    imu: Imu
+    announced: int = 0
+    announce_at: float = np.inf
+    reports: int = 0
+    reported_t: float = -np.inf
+    reported: frozenset[int] = frozenset()
+
+
+class VirtualSwarm:
+    """`fly` yields every scan of every drone, in the order of their exposure."""
+
+    def __init__(
+        self, scenario: Scenario, *, tracker: str = "kalman", identity: IdentityParameters | None = None
+    ) -> None:
+        self.scenario = scenario
+        self.announcements = 0
+        self.disagreements = 0
+        self._identity = identity or IdentityParameters()
+        self._tracker = tracker
+        self._ego = EgoParameters()
+        self._drones = {drone_id: self._make(drone_id) for drone_id in scenario.members}
+
+    def _make(self, drone_id: int) -> _Drone:
+        scenario = self.scenario
+        # The autopilot's frame begins where its drone hovers; its config says where that is.
+        origin: Pose = scenario.world.pose(drone_id, 0.0)
+        onboard = Onboard(
+            drone_id,
+            camera=scenario.camera,
+            mounting=Mounting(scenario.body_from_camera),
+            tracker=create_tracker(self._tracker, camera=scenario.camera),
+            gyro=GyroHistory(),
+            ego=EgoHistory(origin=origin.position),
+            identity=self._identity,
+        )
+        imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
+        return _Drone(onboard, imu, announce_at=max(scenario.starts_s.get(drone_id, 0.0) - 0.5, -0.5))
+
+    def fly(self, seconds: float) -> Iterator[Look]:
+        """From world time −LEAD_S to `seconds`."""
+        scenario = self.scenario
+        rates = {"imu": scenario.imu_rate_hz, "pose": self._ego.rate_hz, "scan": scenario.fps}
+        queue: list[tuple[float, int, str, int]] = []
+        for drone_id in self._drones:
+            begin = max(scenario.starts_s.get(drone_id, 0.0) - LEAD_S, -LEAD_S)
+            for what, rate in rates.items():
+                index = int(np.ceil(begin * rate))
+                queue.append((_due(what, index, rate), drone_id, what, index))
+        heapq.heapify(queue)
+        while queue:
+            now, drone_id, what, index = heapq.heappop(queue)
+            if now >= seconds + LATENCY_S:
+                return
+            drone = self._drones[drone_id]
+            self._say(now)
+            if what == "imu":
+                drone.onboard.on_imu(drone.imu.sample(index))
+            elif what == "pose":
+                drone.onboard.on_pose(self._pose(drone_id, index))
+            else:
+                self._scan(drone_id, index)
+            for report in drone.onboard.take_reports():
+                yield Look(drone_id, report.tracks.t, report.tracks)
+            rate = rates[what]
+            heapq.heappush(queue, (_due(what, index + 1, rate), drone_id, what, index + 1))
+
+    def _pose(self, drone_id: int, index: int) -> EgoPose:
+        return ego_pose(self.scenario.world, drone_id, index, self._ego)
+
+    def _scan(self, drone_id: int, index: int) -> None:
+        scenario, t = self.scenario, index / self.scenario.fps
+        boxes = visible(scenario.world, drone_id, scenario.camera, scenario.body_from_camera, t)
+        rng = scenario.world.chance("detector", drone_id, index & 0xFFFFFFFF)
+        detections = detect(boxes, scenario.camera, scenario.detector, rng, t=t, sequence=index)
+        self._drones[drone_id].onboard.on_detections(detections)
+
+    def _say(self, now: float) -> None:
+        for drone_id, drone in self._drones.items():
+            if now >= drone.announce_at:
+                self._announce(drone_id, drone, now)
+            self._report(drone_id, drone, now)
+            for wanted in drone.onboard.take_wanted():
+                other = self._drones[wanted]
+                if other.announced:
+                    other.announce_at = min(other.announce_at, now + RADIO_S)
+
+    def _announce(self, drone_id: int, drone: _Drone, now: float) -> None:
+        drone.announce_at = np.inf
+        pose = drone.onboard.ego_pose(now)
+        if pose is None:
+            drone.announce_at = now + 0.1
+            return
+        drone.announced += 1
+        self.announcements += 1
+        announcement = Announcement(
+            drone_id=drone_id,
+            boot=f"{drone_id:08x}",
+            sequence=drone.announced,
+            t=pose.t,
+            t_sigma=0.05,
+            position=pose.position,
+            world_from_body=pose.world_from_body,
+            position_cov=pose.position_sigma**2 * np.eye(3),
+        )
+        for other_id, other in self._drones.items():
+            if other_id != drone_id:
+                other.onboard.on_membership(PeerArrived(drone_id, announcement.boot))
+                other.onboard.on_announcement(announcement)
+        for other_id, other in self._drones.items():  # a late joiner hears those who were there before
+            if other_id != drone_id and drone.announced == 1:
+                for earlier in list(other.onboard.teammates.values()):
+                    drone.onboard.on_announcement(earlier)
+
+    def _report(self, drone_id: int, drone: _Drone, now: float) -> None:
+        report = drone.onboard.sighting_report(f"{drone_id:08x}", drone.reports)
+        if report is None:
+            return
+        seen = frozenset(sighting.drone_id for sighting in report.sightings)
+        if now - drone.reported_t < (REPORT_S if seen == drone.reported else 0.1):
+            return
+        drone.reported_t, drone.reported = now, seen
+        drone.reports += 1
+        for other_id, other in self._drones.items():
+            if other_id != drone_id:
+                other.onboard.on_sightings(dataclasses.replace(report, t_sigma=0.01))
+                self.disagreements += len(other.onboard.take_disagreements())
+
+
+def _due(what: str, index: int, rate: float) -> float:
+    return index / rate + (LATENCY_S if what == "scan" else 0.0)

@@ -1,0 +1,81 @@
+"""Which track is which drone: the paper's Algorithm 1, and the posterior over all one-to-one matchings."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.reprojection import Predictions
+from swarmtrack.messages import Array
+from swarmtrack.tracking.association import gate_threshold
+from swarmtrack.tracking.gaussian import LOG_TWO_PI
+from swarmtrack.tracking.marginals import matching_marginals
+
+P_SEEN = 0.9  # prior: that a drone which should be in view has a confirmed track
+STRANGERS = 1.0  # prior: confirmed tracks in an image that are none of the announced drones
+IN_VIEW = 0.2  # prior: that a drone which may be anywhere is before this camera
+GATE_PROBABILITY = 0.9999
+
+LOG_PRIOR = math.log(P_SEEN / (1.0 - P_SEEN) / STRANGERS)
+LOG_ANYWHERE = LOG_PRIOR + math.log(IN_VIEW)
+"""The log ratio of a drone that may be anywhere, and any track."""
+
+
+class Residuals(NamedTuple):
+    """Between n tracks and k predicted drones: mean (n, k, 2) px, and what it should be by each of c hypotheses on
+    the drone's motion: cov (c, n, k, 2, 2) px², share (c, k)."""
+
+    mean: Array
+    cov: Array
+    share: Array
+
+
+def residuals(mean: Array, cov: Array, predicted: Predictions) -> Residuals:
+    """Of one scan. mean (n, 4), cov (n, 4, 4) of the tracks."""
+    return Residuals(
+        mean[:, None, ::2] - predicted.pixel,
+        cov[:, None, ::2, ::2] + predicted.cov[:, None],
+        predicted.share,
+    )
+
+
+def log_ratios(found: Residuals, camera: PinholeCamera) -> Array:
+    """log (n, k) of how much more likely "track i is drone j" is than "i is a stranger, and j is not seen"; −inf
+    outside every gate.
+
+    Strangers are a Poisson process, uniform over the image. Nobody's density is thinner than that of a drone which is
+    in view with probability `IN_VIEW`, and anywhere in it.
+    """
+    log_area = math.log(camera.width * camera.height)
+    u, v = found.mean[..., 0], found.mean[..., 1]
+    a, b, c = found.cov[..., 0, 0], found.cov[..., 0, 1], found.cov[..., 1, 1]
+    determinant = a * c - b * b
+    distance = (c * u * u - 2.0 * b * u * v + a * v * v) / determinant
+    log_extent = LOG_TWO_PI + 0.5 * np.log(determinant)  # of the Gaussian, px²
+    with np.errstate(divide="ignore"):  # of a pose that is no second old nothing has flown off
+        log_share = np.log(found.share)[:, None]
+    log_density = log_share - 0.5 * distance - np.minimum(log_extent, log_area - math.log(IN_VIEW))
+    log_density[distance > gate_threshold(GATE_PROBABILITY)] = -np.inf
+    total = np.logaddexp.reduce(log_density, axis=0)
+    return np.asarray(total + log_area + LOG_PRIOR)
+
+
+def posterior(mean: Array, cov: Array, predicted: Predictions, camera: PinholeCamera) -> Array:
+    """The probability (n, k) that track i is drone j by one scan alone; what a row lacks to one is "none of them"."""
+    if len(mean) == 0 or not predicted.drone_id:
+        return np.zeros((len(mean), len(predicted.drone_id)))
+    return matching_marginals(log_ratios(residuals(mean, cov, predicted), camera))
+
+
+def nearest(mean: Array, predicted: Predictions) -> dict[int, int]:
+    """Algorithm 1 as printed: row -> ID of the nearest projection, twice the same if so it falls.
+
+    mean (n, 4) of the tracks. No gate, no "unknown".
+    """
+    if not predicted.drone_id:
+        return {}
+    distance = np.linalg.norm(mean[:, None, ::2] - predicted.pixel[None], axis=2)
+    return {row: predicted.drone_id[column] for row, column in enumerate(distance.argmin(axis=1))}

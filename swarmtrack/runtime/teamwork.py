@@ -1,0 +1,174 @@
+"""What a drone and its team tell each other: where it is, who lives, and whom each sees as whom."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+
+import numpy as np
+
+from swarmtrack.codec import encode_sightings
+from swarmtrack.identity.agreement import Disagreement
+from swarmtrack.messages import (
+    Announcement,
+    AnnouncementRequested,
+    IdClash,
+    PeerArrived,
+    PeerDeparted,
+    PeerEvent,
+    SightingReport,
+)
+from swarmtrack.runtime.assembly import Parts
+from swarmtrack.runtime.clock import UTC_SIGMA
+from swarmtrack.runtime.health import Health
+from swarmtrack.transport.base import Kind, Transport
+
+log = logging.getLogger(__name__)
+
+REPORT_PERIOD = 1.0  # s between two reports of who is seen as whom
+CHANGE_PERIOD = 0.1  # s: a change is told at once, but no more often than that
+
+
+class Teamwork:
+    """Carries events from the transport into Onboard, and Onboard's wishes and findings to the team."""
+
+    def __init__(self, parts: Parts, health: Health) -> None:
+        self._parts = parts
+        self._health = health
+        self._posed = asyncio.Event()
+        self._announced = 0
+        self._reports = 0
+        self._reported: tuple[object, ...] = ()
+        self._reported_at = -math.inf
+        self._disputed: set[tuple[int, int]] = set()
+
+    def on_position(self) -> None:
+        """The autopilot knows where the drone is."""
+        self._posed.set()
+
+    async def listen(self) -> None:
+        """Every event of the transport into Onboard, and a line of it into health and log."""
+        onboard = self._parts.onboard
+        async for event in self._parts.transport.events():
+            match event:
+                case Announcement():
+                    onboard.on_announcement(event)
+                case PeerArrived() | PeerDeparted() | IdClash():
+                    onboard.on_membership(event)
+                case SightingReport():
+                    onboard.on_sightings(event)
+                    self._tell_of_disagreements()
+                    continue  # one a second from everybody: no news
+                case AnnouncementRequested():
+                    await self._announce_again()
+            self._note(_describe(event), logging.WARNING if isinstance(event, IdClash) else logging.INFO)
+
+    async def announce(self) -> None:
+        """The one broadcast, as soon as this drone knows where it is; then those of simulated teammates."""
+        parts = self._parts
+        if parts.start is None:
+            await self._posed.wait()
+        await self._announce(first=True)
+        for transport, announcement in parts.simulated_teammates:
+            await _speak_for(transport, announcement)
+
+    async def report(self) -> None:
+        """Until cancelled: whom this drone sees as whom, once a second and when it changed; and ask who is in
+        doubt."""
+        while True:
+            await asyncio.sleep(CHANGE_PERIOD)
+            for drone_id in self._parts.onboard.take_wanted():
+                self._parts.transport.request_announcement(drone_id)
+            self._report()
+
+    def _report(self) -> None:
+        parts, now = self._parts, self._parts.clock.now()
+        report = parts.onboard.sighting_report(parts.boot, self._reports + 1)
+        if report is None:
+            return
+        whom = (report.known, frozenset(sighting.drone_id for sighting in report.sightings))
+        if whom == self._reported and now - self._reported_at < REPORT_PERIOD:
+            return
+        self._reports += 1
+        self._reported, self._reported_at = whom, now
+        try:
+            payload = encode_sightings(report, parts.clock.utc() - now, now)
+        except ValueError:  # what no reader would accept is not sent, and must not end the flight
+            self._health.drops["unsendable_identities"] += 1
+            return
+        parts.transport.publish(Kind.IDENTITIES, payload)
+
+    async def _announce_again(self) -> None:
+        if self._announced:
+            await self._announce(first=False)
+
+    async def _announce(self, *, first: bool) -> None:
+        """first: from where the config says that it starts; else from where the autopilot says it is."""
+        parts, now = self._parts, self._parts.clock.now()
+        pose = parts.onboard.ego_pose(now)
+        assert pose is not None
+        start = parts.start if first else None
+        sigma = parts.config.drone.start.position_sigma_m
+        self._announced += 1
+        await parts.transport.announce(
+            Announcement(
+                drone_id=parts.config.drone.id,
+                boot=parts.boot,
+                sequence=self._announced,
+                t=now,
+                t_sigma=UTC_SIGMA,
+                position=start.position if start else pose.position,
+                world_from_body=start.rotation if start else pose.world_from_body,
+                position_cov=(sigma**2 if start else sigma**2 + pose.position_sigma**2) * np.eye(3),
+            )
+        )
+
+    def _tell_of_disagreements(self) -> None:
+        for found in self._parts.onboard.take_disagreements():
+            pair = (found.observer, found.drone_id)
+            if found.overruled or pair not in self._disputed:
+                self._note(_describe_disagreement(found), logging.WARNING)
+            self._disputed.add(pair)
+            if found.overruled:
+                self._disputed.clear()
+
+    def _note(self, line: str, level: int) -> None:
+        self._health.events.append(line)
+        log.log(level, line)
+
+
+async def _speak_for(transport: Transport, announcement: Announcement) -> None:
+    await transport.open()
+    await transport.announce(announcement)
+
+
+def _describe(event: PeerEvent) -> str:
+    match event:
+        case Announcement(drone_id=drone_id, boot=boot, sequence=sequence):
+            again = f", number {sequence}" if sequence > 1 else ""
+            return f"drone {drone_id} announced itself (boot {boot}{again})"
+        case PeerArrived(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is alive (boot {boot})"
+        case PeerDeparted(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is gone (boot {boot})"
+        case IdClash(drone_id=drone_id, boots=boots, ours=True):
+            said = f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
+            return f"{said}: give one another drone.id"
+        case IdClash(drone_id=drone_id, boots=boots):
+            return (
+                f"two agents speak as drone {drone_id} (boots {', '.join(boots)}): give one another drone.id; "
+                f"until then nobody is taken for it"
+            )
+        case AnnouncementRequested():
+            return "a teammate asked where we are: announced again"
+        case SightingReport(observer=observer):
+            return f"drone {observer} told whom it sees"
+
+
+def _describe_disagreement(found: Disagreement) -> str:
+    verdict = "we give that identity up and ask again" if found.overruled else "we keep to what we see"
+    return (
+        f"drone {found.observer} and we see drone {found.drone_id} in different places "
+        f"({found.miss_m:.1f} m apart): {verdict}"
+    )
