@@ -44,4 +44,6 @@ class World:
 
     def chance(self, purpose: str, *numbers: int) -> np.random.Generator:
         """The generator for one purpose and index. Equal arguments draw equal numbers, in whatever order asked."""
-        return np.random.default_rng([self.seed, zlib.crc32(purpose.encode()), *(number & 0xFFFFFFFF for number in numbers)])
+        return np.random.default_rng(
+            [self.seed, zlib.crc32(purpose.encode()), *(number & 0xFFFFFFFF for number in numbers)]
+        )
