@@ -186,25 +186,24 @@ def announced_starts(world: World, position_sigma_m: float) -> dict[int, Announc
 
 
 class Station(NamedTuple):
-    """A drone's place in a formation: position (3,) m; lane: those of one lane move together, if they move as lanes."""
+    """A drone's place in a formation: position (3,) m; which side of it; phase [rad] in what its side does together."""
 
     position: Array
-    lane: int
+    side: int = 0
+    phase: float = 0.0
 
 
 def ring(n: int, *, radius_m: float, spacing_m: float, heights_m: Sequence[float]) -> list[Station]:
     """n stations about the origin, `spacing_m` along the circle or more, at the heights in turn.
 
-    Four are pressed into a rhombus of two equilateral triangles: in a square, cameras of 73° would show each drone
-    only its opposite and one neighbour, so 8 of the 12 pairs; there it is 10.
+    Four make a rhombus with the sides of the triangle of that radius. In a square, a camera of 73° would show each
+    drone only its opposite and one neighbour, so 8 of the 12 pairs; here it is 10.
     """
     radius = max(radius_m, n * spacing_m / (2.0 * math.pi))
+    along, across = (1.5 * radius, 0.75**0.5 * radius) if n == 4 else (radius, radius)
     angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
-    across = math.tan(math.radians(30.0)) if n == 4 else 1.0
     return [
-        Station(
-            np.array([radius * math.cos(a), across * radius * math.sin(a), -heights_m[k % len(heights_m)]]), k
-        )
+        Station(np.array([along * math.cos(a), across * math.sin(a), -heights_m[k % len(heights_m)]]))
         for k, a in enumerate(angle)
     ]
 
@@ -221,51 +220,42 @@ def lanes(
     """Two sides, south and north of the origin and `gap_m` apart, of lanes one behind the other.
 
     The drones of a lane stand side by side, `spacing_m` apart; the next lane stands in its gaps, at the next height.
-    The north side is the larger one if n is odd. The first drone is in the south, the second in the north, and so on.
+    The first n // 2 drones are the southern side, from front to rear and again; the rest are the northern one.
     """
-    south = n // 2
+    sizes = (n // 2, n - n // 2)
     stations = []
-    for k in range(n):
-        place, northern = (k // 2, k % 2 == 1) if k < 2 * south else (k // 2, True)
-        size = n - south if northern else south
-        lane, rank = place % lanes_a_side, place // lanes_a_side
-        here = math.ceil((size - lane) / lanes_a_side)  # drones in this lane
-        east = (rank - (here - 1) / 2.0) * spacing_m
-        if size > 1:
-            east += (lane - (min(size, lanes_a_side) - 1) / 2.0) * spacing_m / lanes_a_side
-        north = (gap_m / 2.0 + lane * lane_step_m) * (1.0 if northern else -1.0)
-        stations.append(
-            Station(np.array([north, east, -heights_m[lane % len(heights_m)]]), 2 * lane + northern)
-        )
+    for side, size, direction in zip((0, 1), sizes, (-1.0, 1.0), strict=True):
+        for k in range(size):
+            lane, rank = k % lanes_a_side, k // lanes_a_side
+            in_lane = math.ceil((size - lane) / lanes_a_side)
+            used = min(size, lanes_a_side)
+            east = spacing_m * (rank - (in_lane - 1) / 2.0 + (lane - (used - 1) / 2.0) / lanes_a_side)
+            north = direction * (gap_m / 2.0 + lane * lane_step_m)
+            position = np.array([north, east, -heights_m[lane % len(heights_m)]])
+            stations.append(Station(position, side, 2.0 * math.pi * lane / lanes_a_side))
     return stations
 
 
 def best_view(eye: ArrayLike, others: Sequence[ArrayLike], width: float) -> Array:
     """The point (3,) m to look at from `eye` so that a view `width` rad wide shows as many of the others as it can.
 
-    It lies as far away as the farthest of those in view; among equally many, the narrowest group is preferred.
+    It lies as far away as the farthest of those in view. Among equally many, those farther away are preferred: they
+    move less in the image.
     """
     offsets = np.array([np.asarray(other, float) - np.asarray(eye, float) for other in others]).reshape(-1, 3)
     if not len(offsets):
-        return np.array(eye, float) + [1.0, 0.0, 0.0]
+        return np.asarray(np.asarray(eye, float) + np.array([1.0, 0.0, 0.0]))
     bearing = np.arctan2(offsets[:, 1], offsets[:, 0])
     distance = np.hypot(offsets[:, 0], offsets[:, 1])
-    best: tuple[int, float, float, float] | None = None
+    groups = []
     for leftmost in bearing:
         turn = (bearing - leftmost) % (2.0 * math.pi)
-        seen = turn <= width + 1e-9
-        spread = float(turn[seen].max())
-        candidate = (
-            int(seen.sum()),
-            -round(spread, 6),
-            float(leftmost) + spread / 2.0,
-            float(distance[seen].max()),
-        )
-        if best is None or candidate[:2] > best[:2]:
-            best = candidate
-    assert best is not None
-    _, _, heading, reach = best
-    return np.asarray(eye, float) + reach * np.array([math.cos(heading), math.sin(heading), 0.0])
+        seen = turn <= width
+        rank = (int(seen.sum()), round(float(distance[seen].mean()), 6))
+        groups.append((rank, leftmost + turn[seen].max() / 2.0, distance[seen].max()))
+    _, heading, reach = max(groups, key=lambda group: group[0])
+    target: Array = np.asarray(eye, float) + reach * np.array([math.cos(heading), math.sin(heading), 0.0])
+    return target
 
 
 # --- flights ---------------------------------------------------------------------------------------
@@ -278,24 +268,16 @@ class Sway:
     amplitude_m: tuple[float, float, float]
     period_s: tuple[float, float]
 
-    def path(self, station: Station, chance: np.random.Generator) -> Path:
-        periods = chance.uniform(*self.period_s, 3)
-        return Lissajous(
-            station.position, self.amplitude_m, 1.0 / periods, chance.uniform(0.0, 2.0 * math.pi, 3)
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Weave:
-    """All drones of a lane swing east and west together, up to `reach_m`; the period is drawn from a range of s."""
+    """The drones of a lane swing east and west together, up to `reach_m`, and the lanes of a side against each other.
+
+    Each side has its own period, drawn from a range of s. As its lanes share it, they meet where both are fast.
+    """
 
     reach_m: float
     period_s: tuple[float, float]
-
-    def path(self, station: Station, chance: np.random.Generator) -> Path:
-        frequency = 1.0 / chance.uniform(*self.period_s)
-        phase = chance.uniform(0.0, 2.0 * math.pi)
-        return Lissajous(station.position, (0.0, self.reach_m, 0.0), (0.0, frequency, 0.0), (0.0, phase, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,29 +298,39 @@ def form_up(
     view: float,
 ) -> dict[int, Plan]:
     """The plans of a formation whose drones each look where they see most of the others. view: rad, see `best_view`."""
-    chance = World(seed, {}).chance
+    world = World(seed, {})
     plans = {}
     for drone_id, station in stations.items():
-        target = best_view(
-            station.position, [other.position for key, other in stations.items() if key != drone_id], view
-        )
-        profile: YawProfile = Facing(target)
-        if isinstance(
-            flight, Sway
-        ):  # the heading stays: a point at arm's length would turn the view with every sway
-            north, east, _ = target - station.position
-            profile = SteadyYaw(math.atan2(east, north))
+        others = [other.position for key, other in stations.items() if key != drone_id]
+        target = best_view(station.position, others, view)
+        departs = departs_s[drone_id]
+        path: Path | None = None
+        profile: YawProfile = SteadyYaw(_heading(station.position, target))
+        match flight:
+            case Sway(amplitude, period):
+                chance = world.chance("sway", drone_id)
+                frequencies = 1.0 / chance.uniform(*period, 3)
+                path = Lissajous(
+                    station.position, amplitude, frequencies, chance.uniform(0.0, 2.0 * math.pi, 3)
+                )
+            case Weave(reach, period):
+                chance = world.chance("weave", station.side)
+                frequency = 1.0 / chance.uniform(*period)
+                phase = chance.uniform(0.0, 2.0 * math.pi) + station.phase
+                path = Lissajous(
+                    station.position, (0.0, reach, 0.0), (0.0, frequency, 0.0), (0.0, phase, 0.0)
+                )
+                profile = Facing(target)
         if swing is not None:
-            north, east, _ = target - station.position
-            timing = chance("swing", drone_id)
-            period = timing.uniform(*swing.period_s)
-            begin = departs_s[drone_id] + timing.uniform(0.0, period)
-            profile = SwingingYaw(math.atan2(east, north), swing.peak_rad_s, period, begin)
-        path = None
-        if flight is not None:
-            path = flight.path(
-                station,
-                chance("lane", station.lane) if isinstance(flight, Weave) else chance("sway", drone_id),
-            )
-        plans[drone_id] = Plan(station.position, profile, path, departs_s[drone_id])
+            chance = world.chance("swing", drone_id)
+            period_s = chance.uniform(*swing.period_s)
+            begins = departs + chance.uniform(0.0, period_s)
+            profile = SwingingYaw(_heading(station.position, target), swing.peak_rad_s, period_s, begins)
+        plans[drone_id] = Plan(station.position, profile, path, departs)
     return plans
+
+
+def _heading(eye: Array, target: Array) -> float:
+    """Rad from north."""
+    north, east, _ = target - eye
+    return math.atan2(east, north)
