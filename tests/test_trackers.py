@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
+from scipy.special import ndtr
 
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 from swarmtrack.tracking.association import most_likely_matching
+from swarmtrack.tracking.lifecycle import probability_in_view
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 every_tracker = pytest.mark.parametrize("name", TRACKERS)
@@ -248,6 +251,31 @@ def test_the_matching_is_the_best_of_all(n, m, seed):
                 best = max(best, sum(gain[i, j] for i, j in zip(rows, columns, strict=True)))
     rows, columns = most_likely_matching(gain)
     assert gain[rows, columns].sum() == pytest.approx(best)
+
+
+@given(st.integers(1, 30), st.integers(1, 40), st.booleans(), st.integers(0, 10_000))
+@settings(max_examples=100, deadline=None)
+def test_in_a_crowd_the_matching_is_that_of_a_well_known_solver(n, m, ties, seed):
+    rng = np.random.default_rng(seed)
+    gain = np.where(rng.random((n, m)) < 0.5, rng.normal(0.0, 2.0, (n, m)), -np.inf)
+    gain = np.round(gain) if ties else gain
+    cost = np.where(gain > 0.0, -gain, 0.0)
+    best = -cost[linear_sum_assignment(cost)].sum()
+    rows, columns = most_likely_matching(gain)
+    assert len(set(rows.tolist())) == len(set(columns.tolist())) == len(rows)
+    assert (gain[rows, columns] > 0.0).all()
+    assert gain[rows, columns].sum() == pytest.approx(best)
+
+
+@given(st.lists(st.floats(-40.0, 40.0), min_size=1, max_size=6))
+def test_the_probability_of_being_in_view_is_that_of_the_normal_distribution(offsets):
+    n, sigma = len(offsets), 7.0
+    mean = np.zeros((n, 4))
+    mean[:, 0], mean[:, 2] = offsets, 240.0
+    cov = np.tile(sigma**2 * np.eye(4), (n, 1, 1))
+    low, high = CAMERA.ideal_bounds
+    expected = ndtr((high[0] - mean[:, 0]) / sigma) - ndtr((low[0] - mean[:, 0]) / sigma)
+    np.testing.assert_allclose(probability_in_view(mean, cov, CAMERA), expected, rtol=1e-12, atol=1e-300)
 
 
 @every_tracker

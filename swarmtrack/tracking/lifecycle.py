@@ -6,9 +6,10 @@ with Λ = 1 − p_D for a scan that missed it and Λ = 1 − p_D + p_D N(y; 0, S
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
@@ -39,9 +40,14 @@ def probability_in_view(mean: Array, cov: Array, camera: PinholeCamera) -> Array
     """(n,) that a target's position lies inside the image, its two axes taken as independent."""
     sigma = np.sqrt(np.maximum(cov[:, [0, 2], [0, 2]], 1e-12))
     low, high = camera.ideal_bounds
-    upper = ndtr((high - mean[:, POSITION]) / sigma)
-    lower = ndtr((low - mean[:, POSITION]) / sigma)
+    upper = _normal_cdf((high - mean[:, POSITION]) / sigma)
+    lower = _normal_cdf((low - mean[:, POSITION]) / sigma)
     return np.asarray((upper - lower).prod(axis=1))
+
+
+def _normal_cdf(x: Array) -> Array:
+    """Of each element. As `scipy.special.ndtr`, whose import takes every agent 0.15 s and 20 MB."""
+    return np.reshape([0.5 * math.erfc(-value / math.sqrt(2.0)) for value in x.ravel().tolist()], x.shape)
 
 
 def within_reach(mean: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
