@@ -16,6 +16,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Detections, EgoPose, ImuSample
+from swarmtrack.simulation.trajectory import Motion
 from swarmtrack.simulation.world import World
 
 OCCLUDED = 0.7  # share of a box that nearer boxes must cover for its drone to count as hidden
@@ -50,15 +51,20 @@ class Imu:
 
     def sample(self, index: int) -> ImuSample:
         """Sample number `index`, at world time index / rate."""
+        t = index / self.parameters.rate_hz
+        white = self._world.chance("imu", self._drone_id, index).standard_normal((2, 3))
+        return ImuSample(t, *self.measure(self._world.drones[self._drone_id].motion(t), white))
+
+    def measure(self, motion: Motion, white: Array) -> tuple[Array, Array]:
+        """Gyro (3,) rad/s and accelerometer (3,) m/s² of a sample. white (2, 3): unit normal numbers of its own."""
         p = self.parameters
-        t = index / p.rate_hz
-        white = math.sqrt(p.rate_hz) * self._world.chance("imu", self._drone_id, index).standard_normal(
-            (2, 3)
+        wide = math.sqrt(p.rate_hz)
+        gyro = self._gyro_scale * motion.body_rate + self.gyro_bias
+        accel = motion.specific_force + self._accel_bias
+        return (
+            gyro + wide * p.gyro_noise_density * white[0],
+            accel + wide * p.accel_noise_density * white[1],
         )
-        body_rate, specific_force = self._world.drones[self._drone_id].inertial(t)
-        gyro = self._gyro_scale * body_rate + self.gyro_bias
-        accel = specific_force + self._accel_bias
-        return ImuSample(t, gyro + p.gyro_noise_density * white[0], accel + p.accel_noise_density * white[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +113,7 @@ class Instant:
         in_camera = (self._outlines - world_from_camera.position) @ world_from_camera.rotation
         pixels, _, valid = camera.project(in_camera.reshape(-1, 3))
         shape = in_camera.shape[:2]
-        pixels, ahead = pixels.reshape(*shape, 2), valid.reshape(shape).all(axis=1)
+        pixels, ahead = pixels.reshape(*shape, 2), np.asarray(valid.reshape(shape).all(axis=1))
         ahead[observer] = False
         low, high = pixels.min(axis=1), pixels.max(axis=1)
         boxes = np.concatenate([(low + high) / 2.0, high - low], axis=1)
