@@ -208,7 +208,7 @@ async def test_a_stream_that_was_slowed_down_by_others_is_asked_for_again():
     autopilot = FakeAutopilot()
     async with Flight(autopilot) as flight:
         flight.fly(8.0)
-        autopilot._set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 40_000, flight.clock.now(), 255, 190)
+        autopilot.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 40_000, flight.clock.now())
         flight.fly(5.0)
         assert flight.count["imu_rate_hz"] == pytest.approx(200.0, abs=1.0)
 
@@ -250,8 +250,8 @@ async def test_other_systems_components_and_our_own_echo_are_counted_and_ignored
     neighbour.gyro = np.array((9.0, 9.0, 9.0))
     camera = FakeAutopilot(component=100)
     async with Flight(ours, neighbour, camera) as flight:
-        neighbour._set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 5000, 100.0, 1, 191)
-        camera._set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 5000, 100.0, 1, 191)
+        neighbour.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 5000, 100.0)
+        camera.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 5000, 100.0)
         flight.fly(4.0)
         for data in flight.link.sent:
             flight.unit.received(flight.clock.now(), data)
