@@ -11,7 +11,10 @@ from swarmtrack.errors import SwarmtrackError
 
 # Imported only when called: `swarmtrack --help` answers at once.
 COMMANDS = {
+    "sim": ("swarmtrack.agents.swarm", "fly a local swarm: simulator, one agent a drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
+    "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
+    "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
 }
 

@@ -1,0 +1,123 @@
+"""The configs of a local swarm: what the drones share, and one file for each, as a user would write them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from swarmtrack.geometry import rotation
+from swarmtrack.simulation.scenarios import Scenario
+
+MAX_FRAME_AGE_S = 0.15  # beyond it a frame says more of where a drone was than of where it is
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Where a drone finds its sensors: the values of camera.source and autopilot.link."""
+
+    camera: str
+    autopilot: str
+
+
+@dataclass(frozen=True, slots=True)
+class RadioEnds:
+    """Zenoh endpoints of an agent with a radio of its own: `listen` on them, `connect` to teammates."""
+
+    listen: tuple[str, ...]
+    connect: tuple[str, ...]
+
+
+def write_configs(
+    folder: Path,
+    scenario: Scenario,
+    *,
+    team: str,
+    tracker: str,
+    sources: Mapping[int, Sources],
+    radio: Mapping[int, RadioEnds] | None = None,
+) -> dict[int, Path]:
+    """team.toml and drone-N.toml; returns each drone's file. radio: None for a swarm on this machine's loopback."""
+    (folder / "team.toml").write_text(_team_file(scenario, team, tracker), encoding="utf-8")
+    files = {}
+    for drone_id in scenario.members:
+        files[drone_id] = folder / f"drone-{drone_id}.toml"
+        ends = None if radio is None else radio[drone_id]
+        files[drone_id].write_text(_drone_file(scenario, drone_id, sources[drone_id], ends), encoding="utf-8")
+    return files
+
+
+def _team_file(scenario: Scenario, team: str, tracker: str) -> str:
+    return f"""\
+# What all drones of this swarm share. A drone's own file begins with: extends = "team.toml"
+
+[network]
+team = {_text(team)}
+
+[tracker]
+name = {_text(tracker)}
+p_detection = 0.9                   # that a teammate in view is detected in one frame
+clutter_per_scan = 1.0              # false detections expected in one frame
+
+[autopilot]
+imu_rate_hz = {scenario.imu_rate_hz:g}
+
+[output]
+tracks_hz = {scenario.tracks_hz:g}
+"""
+
+
+def _drone_file(scenario: Scenario, drone_id: int, sources: Sources, radio: RadioEnds | None) -> str:
+    lens, mount = scenario.camera, scenario.body_from_camera
+    rpy = np.degrees(rotation.to_euler(mount.rotation @ rotation.BODY_FROM_FORWARD_CAMERA.T))
+    start = scenario.announced[drone_id]
+    intrinsics = ", ".join(
+        f"{name} = {value:g}"
+        for name, value in (
+            ("fx", lens.fx), ("fy", lens.fy), ("cx", lens.cx), ("cy", lens.cy),
+            ("width", lens.width), ("height", lens.height),
+        )
+    )  # fmt: skip
+    distortion = ""
+    if lens.distortion is not None:
+        model = type(lens.distortion).__name__.lower()
+        coefficients = _numbers(lens.distortion.coefficients, digits=9)
+        distortion = f"\ndistortion = {{ model = {_text(model)}, coefficients = {coefficients} }}"
+    network = ""
+    if radio is not None:
+        network = f"""
+[network]
+listen = {json.dumps(radio.listen)}
+connect = {json.dumps(radio.connect)}
+insecure = true                     # a radio that exists in this machine's memory only
+"""
+    return f"""\
+# One drone of a simulated swarm. Its autopilot's local frame begins where the drone stood at the start.
+
+extends = "team.toml"
+
+[drone]
+id = {drone_id}
+# A pose that is right whenever the agent (re)starts: by the autopilot, from where the drone was measured to stand.
+start = {{ from = "local", offset_m = {_numbers(start.position_m)}, position_sigma_m = {start.position_sigma_m:g} }}
+
+[camera]
+source = {_text(sources.camera)}
+intrinsics = {{ {intrinsics} }}{distortion}
+body_from_camera = {{ rpy_deg = {_numbers(rpy)}, position_m = {_numbers(mount.position)} }}
+max_age_s = {MAX_FRAME_AGE_S}
+
+[autopilot]
+link = {_text(sources.autopilot)}
+{network}"""
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False)  # of printable text, a TOML string as well
+
+
+def _numbers(values: Iterable[float], digits: int = 4) -> str:
+    return json.dumps([round(float(value), digits) + 0.0 for value in values])

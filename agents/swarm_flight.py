@@ -1,0 +1,304 @@
+"""One flight of a local swarm: the simulator, one real agent process for each drone, and somebody who watches them.
+
+World time 0 comes once everybody should be there; until then all drones hover. Agents start two or so at a time, late
+ones at their time; those that the scenario kills are killed and started again. If it scripts the radio, each agent
+lives in a network namespace of its own (`agents/air.py`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import secrets
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarmtrack.agents.air import Air
+from swarmtrack.agents.swarm_configs import RadioEnds, Sources, write_configs
+from swarmtrack.agents.swarm_processes import Child, Children, ProcessDied
+from swarmtrack.agents.swarm_table import Spectator
+from swarmtrack.agents.swarm_watch import Watch
+from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.scenarios import Fault, FaultKind, Scenario
+from swarmtrack.transport import keys
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_listener import ZenohListener
+
+# s of lead before world time 0, generous: hovering a little longer costs nothing.
+SIMULATOR_START_S = 3.0
+AGENT_START_CPU_S = {"onnx": 1.6, "oracle": 1.2}
+RECOGNISE_S = 1.5
+SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
+START_PATIENCE_S = 8.0  # that one agent may hold up the next ones' start
+SHOW_HZ = 4.0
+AGENT_PORT = 7447  # in namespaces each has all ports to itself
+LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
+
+
+@dataclass(frozen=True, slots=True)
+class FlightPlan:
+    """What `swarmtrack sim` is asked for. seconds: None: the scenario's own; folder: for configs and logs."""
+
+    scenario: str
+    drones: int | None = None
+    seconds: float | None = None
+    seed: int = 1
+    tracker: str = "kalman"
+    detector: str = "onnx"
+    keep: bool = False
+
+    def load(self) -> Scenario:
+        return load_scenario(self.scenario, seed=self.seed, drones=self.drones)
+
+
+async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
+    """Raises AirError before anything was started, and ProcessDied with the last lines of a log."""
+    scenario = plan.load()
+    async with AsyncExitStack() as stack:
+        air = None
+        if scenario.needs_radio:
+            air = await stack.enter_async_context(Air(scenario.members, seed=scenario.seed))
+            air.loss, air.latency_s = scenario.radio.loss, scenario.radio.latency_s
+            air.jitter_s = scenario.radio.jitter_s
+        folder = Path(tempfile.mkdtemp(prefix="swarmtrack-sim-"))
+        if plan.keep:
+            spectator.note(f"configs and logs: {folder}")
+        children = await stack.enter_async_context(Children(folder, keep=plan.keep))
+        return await _Flight(
+            plan, scenario, folder=folder, children=children, air=air, spectator=spectator
+        ).run()
+
+
+class _Flight:
+    def __init__(
+        self,
+        plan: FlightPlan,
+        scenario: Scenario,
+        *,
+        folder: Path,
+        children: Children,
+        air: Air | None,
+        spectator: Spectator,
+    ) -> None:
+        self._plan = plan
+        self._scenario = scenario
+        self._folder = folder
+        self._children = children
+        self._air = air
+        self._spectator = spectator
+        self._team = f"sim-{secrets.token_hex(4)}"
+        self._clock = SystemClock()
+        self._seconds = plan.seconds or scenario.seconds
+        self._cores = len(os.sched_getaffinity(0))
+        starters = [drone_id for drone_id in scenario.members if scenario.starts_s.get(drone_id, 0.0) <= 0.0]
+        starting = len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
+        self._epoch = self._clock.now() + SIMULATOR_START_S + starting + RECOGNISE_S
+        self._watch = Watch(scenario, self._clock, epoch=self._epoch, seconds=self._seconds)
+        self._configs: Mapping[int, Path] = {}
+        self._agents: dict[int, Child] = {}
+
+    async def run(self) -> SwarmReport:
+        sources = await self._start_simulator()
+        self._configs = write_configs(
+            self._folder,
+            self._scenario,
+            team=self._team,
+            tracker=self._plan.tracker,
+            sources=sources,
+            radio=self._radio_ends(),
+        )
+        listener = ZenohListener(self._listening(), keys.key(self._team, "**"))
+        await listener.open()
+        watch = self._watch
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(watch.hear(listener.samples()), name="hear")
+                background = [
+                    tasks.create_task(watch.judge(), name="judge"),
+                    tasks.create_task(self._show(), name="show"),
+                    tasks.create_task(self._start_agents(), name="agents"),
+                    *(tasks.create_task(self._play(fault), name=str(fault.kind)) for fault in self._faults()),
+                ]
+                try:
+                    await self._until(self._seconds + LAST_WORDS_S)
+                finally:
+                    for task in background:
+                        task.cancel()
+                    await listener.close()
+        except* ProcessDied as group:
+            raise group.exceptions[0] from None
+        await self._land()
+        return self._report()
+
+    # --- starting -----------------------------------------------------------------------
+
+    async def _start_simulator(self) -> dict[int, Sources]:
+        self._spectator.note("starting the simulator …")
+        argv = [
+            *(sys.executable, "-m", "swarmtrack.agents.simulator"),
+            *("--scenario", self._plan.scenario, "--seed", str(self._plan.seed)),
+            *("--epoch", repr(self._epoch), "--detector", self._plan.detector),
+        ]
+        if self._plan.drones is not None:
+            argv += ["--drones", str(self._plan.drones)]
+        if self._air is not None:
+            argv += ["--host", self._air.wire_address]
+        simulator = await self._children.start("simulator", argv, talks=True)
+        assert simulator.process.stdout is not None
+        try:
+            line = await asyncio.wait_for(simulator.process.stdout.readline(), SIMULATOR_PATIENCE_S)
+        except TimeoutError:
+            raise ProcessDied(f"the simulator is not ready after {SIMULATOR_PATIENCE_S:g} s") from None
+        if not line:
+            raise ProcessDied((await self._children.died).describe_end())
+        ready = json.loads(line)
+        return {
+            int(drone_id): Sources(addresses["camera"], addresses["autopilot"])
+            for drone_id, addresses in ready["drones"].items()
+        }
+
+    def _radio_ends(self) -> dict[int, RadioEnds] | None:
+        """Each listens on its radio, and on its cable for us; it dials the radios of lower IDs."""
+        air = self._air
+        if air is None:
+            return None
+        members = self._scenario.members
+        return {
+            drone_id: RadioEnds(
+                listen=(_endpoint(air.radio_address(drone_id)), _endpoint(air.drone_wire_address(drone_id))),
+                connect=tuple(_endpoint(air.radio_address(other)) for other in members if other < drone_id),
+            )
+            for drone_id in members
+        }
+
+    def _listening(self) -> NetworkSettings:
+        if self._air is None:
+            return NetworkSettings(team=self._team)
+        cables = tuple(_endpoint(self._air.drone_wire_address(d)) for d in self._scenario.members)
+        return NetworkSettings(team=self._team, connect=cables, insecure=True)
+
+    async def _start_agents(self) -> None:
+        """As many at a time as there are cores: an agent that starts takes one for itself."""
+        cores = asyncio.Semaphore(self._cores)
+        starts = self._scenario.starts_s
+
+        async def start_in_turn(drone_id: int) -> None:
+            start_s = starts.get(drone_id, 0.0)
+            if start_s > 0.0:
+                await self._until(start_s)
+            async with cores:
+                await self._start_agent(drone_id)
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._watch.until_alive(drone_id), START_PATIENCE_S)
+
+        async with asyncio.TaskGroup() as tasks:
+            for drone_id in self._scenario.members:
+                tasks.create_task(start_in_turn(drone_id), name=f"start drone {drone_id}")
+
+    async def _start_agent(self, drone_id: int) -> None:
+        arguments = ["--config", str(self._configs[drone_id]), "--quiet"]
+        argv = [sys.executable, "-m", "swarmtrack.agents.vehicle", *arguments]
+        skew = self._scenario.utc_offset_s.get(drone_id, 0.0)
+        if skew:
+            program = [sys.executable, "-m", "swarmtrack.agents.skewed_clock", str(skew)]
+            argv = [*program, "swarmtrack.agents.vehicle", *arguments]
+        if self._air is not None:
+            argv = self._air.wrap(drone_id, argv)
+        self._agents[drone_id] = await self._children.start(f"drone-{drone_id}", argv)
+
+    # --- in flight ----------------------------------------------------------------------
+
+    async def _until(self, world_time: float) -> None:
+        """Wait; raises ProcessDied as soon as a process ends that should not."""
+        seconds = world_time - self._watch.t
+        if seconds > 0.0:
+            await asyncio.wait([self._children.died], timeout=seconds)
+        if self._children.died.done():
+            raise ProcessDied(self._children.died.result().describe_end())
+
+    async def _show(self) -> None:
+        while True:
+            left = -self._watch.t
+            if left > 0.0:
+                here = sum(agent.boot is not None for agent in self._watch.agents.values())
+                self._spectator.note(
+                    f"starting the agents: {here} of {len(self._watch.agents)}; takes off in {left:.0f} s"
+                )
+            self._spectator.show(self._watch)
+            await asyncio.sleep(1.0 / SHOW_HZ)
+
+    def _faults(self) -> Iterator[Fault]:
+        """Those that are ours to play; the others are the simulator's."""
+        ours = (FaultKind.KILL, FaultKind.PARTITION, FaultKind.LOSS, FaultKind.LATENCY)
+        return (fault for fault in self._scenario.faults if fault.kind in ours)
+
+    async def _play(self, fault: Fault) -> None:
+        await self._until(fault.at_s)
+        if fault.kind is FaultKind.KILL:
+            await asyncio.gather(*(self._kill(d, fault.seconds) for d in fault.drones or self._agents))
+            return
+        air, radio = self._air, self._scenario.radio
+        assert air is not None, "such a scenario needs a radio"
+        drones = fault.drones or self._scenario.members
+        match fault.kind:
+            case FaultKind.PARTITION:
+                air.cut(drones)
+            case FaultKind.LOSS:
+                air.impair(drones, loss=fault.value)
+            case FaultKind.LATENCY:
+                air.impair(drones, latency_s=fault.value)
+        await self._until(fault.at_s + fault.seconds)
+        match fault.kind:
+            case FaultKind.PARTITION:
+                air.heal()
+            case FaultKind.LOSS:
+                air.impair(drones, loss=radio.loss)
+            case FaultKind.LATENCY:
+                air.impair(drones, latency_s=radio.latency_s)
+
+    async def _kill(self, drone_id: int, away_s: float) -> None:
+        """kill -9, and start again unless it is to stay dead."""
+        self._watch.ended(drone_id)
+        await self._children.end(self._agents[drone_id], signal.SIGKILL)
+        if away_s > 0.0:
+            await asyncio.sleep(away_s)
+            await self._start_agent(drone_id)
+
+    # --- after landing ------------------------------------------------------------------
+
+    async def _land(self) -> None:
+        for child in self._agents.values():
+            child.ending = True
+        total = self._watch.waiting
+        if total > 1000:
+            self._spectator.note(f"judging the remaining {total} views …")
+        await self._watch.judge_the_rest()
+
+    def _report(self) -> SwarmReport:
+        scenario, plan = self._scenario, self._plan
+        return SwarmReport(
+            scenario=scenario.name,
+            drones=len(scenario.members),
+            seconds=self._seconds,
+            seed=plan.seed,
+            tracker=plan.tracker,
+            detector=plan.detector,
+            score=self._watch.scorer.score(),
+            agents=self._watch.figures(),
+            asked_tracks_hz=scenario.tracks_hz,
+            asked_imu_hz=scenario.imu_rate_hz,
+            image_width=scenario.camera.width,
+        )
+
+
+def _endpoint(address: str) -> str:
+    return f"tcp/{address}:{AGENT_PORT}"

@@ -1,0 +1,249 @@
+"""Hears a flying swarm and keeps what the judge and the spectator need of it.
+
+Each agent's tracks are sampled at RATE_HZ: of every tenth of a second its first message, at the exact instant that it
+speaks of, beside the truth of that instant. A tenth in which a running agent said nothing is a glance without tracks.
+
+Truths cost time that the agents want. So samples wait, and are judged in a share of one core; the rest after landing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarmtrack import codec
+from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, Seen, SwarmScorer
+from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.evaluation.swarm_verdict import AgentFigures
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.zenoh_bridge import Sample
+
+JUDGING_SHARE = 0.15  # of one core, in flight
+SETTLED_S = 1.0  # s of world time: the second that a health message looks back upon is one of flight
+NEW_SCAN_S = 1e-3  # s: exposures nearer to each other than this are one
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """What one agent said in one tenth of a second, before it is judged; tracks None: nothing."""
+
+    observer: int
+    boot: str
+    index: int
+    t: float
+    tracks: tuple[NamedTrack, ...] | None
+
+
+@dataclass(slots=True)
+class AgentView:
+    """One agent, as heard."""
+
+    boot: str | None = None
+    """Of its living process; None while there is none."""
+    announcement_bytes: int | None = None
+    first_tracks_t: float = math.nan
+    last_index: int | None = None
+    scan_t: float = math.nan
+    sequence: int = -1
+    latencies: list[float] = field(default_factory=list)
+    health: list[tuple[float, codec.HealthMessage]] = field(default_factory=list)
+    seen: list[Seen] = field(default_factory=list)
+    """Its tracks when last judged."""
+    judged_t: float = math.nan
+
+
+class Watch:
+    """All that is heard of the team, in world time (0 at `epoch` of the clock's `now`)."""
+
+    def __init__(self, scenario: Scenario, clock: Clock, *, epoch: float, seconds: float) -> None:
+        self.agents = {drone_id: AgentView() for drone_id in scenario.members}
+        self.scorer = SwarmScorer(scenario.members, start=0.0, end=seconds)
+        self.unreadable = 0
+        self._scenario = scenario
+        self._clock = clock
+        self._epoch = epoch
+        self._seconds = seconds
+        self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+        self._waiting: deque[Statement] = deque()
+        self._news = asyncio.Event()
+        self._arrivals = asyncio.Condition()
+
+    @property
+    def t(self) -> float:
+        """World time now [s]."""
+        return self._clock.now() - self._epoch
+
+    # --- hearing ------------------------------------------------------------------------
+
+    async def hear(self, samples: AsyncIterator[Sample]) -> None:
+        """Until the listener is closed."""
+        async for sample in samples:
+            address = keys.parse(sample.key)
+            if address is None or address.drone_id not in self.agents:
+                continue
+            agent = self.agents[address.drone_id]
+            if address.kind is Kind.ALIVE:
+                if sample.alive:
+                    await self._on_boot(agent, address.rest[0])
+                continue
+            decode = keys.DECODERS.get(address.kind)
+            if decode is None:
+                continue
+            try:
+                message = decode(sample.payload)
+            except codec.DecodeError:
+                self.unreadable += 1
+                continue
+            self._on_message(address.drone_id, agent, message, len(sample.payload))
+
+    async def until_alive(self, drone_id: int) -> None:
+        """Until its agent is on the network."""
+        async with self._arrivals:
+            await self._arrivals.wait_for(lambda: self.agents[drone_id].boot is not None)
+
+    def ended(self, drone_id: int) -> None:
+        """Its process was ended on purpose: its silence means nothing."""
+        self.agents[drone_id].boot = None
+        self.agents[drone_id].last_index = None
+
+    async def _on_boot(self, agent: AgentView, boot: str) -> None:
+        """A liveliness token came. That one goes again is no matter: who hangs is silent, and silence is judged."""
+        if agent.boot != boot:
+            agent.boot, agent.last_index, agent.sequence = boot, None, -1
+        async with self._arrivals:
+            self._arrivals.notify_all()
+
+    def _on_message(self, drone_id: int, agent: AgentView, message: codec.Message, size: int) -> None:
+        match message:
+            case codec.TracksMessage():
+                self._on_tracks(drone_id, agent, message)
+            case codec.HealthMessage():
+                agent.health.append((self.t, message))
+            case codec.AnnouncementMessage():
+                agent.announcement_bytes = size
+                self.scorer.announced(drone_id, self.t)
+            case codec.SightingsMessage():
+                for teammate in message.known:
+                    self.scorer.knows(drone_id, message.boot, teammate, self.t)
+
+    def _on_tracks(self, drone_id: int, agent: AgentView, message: codec.TracksMessage) -> None:
+        if agent.boot is None or message.scan_age_s == 0.0:
+            return  # before its first frame, or the last words of a process that was ended
+        t = self._world_time(drone_id, message.t_utc_s)
+        if math.isnan(agent.first_tracks_t):
+            agent.first_tracks_t = t
+        scan_t = t - message.scan_age_s
+        if scan_t - agent.scan_t > NEW_SCAN_S and message.sequence == agent.sequence + 1 and t >= 0.0:
+            agent.latencies.append(message.scan_age_s)
+        agent.scan_t, agent.sequence = scan_t, message.sequence
+        index = math.floor(t * RATE_HZ)
+        if agent.last_index is not None and index <= agent.last_index:
+            return
+        self._fill(drone_id, agent, index)
+        tracks = tuple(
+            NamedTrack(track.id, track.identity, track.identity_probability, track.u_px, track.v_px)
+            for track in message.tracks
+            if track.status == "confirmed"
+        )
+        self._say(drone_id, agent, index, t, tracks)
+
+    def _world_time(self, drone_id: int, t_utc: float) -> float:
+        """Of a time on the drone's own wall clock, whose error the scenario knows."""
+        ours = t_utc - self._scenario.utc_offset_s.get(drone_id, 0.0)
+        return ours - (self._clock.utc() - self._clock.now()) - self._epoch
+
+    def _fill(self, drone_id: int, agent: AgentView, index: int) -> None:
+        """Tenths of a second before `index` in which the agent should have spoken and did not."""
+        if agent.last_index is not None:
+            for missed in range(agent.last_index + 1, index):
+                self._say(drone_id, agent, missed, (missed + 0.5) / RATE_HZ, None)
+
+    def _say(
+        self, drone_id: int, agent: AgentView, index: int, t: float, tracks: tuple[NamedTrack, ...] | None
+    ) -> None:
+        assert agent.boot is not None
+        agent.last_index = index
+        self._waiting.append(Statement(drone_id, agent.boot, index, t, tracks))
+        self._news.set()
+
+    # --- judging ------------------------------------------------------------------------
+
+    @property
+    def waiting(self) -> int:
+        """Statements that are still to be judged."""
+        return len(self._waiting)
+
+    async def judge(self) -> None:
+        """In flight, until cancelled: as statements come, in a share of one core."""
+        while True:
+            while self._waiting:
+                began = self._clock.now()
+                self._judge_next()
+                await asyncio.sleep((self._clock.now() - began) * (1.0 / JUDGING_SHARE - 1.0))
+            self._news.clear()
+            await self._news.wait()
+
+    async def judge_the_rest(self) -> None:
+        """After landing: whoever fell silent is asked for the tenths until the end, then all is judged."""
+        for drone_id, agent in self.agents.items():
+            if agent.boot is not None:
+                self._fill(drone_id, agent, math.floor(self._seconds * RATE_HZ))
+        while self._waiting:
+            self._judge_next()
+            await asyncio.sleep(0)
+
+    def _judge_next(self) -> None:
+        statement = self._waiting.popleft()
+        view = self._truth.view(statement.observer, statement.t)
+        agent = self.agents[statement.observer]
+        agent.judged_t = statement.t
+        agent.seen = self.scorer.add(
+            Glance(
+                statement.observer,
+                statement.boot,
+                statement.index,
+                statement.t,
+                view.in_view,
+                view.hidden,
+                statement.tracks,
+            )
+        )
+
+    # --- figures ------------------------------------------------------------------------
+
+    def figures(self) -> tuple[AgentFigures, ...]:
+        """Of every agent, over the flight so far."""
+        return tuple(self._figures(drone_id, agent) for drone_id, agent in self.agents.items())
+
+    def _figures(self, drone_id: int, agent: AgentView) -> AgentFigures:
+        health = [message for t, message in agent.health if t >= SETTLED_S] or [m for _, m in agent.health]
+        p50, p95 = np.percentile(agent.latencies, [50, 95]) if agent.latencies else (math.nan, math.nan)
+
+        def rate(name: str) -> float:
+            return _mean([message.rates[name].got_hz for message in health if name in message.rates])
+
+        return AgentFigures(
+            drone_id=drone_id,
+            start_s=max(0.0, self._scenario.starts_s.get(drone_id, 0.0)),
+            first_tracks_s=agent.first_tracks_t,
+            track_rate_hz=rate("tracks"),
+            imu_rate_hz=rate("imu"),
+            detection_rate_hz=rate("detections"),
+            latency_p50_s=float(p50),
+            latency_p95_s=float(p95),
+            cpu_percent=_mean([message.cpu_percent for message in health]),
+            rss_mb=max((message.rss_mb for message in health), default=math.nan),
+            announcement_bytes=agent.announcement_bytes,
+        )
+
+
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values) if values else math.nan

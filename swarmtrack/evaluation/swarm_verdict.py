@@ -1,0 +1,194 @@
+"""What a swarm's flight comes to: the report, what is expected of it, and where it falls short."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from swarmtrack.evaluation.swarm_score import SwarmScore
+
+REFERENCE_WIDTH = 640  # px: RMSE limits are for images of this width
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What is expected of a flight. Rates are shares of what the configs ask for."""
+
+    correct: float = 0.97
+    """At least."""
+    wrong: float = 0.001
+    """At most."""
+    agreement: float = 0.99
+    """At least, where two observers see the same drone."""
+    time_to_identify_s: float = 2.0
+    rmse_px: float = 2.5
+    """In an image of `REFERENCE_WIDTH`."""
+    rate: float = 0.95
+    announcement_bytes: int = 300
+    first_tracks_s: float = 5.0
+    """From the beginning of the flight, or from a late agent's start, to its first tracks."""
+
+
+DEFAULT_LIMITS = Limits()
+# By scenario; those that are not here, and users' own, have the default.
+LIMITS: Mapping[str, Limits] = {
+    "hover-triangle": replace(DEFAULT_LIMITS, wrong=0.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class AgentFigures:
+    """How one agent did, by its own health messages; NaN where it never said.
+
+    latency: from a frame's exposure to the first message with tracks of it, s; p50 and p95. announcement_bytes: of
+    one announcement as heard. first_tracks_s: world time of its first tracks.
+    """
+
+    drone_id: int
+    start_s: float
+    first_tracks_s: float
+    track_rate_hz: float
+    imu_rate_hz: float
+    detection_rate_hz: float
+    latency_p50_s: float
+    latency_p95_s: float
+    cpu_percent: float
+    rss_mb: float
+    announcement_bytes: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmReport:
+    """All numbers of one flight, and what they should have been."""
+
+    scenario: str
+    drones: int
+    seconds: float
+    seed: int
+    tracker: str
+    detector: str
+    score: SwarmScore
+    agents: tuple[AgentFigures, ...]
+    asked_tracks_hz: float
+    asked_imu_hz: float
+    image_width: int
+
+    @property
+    def limits(self) -> Limits:
+        return LIMITS.get(self.scenario, DEFAULT_LIMITS)
+
+    @property
+    def shortfalls(self) -> list[str]:
+        """One sentence for every number that is not as expected; none: passed."""
+        return [*self._identity_shortfalls(), *self._agent_shortfalls()]
+
+    @property
+    def passed(self) -> bool:
+        return not self.shortfalls
+
+    def _identity_shortfalls(self) -> list[str]:
+        score, limits = self.score, self.limits
+        if not score.samples:
+            return [
+                "identity: nothing to judge, expected a teammate in view of another for more than a second"
+            ]
+        short = []
+        # Written so that NaN fails.
+        if not score.wrong <= limits.wrong:
+            short.append(f"identity.wrong: {score.wrong:.4f}, expected {limits.wrong:g} at most")
+        if not score.correct >= limits.correct:
+            short.append(f"identity.correct: {score.correct:.4f}, expected {limits.correct:g} at least")
+        if score.agreement < limits.agreement:  # NaN: nobody shared a view, which is no disagreement
+            short.append(f"identity.agreement: {score.agreement:.4f}, expected {limits.agreement:g} at least")
+        for observer, seconds in score.time_to_identify_s.items():
+            if not seconds <= limits.time_to_identify_s:
+                short.append(
+                    f"identity.time_to_identify_s of drone {observer}: {seconds:.1f}, "
+                    f"expected {limits.time_to_identify_s:g} at most"
+                )
+        rmse_px = limits.rmse_px * self.image_width / REFERENCE_WIDTH
+        for observer, rmse in score.rmse_px.items():
+            if not rmse <= rmse_px:
+                short.append(
+                    f"tracking.rmse_px of drone {observer}: {rmse:.2f}, expected {rmse_px:g} at most"
+                )
+        return short
+
+    def _agent_shortfalls(self) -> list[str]:
+        limits = self.limits
+        short = []
+        for agent in self.agents:
+            who = f"drone {agent.drone_id}"
+            if math.isnan(agent.first_tracks_s):
+                short.append(f"{who}: no tracks were ever heard of it")
+                continue
+            took = agent.first_tracks_s - agent.start_s
+            if took > limits.first_tracks_s:
+                short.append(
+                    f"{who}: its first tracks came {took:.1f} s late, expected {limits.first_tracks_s:g} at most"
+                )
+            for name, found, asked in (
+                ("track_rate_hz", agent.track_rate_hz, self.asked_tracks_hz),
+                ("imu_rate_hz", agent.imu_rate_hz, self.asked_imu_hz),
+            ):
+                if not found >= limits.rate * asked:
+                    expected = f"{limits.rate * asked:g} of {asked:g} at least"
+                    short.append(f"{name} of {who}: {found:.1f}, expected {expected}")
+            if agent.announcement_bytes is None:
+                short.append(f"{who}: it never announced itself")
+            elif agent.announcement_bytes >= limits.announcement_bytes:
+                short.append(
+                    f"announcement_bytes of {who}: {agent.announcement_bytes}, "
+                    f"expected less than {limits.announcement_bytes}"
+                )
+        return short
+
+    def as_record(self) -> dict[str, Any]:
+        """For JSON. What cannot be said (NaN) is null."""
+        score = self.score
+        return {
+            "scenario": self.scenario,
+            "drones": self.drones,
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "tracker": self.tracker,
+            "detector": self.detector,
+            "identity": {
+                "time_to_identify_s": {
+                    str(observer): _rounded(seconds, 3) for observer, seconds in score.time_to_identify_s.items()
+                },
+                "correct": _rounded(score.correct),
+                "wrong": _rounded(score.wrong),
+                "unknown": _rounded(score.unknown),
+                "agreement": _rounded(score.agreement),
+            },
+            "tracking": {
+                "rmse_px": {str(observer): _rounded(rmse, 3) for observer, rmse in score.rmse_px.items()},
+                "recall": _rounded(score.recall),
+                "false_tracks_per_s": _rounded(score.false_tracks_per_s),
+                "switches": score.switches,
+            },
+            "agents": [
+                {
+                    "id": agent.drone_id,
+                    "track_rate_hz": _rounded(agent.track_rate_hz, 2),
+                    "imu_rate_hz": _rounded(agent.imu_rate_hz, 2),
+                    "detection_rate_hz": _rounded(agent.detection_rate_hz, 2),
+                    "latency_ms": {
+                        "p50": _rounded(1e3 * agent.latency_p50_s, 2),
+                        "p95": _rounded(1e3 * agent.latency_p95_s, 2),
+                    },
+                    "cpu_percent": _rounded(agent.cpu_percent, 1),
+                    "rss_mb": _rounded(agent.rss_mb, 1),
+                    "announcement_bytes": agent.announcement_bytes,
+                }
+                for agent in self.agents
+            ],
+            "passed": self.passed,
+        }  # fmt: skip
+
+
+def _rounded(value: float, digits: int = 6) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None
