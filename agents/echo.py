@@ -12,10 +12,10 @@ from typing import Any
 
 from swarmtrack import codec
 from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
-from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Sample
 from swarmtrack.transport.zenoh_listener import ZenohListener
 
@@ -26,17 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KEY",
         help="what to hear, below swarmtrack/TEAM/v1: 'tracks/*', 'pose/*', 'health/3', '**'; or a full key",
     )
-    parser.add_argument(
-        "--team", default=NetworkSettings().team, help="the team to hear (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--connect",
-        action="append",
-        default=[],
-        metavar="ENDPOINT",
-        help="where an agent listens, such as tcp/192.168.1.5:7447; again for more (default: all on this machine)",
-    )
-    parser.add_argument("--insecure", action="store_true", help="connect beyond this machine without keys")
+    add_network_arguments(parser)
     parser.add_argument("--count", type=_count, metavar="N", help="end after N messages")
     parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
 
@@ -48,9 +38,9 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    network = NetworkSettings(team=args.team, connect=tuple(args.connect), insecure=args.insecure)
-    expression = args.key if args.key.startswith(f"{keys.ROOT}/") else keys.key(args.team, args.key)
     try:
+        network = network_of_monitor(args)
+        expression = args.key if args.key.startswith(f"{keys.ROOT}/") else keys.key(network.team, args.key)
         listener = ZenohListener(network, expression)
     except TransportError as error:
         print(f"swarmtrack echo: {error}", file=sys.stderr)
@@ -70,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         after = "" if args.seconds is None else f" in {args.seconds:g} s"
         print(
             f"swarmtrack echo: heard {wanted} on {expression}{after}; "
-            f"does an agent of team {args.team!r} run here, or is --connect missing?",
+            f"does an agent of team {network.team!r} run here, or is --connect missing?",
             file=sys.stderr,
         )
     return 1 if heard < (args.count or 0) else 0

@@ -6,19 +6,22 @@ start at the folder of the file that names them; those of what is written (`[out
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from urllib.parse import quote
 
 import numpy as np
 from pydantic import (
+    ConfigDict,
     Field,
     PrivateAttr,
     Strict,
     TypeAdapter,
     ValidationError,
+    field_validator,
     model_validator,
 )
 
@@ -259,16 +262,52 @@ class NetworkSection(Section):
         default="swarm", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="letters, digits, - and _"
     )
     transport: Literal["zenoh", "memory"] = Field(default="zenoh", description='"memory": within one process')
-    listen: tuple[Text, ...] = Field(
-        default=(), description='endpoints such as "tcp/192.168.1.11:7447"; none: loopback'
+    keys: Text | None = Field(
+        default=None,
+        description="folder that `swarmtrack keys issue` made for this drone; {id} in it is drone.id",
     )
-    connect: tuple[Text, ...] = Field(default=(), description="endpoints of teammates to dial")
+    topology: Literal["mesh", "routers"] = Field(
+        default="mesh", description='"mesh": each dials each; "routers": all dial routers, which relay'
+    )
+    peers: dict[str, Text] = Field(
+        default={}, description='of a mesh: ID = "HOST" or "HOST:PORT" for every drone of the team'
+    )
+    routers: tuple[Text, ...] = Field(
+        default=(), description='of topology "routers": HOST or HOST:PORT of each, in one order for all'
+    )
+    listen: tuple[Text, ...] = Field(
+        default=(),
+        description="HOST, HOST:PORT or Zenoh endpoints to listen on, instead of one's own in peers",
+    )
+    connect: tuple[Text, ...] = Field(default=(), description="the same, to dial beside peers")
     multicast: Switch = Field(default=False, description="also find teammates by multicast")
     interface: Text = Field(default="auto", description="that multicast uses, such as wlan0")
     insecure: Switch = Field(default=False, description="true: speak without TLS beyond this machine")
     lease_s: Annotated[Number, Field(ge=0.5, le=60.0)] = Field(
         default=2.0, description="a teammate that is silent for so long is gone"
     )
+
+    @field_validator("peers")
+    @classmethod
+    def _peers_by_id(cls, peers: dict[str, str]) -> dict[str, str]:
+        for drone_id in peers:
+            if not re.fullmatch("[1-9][0-9]{0,4}", drone_id, re.ASCII) or int(drone_id) > 65535:
+                raise ValueError(f'found the key {found(drone_id)}, expected drone IDs: 1 = "HOST:PORT"')
+        return peers
+
+    @model_validator(mode="after")
+    def _one_topology(self) -> NetworkSection:
+        if self.topology == "routers" and not self.routers:
+            raise ValueError('topology = "routers" without routers, expected routers = ["HOST:PORT", …]')
+        if self.topology == "routers" and (self.listen or self.connect):
+            raise ValueError(
+                'listen or connect beside topology = "routers", expected none: all dial the routers'
+            )
+        return self
+
+    def keys_of(self, drone_id: int) -> Path | None:
+        """The folder of a drone's keys; the path with {id} may stand in the file of the team."""
+        return None if self.keys is None else Path(self.keys.replace("{id}", str(drone_id)))
 
 
 class OutputSection(Section):
@@ -296,19 +335,9 @@ class MotionSection(Section):
     gyro_bias_rad_s: Vector = Field(default=ORIGIN, description="what the gyro says at rest, body FRD")
 
 
-class DroneConfig(Section):
-    """Everything one agent is told at its start."""
+class LayeredConfig(Section):
+    """A config that knows its files."""
 
-    team: TeamSection = TeamSection()
-    drone: Vehicle = Field(description="a table [drone] with at least id")
-    camera: CameraSection = Field(description="a table [camera] with source and calibration")
-    autopilot: AutopilotSection = AutopilotSection()
-    detector: DetectorSection = DetectorSection()
-    tracker: TrackerSection = TrackerSection()
-    identity: IdentitySection = IdentitySection()
-    network: NetworkSection = NetworkSection()
-    output: OutputSection = OutputSection()
-    motion: MotionSection = MotionSection()
     _layers: Layers | None = PrivateAttr(default=None)
 
     @contextmanager
@@ -330,6 +359,29 @@ class DroneConfig(Section):
             raise ConfigError([str(self._layers.problem(key, text)) if self._layers else text]) from error
 
 
+class DroneConfig(LayeredConfig):
+    """Everything one agent is told at its start."""
+
+    team: TeamSection = TeamSection()
+    drone: Vehicle = Field(description="a table [drone] with at least id")
+    camera: CameraSection = Field(description="a table [camera] with source and calibration")
+    autopilot: AutopilotSection = AutopilotSection()
+    detector: DetectorSection = DetectorSection()
+    tracker: TrackerSection = TrackerSection()
+    identity: IdentitySection = IdentitySection()
+    network: NetworkSection = NetworkSection()
+    output: OutputSection = OutputSection()
+    motion: MotionSection = MotionSection()
+
+
+class TeamConfig(LayeredConfig):
+    """What those need who are of the team and no drone: its network. The rest of the file is for agents to judge."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    network: NetworkSection = NetworkSection()
+
+
 class MountedCamera(NamedTuple):
     """A calibrated camera on its drone. time_offset_s: exposure on the IMU's clock = frame stamp + time_offset_s."""
 
@@ -343,11 +395,24 @@ def load_config(path: str | Path) -> DroneConfig:
     layers = read_layers(Path(path), _resolve_inputs)
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
     problems += _start_problems(layers)
+    return _validated(DroneConfig, layers, problems)
+
+
+def load_team_config(path: str | Path) -> TeamConfig:
+    """Read the [network] of a team's file, or of a drone's. Raises ConfigError."""
+    return _validated(TeamConfig, read_layers(Path(path), _resolve_inputs), [])
+
+
+_C = TypeVar("_C", bound=LayeredConfig)
+
+
+def _validated(kind: type[_C], layers: Layers, problems: list[Problem]) -> _C:
+    """problems: those found already."""
     try:
-        config = DroneConfig.model_validate(layers.table)
+        config = kind.model_validate(layers.table)
     except ValidationError as error:
-        problems += [
-            section_problem(layers, details, DroneConfig) for details in error.errors(include_url=False)
+        problems = problems + [
+            section_problem(layers, details, kind) for details in error.errors(include_url=False)
         ]
     if problems:
         raise ConfigError([str(problem) for problem in sorted(problems)])
@@ -402,6 +467,7 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
         ("camera", "source", lambda source: _beside(source, ("file", "images"), quote(str(folder)))),
         ("autopilot", "link", lambda link: _beside(link, ("tlog", "file"), str(folder))),
         ("autopilot", "signing_key", lambda name: str(folder / Path(name).expanduser())),
+        ("network", "keys", lambda name: str(folder / Path(name).expanduser())),
         ("detector", "model", lambda name: str(folder / name) if name.endswith(".onnx") else name),
     ]
     for section, key, resolve in rules:

@@ -130,6 +130,7 @@ def test_two_processes_meet_and_a_kill_a_restart_and_a_clone_are_noticed(
 def test_the_first_agent_is_no_special_one(start: Callable[[int], Process]) -> None:
     first, second = start(40000), start(3)
     first.knows(second)
+    second.knows(first)
     killed = first.signal(signal.SIGKILL)
     second.misses(first, killed)
     third = start(2)

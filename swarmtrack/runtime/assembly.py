@@ -17,6 +17,8 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.onboard import Mounting, Onboard
 from swarmtrack.runtime.clock import Clock, ManualClock, SystemClock
+from swarmtrack.security import names
+from swarmtrack.security.credentials import Credentials
 from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.detection_stream import DetectionStream
@@ -24,10 +26,10 @@ from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.tracking import TRACKERS, create_tracker
+from swarmtrack.transport import topology
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
-from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
 # What sees pictures needs OpenCV and ONNX Runtime: 80 MB and half a second, which an agent whose camera detects by
@@ -226,16 +228,23 @@ def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> 
     network = config.network
     if network.transport == "memory":
         return MemoryTransport(hub, network.team, config.drone.id, boot, clock)
-    settings = NetworkSettings(
-        team=network.team,
-        listen=network.listen,
-        connect=network.connect,
-        multicast=network.multicast,
-        interface=network.interface,
-        insecure=network.insecure,
-        lease_s=network.lease_s,
-    )
-    return ZenohTransport(settings, config.drone.id, boot, clock)
+    credentials = _credentials(config, clock)
+    settings = topology.of_drone(network, config.drone.id, credentials)
+    if credentials is None:
+        return ZenohTransport(settings, config.drone.id, boot, clock)
+    sign, verify = credentials.sign, credentials.verify
+    return ZenohTransport(settings, config.drone.id, boot, clock, sign=sign, verify=verify)
+
+
+def _credentials(config: DroneConfig, clock: Clock) -> Credentials | None:
+    folder = config.network.keys_of(config.drone.id)
+    if folder is None:
+        return None
+    # Not above: agents without keys need no cryptography, and its 10 MB.
+    from swarmtrack.security.loading import load_credentials  # noqa: PLC0415
+
+    with config.blamed("network", "keys"):
+        return load_credentials(folder, names.drone(config.drone.id), clock.utc())
 
 
 def _teammates(

@@ -1,25 +1,39 @@
-"""What the network may be told, and what it refuses."""
+"""What one process is told of the network, and what is refused."""
 
 from __future__ import annotations
 
+import enum
 import ipaddress
 import re
 from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 from swarmtrack.errors import TransportError
+from swarmtrack.security.credentials import Credentials
+
+ENCRYPTED: Final = ("tls", "quic")
 
 _TEAM = re.compile("[A-Za-z0-9_-]{1,64}")
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws|unixsock-stream)/(?P<address>[^?#]+)([?#].*)?")
 
 
+class Mode(enum.StrEnum):
+    """Zenoh's own names. Peers speak to each other and relay nothing; clients speak to routers, who relay."""
+
+    PEER = "peer"
+    CLIENT = "client"
+    ROUTER = "router"
+
+
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """How one agent reaches its team.
+    """How one process reaches its team. `topology` makes one from what a team's file says.
 
     Without `listen` and `connect` the agents of one machine find each other on loopback, by themselves.
-    listen, connect: Zenoh endpoints, `tcp/192.168.1.5:7447`; who only connects cannot be dialled. multicast: also find
+    listen, connect: Zenoh endpoints, `tls/192.168.1.5:7447`; who only connects cannot be dialled. multicast: also find
     peers by scouting on `interface`, a name or "auto" (the first that is not loopback). lease_s: after this long a
-    silent link counts as lost. insecure: beyond loopback without keys.
+    silent link counts as lost. insecure: beyond loopback without keys. credentials: our keys; None: without.
+    expected: the names of those whose links should come up.
     """
 
     team: str = "swarm"
@@ -29,11 +43,31 @@ class NetworkSettings:
     interface: str = "auto"
     insecure: bool = False
     lease_s: float = 2.0
+    mode: Mode = Mode.PEER
+    credentials: Credentials | None = None
+    expected: tuple[str, ...] = ()
 
     @property
     def rendezvous(self) -> bool:
         """Whether to meet on loopback's well-known ports."""
         return not self.listen and not self.connect
+
+
+class Endpoint(NamedTuple):
+    """`tls/10.0.0.1:7447?rel=1`, taken apart; without a port for a Unix socket."""
+
+    protocol: str
+    host: str
+    port: int | None
+
+    @property
+    def is_loopback(self) -> bool:
+        if self.protocol == "unixsock-stream" or self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False  # a name: whatever it resolves to today, it may be elsewhere tomorrow
 
 
 def check(settings: NetworkSettings) -> None:
@@ -44,19 +78,20 @@ def check(settings: NetworkSettings) -> None:
         )
     if not 0.5 <= settings.lease_s <= 60.0:
         raise TransportError(f"network.lease_s: found {settings.lease_s:g}, expected 0.5 to 60 s")
+    if settings.credentials is not None and settings.credentials.roster.team != settings.team:
+        raise TransportError(
+            f"network.team: found {settings.team!r}, expected {settings.credentials.roster.team!r}, "
+            f"the team that the keys are for"
+        )
     for name, endpoints in (("listen", settings.listen), ("connect", settings.connect)):
         for endpoint in endpoints:
-            if not is_loopback(endpoint, f"network.{name}") and not settings.insecure:
-                raise TransportError(
-                    f"network.{name}: {endpoint} is not on loopback, and without keys anyone there can pose as a "
-                    f"drone; stay on tcp/127.0.0.1:PORT, or write `insecure = true` under [network] "
-                    f"(`swarmtrack echo --insecure`)"
-                )
+            _check_protection(endpoint, f"network.{name}", settings)
     if settings.multicast and settings.interface != "lo":
+        # Scouting is not encrypted, with keys or without.
         if not settings.insecure:
             raise TransportError(
-                "network.multicast: scouting without keys tells everyone in reach who flies; "
-                "leave it out to stay on loopback, or write `insecure = true` under [network]"
+                "network.multicast: scouting tells everyone in reach who flies, keys or not; "
+                "leave it out and list network.peers, or write `insecure = true` under [network]"
             )
         if not settings.listen:
             raise TransportError(
@@ -65,22 +100,34 @@ def check(settings: NetworkSettings) -> None:
             )
 
 
-def is_loopback(endpoint: str, where: str = "network") -> bool:
-    """Whether the endpoint stays on this machine; raises TransportError where it is no endpoint at all."""
-    match = _ENDPOINT.fullmatch(endpoint)
+def _check_protection(text: str, where: str, settings: NetworkSettings) -> None:
+    endpoint = parse_endpoint(text, where)
+    if settings.credentials is not None:
+        if endpoint.protocol not in ENCRYPTED:
+            raise TransportError(
+                f"{where}: {text} is not encrypted, and there are keys; expected tls/HOST:PORT or just HOST:PORT"
+            )
+    elif endpoint.protocol in ENCRYPTED:
+        raise TransportError(f"{where}: {text} needs keys, expected `keys = …` (`swarmtrack keys`), or tcp/")
+    elif not endpoint.is_loopback and not settings.insecure:
+        raise TransportError(
+            f"{where}: {text} is not on loopback, and without keys anyone there can pose as a drone; make keys "
+            f"(`swarmtrack keys`) and write `keys = …` under [network], stay on tcp/127.0.0.1:PORT, "
+            f"or write `insecure = true` (`--insecure`)"
+        )
+
+
+def parse_endpoint(text: str, where: str) -> Endpoint:
+    """Raises TransportError where it is no endpoint at all."""
+    match = _ENDPOINT.fullmatch(text)
     if match is None:
         raise TransportError(
-            f"{where}: found {endpoint!r}, expected PROTOCOL/HOST:PORT with tcp, udp, tls, quic or ws, "
+            f"{where}: found {text!r}, expected PROTOCOL/HOST:PORT with tcp, udp, tls, quic or ws, "
             f"such as tcp/127.0.0.1:7447"
         )
     if match["protocol"] == "unixsock-stream":
-        return True
+        return Endpoint(match["protocol"], match["address"], None)
     host, colon, port = match["address"].rpartition(":")
     if not colon or not port.isdecimal() or int(port) > 65535:
-        raise TransportError(f"{where}: {endpoint!r} has no port, expected PROTOCOL/HOST:PORT")
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False  # a name: whatever it resolves to today, it may be elsewhere tomorrow
+        raise TransportError(f"{where}: {text!r} has no port, expected PROTOCOL/HOST:PORT")
+    return Endpoint(match["protocol"], host.strip("[]"), int(port))

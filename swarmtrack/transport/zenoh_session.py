@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import json
+import itertools
 import logging
 import re
 import threading
@@ -25,13 +25,15 @@ import zenoh
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
-from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.links import Links
+from swarmtrack.transport.ports import wait_for_ports
+from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Bridge
+from swarmtrack.transport.zenoh_config import zenoh_config
 
 log = logging.getLogger(__name__)
 
 RENDEZVOUS_PORTS: Final = range(17447, 17447 + 32)  # on loopback, below Linux's ephemeral ports
-MAX_ZENOH_BYTES: Final = 1024 * 1024  # of a fragmented message: Zenoh drops larger ones before we see them
 
 OPEN_S: Final = 10.0
 CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs half open would hold us for 3
@@ -39,73 +41,44 @@ CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs
 _T = TypeVar("_T")
 
 
+class NobodyThereError(TransportError):
+    """No router answers now; one may later."""
+
+
 async def open_session(network: NetworkSettings, listening: bool = True) -> zenoh.Session:
-    """Raises TransportError. listening: whether others may dial us."""
+    """Raises TransportError; NobodyThereError where it is worth trying again. listening: whether others may dial us.
+
+    An address that this machine does not have yet (an interface that is down) is listened on as soon as it has.
+    """
+    if listening:
+        await wait_for_ports(network.listen)
     return await bounded(partial(_open, network, listening), OPEN_S, "open", too_late=_close)
 
 
 def _open(network: NetworkSettings, listening: bool) -> zenoh.Session:
+    if network.mode == Mode.CLIENT:
+        try:
+            return zenoh.open(zenoh_config(network, (), network.connect))
+        except zenoh.ZError as error:
+            raise NobodyThereError(f"network: no router answers: {plain(error)}") from None
     if not network.rendezvous:
         listen = network.listen if listening else ()
         return zenoh.open(zenoh_config(network, listen, network.connect))
-    meeting_points = tuple(f"tcp/127.0.0.1:{port}" for port in RENDEZVOUS_PORTS)
+    links = Links.direct(secured=network.credentials is not None)
+    meeting_points = [links.at(f"127.0.0.1:{port}", "network") for port in RENDEZVOUS_PORTS]
     if not listening:
-        return zenoh.open(zenoh_config(network, (), meeting_points))
+        return zenoh.open(zenoh_config(network, (), _joined(meeting_points)))
     for i, free in enumerate(meeting_points):
         try:
-            return zenoh.open(zenoh_config(network, (free,), meeting_points[:i]))
+            return zenoh.open(zenoh_config(network, free, _joined(meeting_points[:i])))
         except zenoh.ZError as error:
             if f"os error {errno.EADDRINUSE}" not in str(error):
                 raise
-    return zenoh.open(zenoh_config(network, ("tcp/127.0.0.1:0",), meeting_points))
+    return zenoh.open(zenoh_config(network, links.anywhere, _joined(meeting_points)))
 
 
-def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tuple[str, ...]) -> zenoh.Config:
-    """Zenoh's own config. Unknown entries in it are errors at `open`, so a typing mistake here cannot hide."""
-    # Of two that learn of each other by gossip one dials, else they dial twice. Who cannot be dialled must dial.
-    autoconnect = {"to_router": "always", "to_peer": "greater-zid" if listen else "always"}
-    return zenoh.Config.from_json5(
-        json.dumps(
-            {
-                "mode": "peer",
-                "listen": {"endpoints": listen, "exit_on_failure": True},
-                "connect": {
-                    "endpoints": connect,
-                    "timeout_ms": -1,  # for ever, in the background: a peer that is away may come back
-                    "exit_on_failure": False,
-                    # Who takes over a meeting point is met after one period. Loopback refuses at once and for free.
-                    "retry": {
-                        "period_init_ms": 100,
-                        "period_max_ms": 250 if network.rendezvous else 1000,
-                        "period_increase_factor": 2,
-                    },
-                },
-                # Do not wait for links: whoever comes later is no special case.
-                "open": {"return_conditions": {"connect_scouted": False, "declares": False}},
-                "scouting": {
-                    "delay": 100,
-                    "multicast": {
-                        "enabled": network.multicast,
-                        "interface": network.interface,
-                        "autoconnect_strategy": {"peer": autoconnect},
-                    },
-                    "gossip": {"enabled": True, "autoconnect_strategy": {"peer": autoconnect}},
-                },
-                "timestamping": {"enabled": True},
-                "queries_default_timeout": 2000,
-                "transport": {
-                    "unicast": {"open_timeout": 3000, "accept_timeout": 3000},
-                    "shared_memory": {
-                        "enabled": False
-                    },  # nothing to gain at our sizes, and it hides lost links
-                    "link": {
-                        "tx": {"lease": round(network.lease_s * 1000), "keep_alive": 4},
-                        "rx": {"max_message_size": MAX_ZENOH_BYTES},
-                    },
-                },
-            }
-        )
-    )
+def _joined(meeting_points: list[tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(itertools.chain.from_iterable(meeting_points))
 
 
 def ask_for_announcement(

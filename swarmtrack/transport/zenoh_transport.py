@@ -22,6 +22,7 @@ from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind
+from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
@@ -29,6 +30,7 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
+    NobodyThereError,
     ask_for_announcement,
     bounded,
     close_session,
@@ -38,6 +40,7 @@ from swarmtrack.transport.zenoh_session import (
 log = logging.getLogger(__name__)
 
 PUT_S: Final = 3.0
+REJOIN_S: Final = 1.0  # between two attempts to reach a router
 
 _MAX_TOKENS: Final = 65536
 
@@ -83,7 +86,8 @@ class ZenohTransport:
         self._publishers: dict[Kind, zenoh.Publisher] = {}
         self._declared: list[Any] = []
         self._bridges: list[Bridge] = []
-        self._reconciliation: asyncio.Task[None] | None = None
+        self._watch = LinkWatch(network)
+        self._tasks: list[asyncio.Task[None]] = []
         self._counters: Counter[str] = Counter()
 
     async def open(self) -> None:
@@ -97,15 +101,35 @@ class ZenohTransport:
         )
         self._bridges = [tokens, messages]
         self._loop = asyncio.get_running_loop()
-        self._session = await open_session(self._network)
         try:
-            await bounded(partial(self._declare, self._session, tokens, messages), OPEN_S, "declare")
+            await self._join(tokens, messages)
+        except NobodyThereError as error:  # no reason not to fly
+            log.warning("%s; we keep trying", error)
+            self._tasks = [asyncio.create_task(self._keep_joining(tokens, messages), name="joining")]
         except BaseException:
             await self.close()
             raise
-        self._reconciliation = asyncio.create_task(
-            self._peers.ask_for_missing(self._ask), name="reconciliation"
-        )
+
+    async def _keep_joining(self, tokens: Bridge, messages: Bridge) -> None:
+        while True:
+            await asyncio.sleep(REJOIN_S)
+            try:
+                return await self._join(tokens, messages)
+            except TransportError as error:
+                log.info("%s", error)
+
+    async def _join(self, tokens: Bridge, messages: Bridge) -> None:
+        session = await open_session(self._network)
+        try:
+            await bounded(partial(self._declare, session, tokens, messages), OPEN_S, "declare")
+        except BaseException:
+            await close_session(session, [])
+            raise
+        self._session = session
+        self._tasks += [
+            asyncio.create_task(self._peers.ask_for_missing(self._ask), name="reconciliation"),
+            asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
+        ]
 
     def _declare(self, session: zenoh.Session, tokens: Bridge, messages: Bridge) -> None:
         team, me = self._network.team, self._drone_id
@@ -180,25 +204,30 @@ class ZenohTransport:
         return self._peers.events()
 
     def status(self) -> LinkStatus:
-        links = [] if self._session is None else self._session.info.links()
+        up = links_up(self._session)
         alive, missing = self._peers.alive, self._peers.missing
         counters = {
             "peers": len(alive),
             "missing": len(missing),
-            "links": len(links),
+            "links": up.count,
+            "strangers": len(self._watch.strangers(up)),
             **self._outgoing.counters,
             "samples_dropped": sum(bridge.dropped for bridge in self._bridges),
             "samples_superseded": sum(bridge.superseded for bridge in self._bridges),
             **self._counters,
             **self._peers.counters,
         }
-        text = f"team {self._network.team}: {len(alive)} peers, {len(missing)} of them unannounced, {len(links)} links"
-        return LinkStatus("zenoh", self._session is not None, text, tuple(counters.items()))
+        text = (
+            f"team {self._network.team}: {len(alive)} peers, {len(missing)} of them unannounced, "
+            f"{self._watch.describe(up)}"
+        )
+        ok = self._session is not None and self._watch.is_connected(up)
+        return LinkStatus("zenoh", ok, text, tuple(counters.items()))
 
     async def close(self) -> None:
-        if self._reconciliation is not None:
-            self._reconciliation.cancel()
-            self._reconciliation = None
+        for task in self._tasks:
+            task.cancel()
+        self._tasks = []
         session, self._session = self._session, None
         declared, self._declared = self._declared[::-1], []  # the token first: it is our farewell
         self._publishers = {}

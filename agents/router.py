@@ -1,0 +1,101 @@
+"""`swarmtrack router`: relays between drones that do not reach each other, or are too many for a mesh.
+
+It believes nobody more than a drone does: each certificate's name may speak for itself only. What a router itself says is
+believed by the drones, except announcements, which are signed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import signal
+import sys
+from pathlib import Path
+
+import zenoh
+
+from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.agents.monitoring import credentials_in
+from swarmtrack.config import load_team_config
+from swarmtrack.errors import TransportError
+from swarmtrack.security.names import Role
+from swarmtrack.transport import settings, topology
+from swarmtrack.transport.link_watch import LinkWatch, links_up
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_session import close_session, open_session
+
+PERIOD_S = 10.0  # between two lines when nothing changes
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--config",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="the team's file, with topology and routers",
+    )
+    parser.add_argument(
+        "--keys", type=Path, metavar="DIR", help="the folder that `swarmtrack keys issue … router-NAME` made"
+    )
+    parser.add_argument(
+        "--listen",
+        metavar="ADDRESS",
+        help="which of network.routers this is (default: the one that is an address of this machine)",
+    )
+    parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("--quiet", action="store_true", help="no lines, only warnings")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Raises ConfigError or KeysError."""
+    logging.basicConfig(level=logging.WARNING, format="swarmtrack router: %(message)s", stream=sys.stderr)
+    config = load_team_config(args.config)
+    if args.keys is None and config.network.keys is not None:
+        raise TransportError(f"{args.config}: this team has keys, expected --keys with those of a router")
+    credentials = None if args.keys is None else credentials_in(args.keys, Role.ROUTER)
+    with config.blamed("network"):
+        network = topology.of_router(config.network, args.listen, credentials)
+        settings.check(network)
+    try:
+        asyncio.run(relay(network, args.seconds, args.quiet))
+    except TransportError as error:  # the config is right; a port is taken
+        print(f"swarmtrack router: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) -> None:
+    """Until a signal, or for so long. Raises TransportError."""
+    stopped = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        loop.add_signal_handler(number, stopped.set)
+    session = await open_session(network)
+    watch = LinkWatch(network)
+    tasks = [asyncio.create_task(watch.run(lambda: links_up(session)))]
+    if not quiet:
+        tasks.append(asyncio.create_task(_tell_health(session, watch)))
+    try:
+        async with asyncio.timeout(seconds):
+            await stopped.wait()
+    except TimeoutError:
+        pass
+    finally:
+        for task in tasks:
+            task.cancel()
+        await close_session(session, [])
+
+
+async def _tell_health(session: zenoh.Session, watch: LinkWatch) -> None:
+    """A line whenever who is linked changed, and now and then."""
+    print(f"relaying for team {watch.network.team} on {', '.join(watch.network.listen)}", flush=True)
+    told, silent_s = "", 0.0
+    while True:
+        line = watch.describe(links_up(session))
+        if line != told or silent_s >= PERIOD_S:
+            print(line, flush=True)
+            told, silent_s = line, 0.0
+        await asyncio.sleep(1.0)
+        silent_s += 1.0

@@ -1,0 +1,98 @@
+"""Whose links are up, by the names in their certificates. Zenoh fails in silence: what is missing is said here."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import zenoh
+
+from swarmtrack.transport.settings import Mode, NetworkSettings
+
+log = logging.getLogger(__name__)
+
+PERIOD_S: Final = 1.0
+PATIENCE: Final = 10  # periods: whoever starts with us is there by then
+SHOWN: Final = 8  # names in one line
+
+
+@dataclass(frozen=True)
+class LinksUp:
+    """names: in the certificates at the other ends; links without keys have none. count: of links."""
+
+    names: frozenset[str] = frozenset()
+    count: int = 0
+
+
+def links_up(session: zenoh.Session | None) -> LinksUp:
+    links = [] if session is None else session.info.links()
+    named = (link.auth_identifier for link in links)
+    return LinksUp(frozenset(name for name in named if name), len(links))
+
+
+@dataclass
+class LinkWatch:
+    """Says once for each name what is odd: expected and never there, or there and not of the team."""
+
+    network: NetworkSettings
+    _unseen: set[str] = field(init=False)
+    _strangers: set[str] = field(init=False, default_factory=set)
+
+    def __post_init__(self) -> None:
+        self._unseen = set(self.network.expected)
+
+    async def run(self, look: Callable[[], LinksUp]) -> None:
+        """Until cancelled."""
+        for period in itertools.count(1):
+            await asyncio.sleep(PERIOD_S)
+            for line in self.news(look(), patient=period < PATIENCE):
+                log.warning(line)
+
+    def news(self, up: LinksUp, *, patient: bool) -> list[str]:
+        """What to say now; patient: not yet of those who are only late."""
+        strangers = self.strangers(up) - self._strangers
+        self._strangers |= strangers
+        lines = [
+            f"network: {name} has a certificate of our CA but is not in our roster, and is not heard: "
+            f"is {self._roster_number}the newest?"
+            for name in sorted(strangers)
+        ]
+        self._unseen -= up.names
+        if not patient and self._unseen and self.network.credentials is not None:
+            lines.append(
+                f"network: no link to {_listed(self._unseen)} yet: not started, not in reach, or without a certificate "
+                f"of this team's CA that is valid by our clock"
+            )
+            self._unseen.clear()
+        return lines
+
+    def strangers(self, up: LinksUp) -> frozenset[str]:
+        credentials = self.network.credentials
+        return frozenset() if credentials is None else up.names - set(credentials.roster.names)
+
+    def describe(self, up: LinksUp) -> str:
+        """For the status: `linked to drone-2, monitor; not to drone-3`."""
+        if self.network.credentials is None:
+            return f"{up.count} links"
+        missing = set(self.network.expected) - up.names
+        linked = f"linked to {_listed(up.names)}" if up.names else "no link"
+        return f"{linked}; not to {_listed(missing)}" if missing and up.names else linked
+
+    def is_connected(self, up: LinksUp) -> bool:
+        """A client without a router is cut off; a peer alone may just be the first."""
+        return self.network.mode != Mode.CLIENT or up.count > 0
+
+    @property
+    def _roster_number(self) -> str:
+        credentials = self.network.credentials
+        return "" if credentials is None else f"ours, number {credentials.roster.number}, "
+
+
+def _listed(names: set[str] | frozenset[str]) -> str:
+    shown = sorted(names, key=lambda name: (len(name), name))
+    more = f" and {len(shown) - SHOWN} more" if len(shown) > SHOWN else ""
+    return ", ".join(shown[:SHOWN]) + more

@@ -1,0 +1,61 @@
+"""Whether we can listen where we were told to, said before Zenoh tries, which says little and retries in silence."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import socket
+from typing import Final
+
+from swarmtrack.errors import TransportError
+from swarmtrack.transport.settings import Endpoint, parse_endpoint
+
+log = logging.getLogger(__name__)
+
+DATAGRAMS: Final = ("udp", "quic")
+TRIES: Final = 8  # a predecessor that is ending holds its ports for a moment
+PERIOD_S: Final = 0.25
+
+
+async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
+    """Raises TransportError for a port that stays taken, or is not ours to take.
+
+    An address that this machine does not have is worth a warning only: its interface may come up later.
+    """
+    for text in endpoints:
+        endpoint = parse_endpoint(text, "network.listen")
+        for left in reversed(range(TRIES)):
+            error = await asyncio.to_thread(_try_to_bind, endpoint)
+            if error is None:
+                break
+            if error.errno == errno.EADDRINUSE and left:
+                await asyncio.sleep(PERIOD_S)
+            elif error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+                log.warning(
+                    "network: %s is no address of this machine now (%s); we listen there as soon as it is",
+                    endpoint.host,
+                    error.strerror,
+                )
+                break
+            else:
+                hint = "; does another agent run here?" if error.errno == errno.EADDRINUSE else ""
+                raise TransportError(f"network: cannot open: {text}: {error.strerror}{hint}")
+
+
+def _try_to_bind(endpoint: Endpoint) -> OSError | None:
+    """What is against listening at an endpoint; None: nothing."""
+    if endpoint.port is None:
+        return None
+    kind = socket.SOCK_DGRAM if endpoint.protocol in DATAGRAMS else socket.SOCK_STREAM
+    try:
+        family, _, _, _, address = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)[0]
+        with socket.socket(family, kind) as probe:
+            if kind == socket.SOCK_STREAM:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as Zenoh does
+            probe.bind(address)
+            if kind == socket.SOCK_STREAM:
+                probe.listen()  # two may bind with SO_REUSEADDR, but only one listens
+    except OSError as error:
+        return error
+    return None
