@@ -1,0 +1,279 @@
+"""A team of real agents in network namespaces, one simulator for their sensors, and a spectator who knows the truth.
+
+The agents talk over the radio of an `Air`. Sensors and spectator are on the cables, so what is done to the radio is
+done to nothing else. Times are seconds of CLOCK_MONOTONIC, which all processes of a machine share.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import secrets
+import signal
+import sys
+import time
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from swarmtrack import codec
+from swarmtrack.agents.air import Air
+from swarmtrack.agents.swarm_configs import RadioEnds, Sources, write_configs
+from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScorer
+from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.messages import Identity
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_listener import ZenohListener
+
+PATIENCE = 30.0  # s: far beyond every promise, for a machine that is busy
+PORT = 7447
+SEED = 1
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+
+
+class Lines:
+    """What a process says, with the time at which it was read."""
+
+    def __init__(self, name: str, process: Process) -> None:
+        assert process.stderr is not None
+        self.name = name
+        self.process = process
+        self.said: list[tuple[float, str]] = []
+        self._news = asyncio.Condition()
+        self._reading = asyncio.create_task(self._read(process.stderr), name=f"lines of {name}")
+
+    async def _read(self, stream: asyncio.StreamReader) -> None:
+        while line := await stream.readline():
+            async with self._news:
+                self.said.append((time.monotonic(), line.decode(errors="replace").rstrip()))
+                self._news.notify_all()
+
+    def times(self, pattern: str, since: float = 0.0) -> list[float]:
+        """When it said what matches, at or after `since`."""
+        return [t for t, line in self.said if t >= since and re.search(pattern, line)]
+
+    async def until(self, pattern: str, since: float = 0.0) -> float:
+        """The first time; waits for it."""
+        try:
+            async with asyncio.timeout(PATIENCE), self._news:
+                await self._news.wait_for(lambda: self.times(pattern, since))
+        except TimeoutError:
+            tail = "\n".join(line for _, line in self.said[-30:])
+            raise AssertionError(f"{self.name} did not say {pattern!r}; its last lines:\n{tail}") from None
+        return self.times(pattern, since)[0]
+
+    async def end(self, number: signal.Signals) -> float:
+        """Send the signal and wait for the end; when it was sent."""
+        sent = time.monotonic()
+        with suppress(ProcessLookupError):
+            self.process.send_signal(number)
+        await asyncio.wait_for(self.process.wait(), PATIENCE)
+        await self._reading
+        return sent
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What one observer published, beside the truth. names: by the true drone; ghosts: on tracks that are nobody."""
+
+    t: float
+    in_view: frozenset[int]
+    names: Mapping[int, Identity]
+    ghosts: frozenset[Identity]
+
+    def is_right(self) -> bool:
+        """Everybody in view has the right name."""
+        return all(self.names.get(drone) == drone for drone in self.in_view)
+
+    def is_wrong(self) -> bool:
+        """Somebody has another's name; unknown is not wrong."""
+        swapped = any(name not in (None, drone) for drone, name in self.names.items())
+        return swapped or not self.ghosts.isdisjoint(self.in_view)
+
+
+class Team:
+    """Agents are started one by one, and end with the team. World time begins with `async with`."""
+
+    def __init__(self, air: Air, scenario_file: Path, folder: Path) -> None:
+        self.air = air
+        self.looks: dict[int, list[Look]] = {}
+        self._folder = folder
+        self._scenario_file = scenario_file
+        self._scenario = load_scenario(scenario_file, seed=SEED)
+        self._truth = SwarmTruth(self._scenario.world, self._scenario.camera, self._scenario.body_from_camera)
+        self._matching = SwarmScorer(self._scenario.members, start=0.0, end=0.0)
+        self._name = f"test-{secrets.token_hex(4)}"
+        self._processes: list[Lines] = []
+        self._sources: Mapping[int, Sources] = {}
+        self._looked = asyncio.Condition()
+        self._listener = ZenohListener(
+            NetworkSettings(
+                team=self._name,
+                connect=tuple(f"tcp/{air.drone_wire_address(drone)}:{PORT}" for drone in self.drones),
+                insecure=True,
+            ),
+            keys.key(self._name, Kind.TRACKS, "*"),
+        )
+        self.epoch = 0.0
+
+    @property
+    def drones(self) -> Sequence[int]:
+        return self._scenario.members
+
+    async def __aenter__(self) -> Self:
+        self.epoch = time.monotonic()
+        await self._start_simulator()
+        await self._listener.open()
+        self._watching = asyncio.create_task(self._watch(), name="spectator")
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._listener.close()
+        await self._watching
+        for lines in self._processes:
+            if lines.process.returncode is None:
+                await lines.end(signal.SIGKILL)
+
+    async def _start_simulator(self) -> None:
+        words = {
+            "--scenario": str(self._scenario_file), "--seed": str(SEED), "--epoch": repr(self.epoch),
+            "--detector": "oracle", "--host": self.air.wire_address,
+        }  # fmt: skip
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "swarmtrack.agents.simulator"),
+            *(word for pair in words.items() for word in pair),
+            stdin=PIPE,
+            stdout=PIPE,
+            stderr=PIPE,
+            env=ENVIRONMENT,
+        )
+        simulator = Lines("the simulator", process)
+        self._processes.append(simulator)
+        assert process.stdout is not None
+        ready = await asyncio.wait_for(process.stdout.readline(), PATIENCE)
+        assert ready, "\n".join(line for _, line in simulator.said)
+        drones = json.loads(ready)["drones"]
+        self._sources = {int(drone): Sources(**ends) for drone, ends in drones.items()}
+
+    async def start(self, drone: int, *, name: int | None = None, clock_off_s: float = 0.0) -> Lines:
+        """Start the drone's agent. name: the ID that it is given, its own if None; clock_off_s: of its wall clock."""
+        path = self._write_config(drone, drone if name is None else name)
+        module = ["swarmtrack.agents.vehicle", "--config", str(path), "--quiet", "--log", "info"]
+        if clock_off_s:
+            module = ["swarmtrack.agents.skewed_clock", repr(clock_off_s), *module]
+        process = await asyncio.create_subprocess_exec(
+            *self.air.wrap(drone, [sys.executable, "-m", *module]),
+            stdin=DEVNULL,
+            stdout=DEVNULL,
+            stderr=PIPE,
+            env=ENVIRONMENT,
+        )
+        self._processes.append(Lines(f"the agent of drone {drone}", process))
+        return self._processes[-1]
+
+    def _write_config(self, drone: int, name: int) -> Path:
+        folder = self._folder / f"{drone}-as-{name}"
+        folder.mkdir(exist_ok=True)
+        ends = {drone: self._radio_ends(drone) for drone in self.drones}
+        path = write_configs(
+            folder, self._scenario, team=self._name, tracker="kalman", sources=self._sources, radio=ends
+        )[drone]
+        if name != drone:
+            path.write_text(path.read_text().replace(f"id = {drone}\n", f"id = {name}\n", 1))
+        return path
+
+    def _radio_ends(self, drone: int) -> RadioEnds:
+        """Lower IDs are dialled; the cable is listened on for the spectator."""
+        own = (self.air.radio_address(drone), self.air.drone_wire_address(drone))
+        lower = [self.air.radio_address(other) for other in self.drones if other < drone]
+        return RadioEnds(
+            listen=tuple(f"tcp/{address}:{PORT}" for address in own),
+            connect=tuple(f"tcp/{address}:{PORT}" for address in lower),
+        )
+
+    # --- watching -----------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        async for sample in self._listener.samples():
+            address = keys.parse(sample.key)
+            assert address is not None
+            message = codec.decode_tracks(sample.payload)
+            async with self._looked:
+                look = self._look(address.drone_id, message, time.monotonic())
+                self.looks.setdefault(address.drone_id, []).append(look)
+                self._looked.notify_all()
+
+    def _look(self, observer: int, message: codec.TracksMessage, now: float) -> Look:
+        """Of the time of arrival: at these speeds a message's way is worth no pixel."""
+        view = self._truth.view(observer, now - self.epoch)
+        tracks = tuple(
+            NamedTrack(track.id, track.identity, track.identity_probability, track.u_px, track.v_px)
+            for track in message.tracks
+            if track.status == "confirmed"
+        )
+        glance = Glance(observer, "", 0, now - self.epoch, view.in_view, view.hidden, tracks)
+        seen = self._matching.add(glance)
+        return Look(
+            t=now,
+            in_view=frozenset(view.in_view),
+            names={one.drone_id: one.track.identity for one in seen if one.drone_id is not None},
+            ghosts=frozenset(one.track.identity for one in seen if one.drone_id is None),
+        )
+
+    async def until(
+        self, wanted: Callable[[Look], bool], observers: Sequence[int], since: float, what: str
+    ) -> float:
+        """The first time at or after `since` when the last word of each of these observers is as wanted."""
+
+        def so() -> bool:
+            last = [self.looks.get(observer, [])[-1:] for observer in observers]
+            return all(looks and looks[0].t >= since and wanted(looks[0]) for looks in last)
+
+        try:
+            async with asyncio.timeout(PATIENCE), self._looked:
+                await self._looked.wait_for(so)
+        except TimeoutError:
+            last = {observer: self.looks.get(observer, [])[-1:] for observer in observers}
+            raise AssertionError(f"not in {PATIENCE:g} s: {what}; last seen: {last}") from None
+        return time.monotonic()
+
+    async def until_known(self, drones: Sequence[int], since: float) -> float:
+        """When each of these drones calls each other one of them that it sees by its name."""
+        return await self.until(
+            lambda look: all(look.names.get(d) == d for d in look.in_view.intersection(drones)),
+            drones,
+            since,
+            f"each of {drones} names the others",
+        )
+
+    def wrong(self, observers: Sequence[int], since: float, until: float) -> int:
+        """How often one of these observers gave a wrong name."""
+        return sum(self.looks_between(observers, since, until, Look.is_wrong))
+
+    def looks_between(
+        self, observers: Sequence[int], since: float, until: float, judge: Callable[[Look], bool]
+    ) -> list[bool]:
+        """The judgement of everything that these observers said in that time."""
+        found = [
+            judge(look) for observer in observers for look in self.looks[observer] if since <= look.t < until
+        ]
+        assert found, "nobody said anything"
+        return found
+
+
+@asynccontextmanager
+async def team_in_the_air(scenario: str, folder: Path) -> AsyncIterator[Team]:
+    """Of a scenario's TOML; no agent is started yet. Raises AirError where there can be no air."""
+    file = folder / "scenario.toml"
+    file.write_text(scenario)
+    drones = load_scenario(file, seed=SEED).members
+    async with Air(drones, seed=SEED) as air, Team(air, file, folder) as team:
+        yield team
