@@ -1,0 +1,29 @@
+"""A valid member that floods, from a process of its own: the loop turns, memory stays, the others are heard.
+
+The limits are far above what is measured, for a machine that is busy; `pytest -s` shows the figures, and
+`python -m swarmtrack.benchmarks.flood` makes the table of docs/wire.md.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from swarmtrack.benchmarks.flood import Sort, measure
+
+SECONDS = 2.0
+VALID = {Sort.ANNOUNCEMENTS, Sort.SIGHTINGS, Sort.TOKENS}  # what an agent has to be told of, if not all of it
+AT_MOST_HZ = 600.0  # four of one key, a hundred times a second, and the friend's
+
+
+@pytest.mark.parametrize("sort", [sort for sort in Sort if sort is not Sort.NOTHING])
+async def test_a_flood_by_a_member_stops_neither_the_loop_nor_the_others(sort: Sort) -> None:
+    outcome = await measure(sort, SECONDS)
+    print(f"\n  {outcome}", end="")
+    assert outcome.sent_hz > 100, "no flood: the test would show nothing"
+    assert outcome.lag_p95_ms < 50.0
+    assert outcome.rss_after_mb - outcome.rss_before_mb < 30.0
+    assert outcome.friend_heard >= outcome.friend_announced / 2
+    told = outcome.events_hz - outcome.friend_heard / SECONDS
+    assert told < (AT_MOST_HZ if sort in VALID else 2.0)
