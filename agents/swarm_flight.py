@@ -213,7 +213,7 @@ class _Flight:
             argv = [*program, "swarmtrack.agents.vehicle", *arguments]
         if self._air is not None:
             argv = self._air.wrap(drone_id, argv)
-        self._agents[drone_id] = await self._children.start(f"drone-{drone_id}", argv)
+        self._agents[drone_id] = await self._children.start(f"drone {drone_id}", argv)
 
     # --- in flight ----------------------------------------------------------------------
 
@@ -226,13 +226,8 @@ class _Flight:
             raise ProcessDied(self._children.died.result().describe_end())
 
     async def _show(self) -> None:
+        self._spectator.note("starting the agents …")
         while True:
-            left = -self._watch.t
-            if left > 0.0:
-                here = sum(agent.boot is not None for agent in self._watch.agents.values())
-                self._spectator.note(
-                    f"starting the agents: {here} of {len(self._watch.agents)}; takes off in {left:.0f} s"
-                )
             self._spectator.show(self._watch)
             await asyncio.sleep(1.0 / SHOW_HZ)
 

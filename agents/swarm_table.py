@@ -38,17 +38,14 @@ class LiveTable:
 
     def __init__(self, console: Console, title: str) -> None:
         self._title = title
-        self._note = ""
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._live.start()
 
     def note(self, text: str) -> None:
-        self._note = text
         self._live.update(Text(text, style="dim"), refresh=True)
 
     def show(self, watch: Watch) -> None:
-        last = Text(self._note, style="dim") if watch.t < 0.0 else team_line(watch)
-        self._live.update(Group(flight_table(watch, self._title), last), refresh=True)
+        self._live.update(Group(flight_table(watch, self._title), team_line(watch)), refresh=True)
 
     def close(self) -> None:
         self._live.stop()
@@ -154,6 +151,8 @@ def _health_cells(health: HealthMessage | None) -> list[str]:
 
 
 def team_line(watch: Watch) -> Text:
+    if watch.t < 0.0:
+        return Text(f"hovering until everybody is there; the flight begins in {-watch.t:.0f} s", style="dim")
     score = watch.scorer.score()
     text = Text(f"{watch.t:6.1f} s  {_identity_figures(score)}")
     judged = [agent.judged_t for agent in watch.agents.values() if agent.boot is not None]

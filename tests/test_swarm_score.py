@@ -1,11 +1,17 @@
 """The judge of a swarm, against cases worked by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScorer
+from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScore, SwarmScorer
+from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.evaluation.swarm_verdict import AgentFigures, SwarmReport
+from swarmtrack.geometry.camera import PinholeCamera, RadTan
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.sensors import visible
 
 TEAM = (1, 2, 3, 4)
 LEFT, RIGHT = (100.0, 100.0), (300.0, 100.0)
@@ -250,3 +256,126 @@ def test_a_glance_says_who_its_tracks_are_and_how_far_off():
     assert [(s.track.id, s.drone_id) for s in seen] == [(7, 2), (8, None)]
     assert seen[0].error_px == pytest.approx(5.0)
     assert math.isnan(seen[1].error_px)
+
+
+# --- the truth beside it --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["crossing", "fast-yaw", "thirty"])
+def test_the_truth_for_many_is_that_for_one(name):
+    scenario = load_scenario(name)
+    truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+    for t in (-0.93, 7.01, 12.345):
+        for observer in scenario.members[:3]:
+            expected = visible(scenario.world, observer, scenario.camera, scenario.body_from_camera, t)
+            view = truth.view(observer, t)
+            assert view.in_view.keys() == expected.keys()
+            assert not view.in_view.keys() & view.hidden.keys()
+            for drone, box in expected.items():
+                assert view.in_view[drone] == pytest.approx(box, abs=0.2)
+
+
+def test_the_truth_is_in_undistorted_pixels():
+    scenario = load_scenario("hover-triangle")
+    lens = RadTan((-0.2, 0.03, 0.0, 0.0))
+    bent = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480, lens)
+    straight = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera).view(1, 0.0)
+    view = SwarmTruth(scenario.world, bent, scenario.body_from_camera).view(1, 0.0)
+    assert view.in_view.keys() == straight.in_view.keys() == {2, 3}
+    for drone, box in view.in_view.items():
+        # The middle of a bent box is not quite the bent middle; the lens itself moves it by tens of pixels.
+        assert box[:2] == pytest.approx(straight.in_view[drone][:2], abs=2.0)
+
+
+# --- what it comes to -----------------------------------------------------------------------------
+
+GOOD_SCORE = SwarmScore(
+    samples=400,
+    time_to_identify_s={1: 0.4, 2: 0.9},
+    correct=0.99,
+    wrong=0.0,
+    unknown=0.01,
+    agreement=1.0,
+    rmse_px={1: 1.2, 2: 1.4},
+    recall=0.99,
+    false_tracks_per_s=0.01,
+    switches=0,
+)
+GOOD_AGENT = AgentFigures(
+    drone_id=1,
+    start_s=0.0,
+    first_tracks_s=-2.0,
+    track_rate_hz=99.8,
+    imu_rate_hz=200.1,
+    detection_rate_hz=15.0,
+    latency_p50_s=0.020,
+    latency_p95_s=0.040,
+    cpu_percent=12.0,
+    rss_mb=120.0,
+    announcement_bytes=161,
+)
+GOOD = SwarmReport(
+    scenario="hover-triangle",
+    drones=2,
+    seconds=20.0,
+    seed=1,
+    tracker="kalman",
+    detector="onnx",
+    score=GOOD_SCORE,
+    agents=(GOOD_AGENT, replace(GOOD_AGENT, drone_id=2)),
+    asked_tracks_hz=100.0,
+    asked_imu_hz=200.0,
+    image_width=640,
+)
+
+
+def test_a_good_flight_passes():
+    assert GOOD.passed
+    assert replace(GOOD, score=replace(GOOD_SCORE, agreement=math.nan)).passed  # nobody shared a view
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"wrong": 0.001}, "identity.wrong"),  # of three that hover, none
+        ({"correct": 0.969}, "identity.correct"),
+        ({"correct": math.nan}, "identity.correct"),
+        ({"agreement": 0.98}, "identity.agreement"),
+        ({"time_to_identify_s": {1: 0.4, 2: 2.1}}, "time_to_identify_s of drone 2: 2.1, expected 2 at most"),
+        ({"rmse_px": {1: 2.6}}, "rmse_px of drone 1: 2.60, expected 2.5 at most"),
+        ({"samples": 0}, "nothing to judge"),
+    ],
+)
+def test_a_flight_fails_by_every_number_of_identity_and_tracking(changed, named):
+    report = replace(GOOD, score=replace(GOOD_SCORE, **changed))
+    assert not report.passed
+    assert len(report.shortfalls) == 1
+    assert named in report.shortfalls[0]
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"track_rate_hz": 94.0}, "track_rate_hz of drone 1: 94.0, expected 95 of 100 at least"),
+        ({"imu_rate_hz": math.nan}, "imu_rate_hz of drone 1"),
+        ({"announcement_bytes": 300}, "announcement_bytes of drone 1: 300, expected less than 300"),
+        ({"announcement_bytes": None}, "drone 1: it never announced itself"),
+        ({"first_tracks_s": math.nan}, "drone 1: no tracks were ever heard"),
+        ({"first_tracks_s": 6.0}, "drone 1: its first tracks came 6.0 s late"),
+    ],
+)
+def test_a_flight_fails_by_every_number_of_an_agent(changed, named):
+    report = replace(GOOD, agents=(replace(GOOD_AGENT, **changed),))
+    assert len(report.shortfalls) == 1
+    assert named in report.shortfalls[0]
+
+
+def test_wrong_names_are_bounded_by_the_scenario():
+    rare = replace(GOOD_SCORE, wrong=0.0008)
+    assert not replace(GOOD, score=rare).passed
+    assert replace(GOOD, score=rare, scenario="crossing").passed
+
+
+def test_what_cannot_be_said_is_null_in_json():
+    nothing = replace(GOOD, score=replace(GOOD_SCORE, agreement=math.nan), agents=())
+    assert nothing.as_record()["identity"]["agreement"] is None
