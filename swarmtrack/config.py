@@ -94,6 +94,11 @@ class Start(Section):
         """`position_sigma_m` where the user wrote it."""
         return self.position_sigma_m if "position_sigma_m" in self.model_fields_set else None
 
+    @property
+    def frame_sigma_m(self) -> float:
+        """How well it is known where the autopilot's positions count from; by GPS that is the team's origin itself."""
+        return 0.0 if self.source == "gps" else self.position_sigma_m
+
     def pose(self) -> Pose:
         """team_from_body of a drone that stands level; its true roll and pitch are the autopilot's to say."""
         return Pose(rotation.from_euler(0.0, 0.0, np.radians(self.yaw_deg)), np.array(self.position_m))

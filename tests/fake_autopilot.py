@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.simulation.autopilot import OFFERED, Sensed, SimulatedArduPilot
+from swarmtrack.simulation.autopilot import OFFERED, GpsFix, Sensed, SimulatedArduPilot
 
 SIGNING_BEGINS = 1_420_070_400  # s UTC: 2015-01-01
 
@@ -45,6 +45,7 @@ class FakeAutopilot(SimulatedArduPilot):
         self.q = np.array((1.0, 0.0, 0.0, 0.0))
         self.position = np.array((1.0, 2.0, -3.0))
         self.velocity = np.zeros(3)
+        self.gps: GpsFix | None = None
         self.commands: list[tuple[int, float]] = []  # (message id, interval in µs) as asked
         self.streams_asked: list[int] = []  # REQUEST_DATA_STREAM
         self.companion_heartbeats = 0
@@ -56,7 +57,7 @@ class FakeAutopilot(SimulatedArduPilot):
             self.mav.signing.sign_outgoing = True
 
     def at(self, t: float) -> Sensed:
-        return Sensed(self.gyro, self.accel, self.q, self.position, self.velocity)
+        return Sensed(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps)
 
     def parser(self) -> Any:
         parser = super().parser()

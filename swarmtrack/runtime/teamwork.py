@@ -109,7 +109,7 @@ class Teamwork:
         pose = parts.onboard.ego_pose(now)
         assert pose is not None
         start = parts.start if first else None
-        sigma = parts.config.drone.start.position_sigma_m
+        sigma = parts.config.drone.start.frame_sigma_m
         self._announced += 1
         await parts.transport.announce(
             Announcement(

@@ -17,6 +17,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 from scipy.spatial.transform import Rotation
 
+from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.messages import Array
 from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters
 from swarmtrack.simulation.trajectory import STANDARD_GRAVITY
@@ -35,20 +36,31 @@ OFFERED: tuple[int, ...] = (
     *IMU,
     common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
     common.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    common.MAVLINK_MSG_ID_GPS_RAW_INT,
 )
+UNKNOWN_HEADING = 65535
 LARGEST_DATAGRAM = 1200  # bytes
 NOISE_BLOCK = 1024  # ms of noise drawn at once: a generator costs as much as a hundred of its numbers
 
 
+class GpsFix(NamedTuple):
+    """Where a GPS receiver believes itself to be, height above mean sea level; sigma: m per axis, as it says."""
+
+    place: Geodetic
+    sigma: float
+
+
 class Sensed(NamedTuple):
     """gyro (3,) rad/s and accel (3,) m/s², body FRD; q (w, x, y, z) world_from_body; position (3,) m and velocity
-    (3,) m/s in the autopilot's local frame, NED."""
+    (3,) m/s in the autopilot's local frame, NED; gps: None while there is no fix."""
 
     gyro: Array
     accel: Array
     q: Array
     position: Array
     velocity: Array
+    gps: GpsFix | None = None
 
 
 class Senses(Protocol):
@@ -60,8 +72,10 @@ class Senses(Protocol):
 class DroneSenses:
     """The senses of one drone of a world. epoch: world time 0 on the caller's clock.
 
-    The local frame has the axes of the world and its origin where the drone is at world time 0, as ArduPilot sets it
-    at arming. Noise is a function of the seed and of the time in milliseconds.
+    earth: where the world's origin lies on the Earth, None for a drone without GPS; its error, gps_sigma m per axis, is
+    one for the whole flight, as it hardly changes within minutes. The local frame has the axes of the world and its
+    origin where the drone is at world time 0, as ArduPilot sets it at arming. Noise is a function of the seed and of
+    the time in milliseconds.
     """
 
     def __init__(
@@ -72,6 +86,8 @@ class DroneSenses:
         *,
         imu: ImuParameters | None = None,
         ego: EgoParameters | None = None,
+        earth: Geodetic | None = None,
+        gps_sigma: float = 0.8,
     ) -> None:
         self._world = world
         self._drone_id = drone_id
@@ -79,6 +95,9 @@ class DroneSenses:
         self._imu = Imu(world, drone_id, imu)
         self._ego = ego or EgoParameters()
         self._origin = world.pose(drone_id, 0.0).position
+        self._earth = earth
+        self._gps_sigma = gps_sigma
+        self._gps_error = gps_sigma * world.chance("gps", drone_id).standard_normal(3)
         self._block = -1
         self._noise = np.zeros((0, 4, 3))
 
@@ -94,7 +113,13 @@ class DroneSenses:
             q=np.array((w, x, y, z)),
             position=motion.position - self._origin + self._ego.position_sigma * white[3],
             velocity=motion.velocity,
+            gps=self._fix(motion.position),
         )
+
+    def _fix(self, position: Array) -> GpsFix | None:
+        if self._earth is None:
+            return None
+        return GpsFix(from_ned(position + self._gps_error, self._earth), self._gps_sigma)
 
     def _white(self, ms: int) -> Array:
         """White noise of unit variance, (4, 3), of that millisecond of world time."""
@@ -146,6 +171,7 @@ class SimulatedArduPilot:
         self.offered = offered
         self.mute = False
         self.imu_gap = False
+        self.armed, self.status = True, common.MAV_STATE_ACTIVE  # as in the air
         self.system = system
         self.mav = common.MAVLink(None, system, component)
         self.refused_datagrams = 0
@@ -259,9 +285,10 @@ class SimulatedArduPilot:
         return common.MAVLink_heartbeat_message(
             common.MAV_TYPE_QUADROTOR,
             common.MAV_AUTOPILOT_ARDUPILOTMEGA,
-            common.MAV_MODE_FLAG_SAFETY_ARMED | common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
+            common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | (common.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0),
             0,
-            common.MAV_STATE_ACTIVE,
+            self.status,
             3,
         )
 
@@ -297,7 +324,36 @@ class SimulatedArduPilot:
                 return common.MAVLink_attitude_quaternion_message(ms, *sensed.q, *sensed.gyro)
             case common.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 return common.MAVLink_local_position_ned_message(ms, *sensed.position, *sensed.velocity)
+            case common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+                return _global_position(ms, sensed)
+            case common.MAVLINK_MSG_ID_GPS_RAW_INT:
+                return _gps_raw(us, sensed.gps)
         raise AssertionError(f"message {message_id} is offered but not written")
+
+
+def _global_position(ms: int, sensed: Sensed) -> Any:
+    """Without a fix at 0° N 0° E, as ArduPilot."""
+    place = sensed.gps.place if sensed.gps else Geodetic(0.0, 0.0, 0.0)
+    velocity = [round(1e2 * v) for v in sensed.velocity.tolist()]
+    down = -round(1e3 * sensed.position[2])
+    return common.MAVLink_global_position_int_message(
+        ms, *_degrees_and_millimetres(place), down, *velocity, UNKNOWN_HEADING
+    )
+
+
+def _gps_raw(us: int, gps: GpsFix | None) -> Any:
+    fix = common.GPS_FIX_TYPE_3D_FIX if gps else common.GPS_FIX_TYPE_NO_FIX
+    place = gps.place if gps else Geodetic(0.0, 0.0, 0.0)
+    accuracy = round(1e3 * gps.sigma) if gps else 0
+    satellites = 14 if gps else 0
+    return common.MAVLink_gps_raw_int_message(
+        us, fix, *_degrees_and_millimetres(place), 80, 120, 0, 0, satellites, 0, accuracy, accuracy
+    )
+
+
+def _degrees_and_millimetres(place: Geodetic) -> tuple[int, int, int]:
+    latitude, longitude = (round(1e7 * math.degrees(angle)) for angle in place[:2])
+    return latitude, longitude, round(1e3 * place.height)
 
 
 def _thousandths(sensed: Sensed) -> list[int]:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-log = logging.getLogger(__name__)
+log = logging.getLogger(__package__)
 
 SAY_AGAIN = 10.0  # s before the same news is logged again
 OPENING = "opening"

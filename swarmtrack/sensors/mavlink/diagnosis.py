@@ -63,17 +63,14 @@ class Diagnosis:
     def judge(self, now: float) -> None:
         """Set the state; log one line where it, or the reason for it, has changed."""
         self.state = self._state_at(now)
-        contact, address = self._contact, self._link.address
+        contact, telemetry, address = self._contact, self._telemetry, self._link.address
         if self.state is State.STALE or contact.down == OPENING:
             return  # a hiccup until it is called lost; nothing to say until the first attempt is over
-        if self.state is State.STREAMING:
-            if (
-                self._trouble and self._telemetry.imu_rate_hz
-            ):  # the line tells the rate, so wait until it is known
+        if self.state is State.STREAMING and not telemetry.lack:
+            if self._trouble and telemetry.imu_rate_hz:  # the line tells the rate, so wait until it is known
                 self._trouble = ""
-                self._news.say(
-                    logging.INFO, "streaming", "%s: streaming: %s", address, self._sentence(now)[1]
-                )
+                text = self._sentence(now)[1]
+                self._news.say(logging.INFO, "streaming", "%s: streaming: %s", address, text)
             return
         name, text = self._sentence(now)
         patient = contact.down is None and now - max(contact.opened_at, contact.known_at) < DIAGNOSE_AFTER
