@@ -18,7 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     agent = names.add_parser("agent", help="what an agent costs, beside the design's budgets")
     clips = names.add_parser("clips", help="real drones on labelled clips, through the agent")
     rotation = names.add_parser("rotation", help="what the gyro is worth to an observer that turns")
-    for name in (agent, clips, rotation):
+    clients = names.add_parser("clients", help="how long until everybody knows everybody, to 100 drones")
+    flood = names.add_parser("flood", help="a member that floods, and the others")
+    for name in (agent, clips, rotation, clients, flood):
         name.add_argument(
             "--out",
             type=Path,
@@ -26,9 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        name.add_argument(
-            "--tracker", default="kalman", choices=list(TRACKERS), help="(default: %(default)s)"
-        )
+        if name not in (clients, flood):
+            name.add_argument(
+                "--tracker", default="kalman", choices=list(TRACKERS), help="(default: %(default)s)"
+            )
         name.add_argument("--quick", action="store_true", help="a fraction of the work, for orientation")
     clips.add_argument(
         "data", type=Path, metavar="DATA", help="a folder with pairs of NAME.mp4 and NAME_gt.csv"
@@ -87,8 +90,22 @@ def _rotation(args: argparse.Namespace) -> None:
         rotating_observer.run(args.out, tracker=args.tracker)
 
 
+def _clients(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import hundred_clients
+
+    hundred_clients.run(args.out, quick=args.quick)
+
+
+def _flood(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import flood
+
+    flood.run(args.out, seconds=1.0 if args.quick else flood.SECONDS)
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
+    "clients": _clients,
     "clips": _clips,
+    "flood": _flood,
     "rotation": _rotation,
 }

@@ -25,6 +25,7 @@ Verify = Callable[[int, bytes, bytes], bool]
 
 log = logging.getLogger(__name__)
 
+GRACE_S = 0.05  # from a newcomer's token to the first question: what it says of itself may be on its way
 RECONCILE_S = 0.5  # between two questions to a teammate whose announcement is missing
 ANNOUNCED_CLOCKS_AGREE_S = 2.0  # an announcement may have been on its way for so long, and it is the only one
 REPORTED_CLOCKS_AGREE_S = 1.0  # of many reports one was quick
@@ -43,7 +44,7 @@ class Peers:
         self._membership = Membership(drone_id, boot)
         self._events: deque[PeerEvent] = deque()
         self._news = asyncio.Event()
-        self._asked_for = asyncio.Event()
+        self._newcomer = asyncio.Event()
         self._requested_at: dict[int, float] = {}
         self._closed = False
         self._counters: Counter[str] = Counter()
@@ -62,7 +63,7 @@ class Peers:
         tell = self._membership.arrived if alive else self._membership.departed
         self._tell(tell(address.drone_id, address.rest[0]))
         if self._membership.missing:
-            self._asked_for.set()
+            self._newcomer.set()
 
     def on_message(self, key: str, payload: bytes, arrived: float) -> None:
         """An announcement or a report of sightings. arrived: by our monotonic clock."""
@@ -128,13 +129,18 @@ class Peers:
         return True
 
     async def ask_for_missing(self, ask: Callable[[int], None]) -> None:
-        """Until cancelled: at once for each newcomer, then every `RECONCILE_S` while its announcement is missing."""
+        """Until cancelled: a moment after each newcomer, then every `RECONCILE_S` while its announcement is missing."""
+        loop = asyncio.get_running_loop()
+        due: dict[int, float] = {}
         while True:
-            for drone_id in self._membership.missing:
+            now = loop.time()
+            due = {drone_id: due.get(drone_id, now + GRACE_S) for drone_id in self._membership.missing}
+            for drone_id in [drone_id for drone_id, t in due.items() if t <= now]:
                 ask(drone_id)
-            self._asked_for.clear()
+                due[drone_id] = now + RECONCILE_S
+            self._newcomer.clear()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._asked_for.wait(), RECONCILE_S)
+                await asyncio.wait_for(self._newcomer.wait(), min(due.values()) - now if due else None)
 
     async def events(self) -> AsyncIterator[PeerEvent]:
         while True:

@@ -1,0 +1,369 @@
+"""How long until everybody knows everybody, and at what cost: meshes of 3, 10 and 30, a hundred clients of two routers.
+
+Every session is a whole `ZenohTransport` with its token, its queryable and its announcement; several share a process,
+because it is the network that is measured, not Python's memory times a hundred. All start at the same moment. Bytes are
+those of the sessions' TCP connections, as the kernel counts them, both ways and with all that Zenoh says for itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import secrets
+import signal
+import socket
+import struct
+import sys
+import time
+from collections.abc import AsyncIterator, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.messages import Announcement
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.transport import keys
+from swarmtrack.transport.settings import Mode, NetworkSettings
+from swarmtrack.transport.zenoh_session import close_session, open_session
+from swarmtrack.transport.zenoh_transport import ZenohTransport
+
+ROUTERS: Final = 2
+PROCESSES: Final = 4  # that the sessions share
+IDLE_S: Final = 5.0  # for what it costs once everybody knows everybody
+PATIENCE_S: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Team:
+    """sessions: how many; mode: peers dial each other, clients dial `ROUTERS` routers."""
+
+    sessions: int
+    mode: Mode
+
+    @property
+    def name(self) -> str:
+        if self.mode == Mode.CLIENT:
+            return f"{self.sessions} clients, {ROUTERS} routers"
+        return f"{self.sessions} in a mesh"
+
+
+TEAMS: Final = (Team(3, Mode.PEER), Team(10, Mode.PEER), Team(30, Mode.PEER), Team(100, Mode.CLIENT))
+QUICK: Final = (Team(3, Mode.PEER), Team(10, Mode.CLIENT))
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What one process says of its sessions. known_s: when each knew all, after the common start."""
+
+    known_s: list[float]
+    announcement_bytes: int
+    announcements_sent: int
+    rss_before_mb: float
+    rss_after_mb: float
+    bytes_until_known: int
+    idle_bytes_s: float
+    cpu_s: float
+    idle_cpu_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Of a whole team; `per_session` are means. complete: how many sessions knew all others."""
+
+    team: str
+    sessions: int
+    complete: int
+    known_median_s: float
+    known_last_s: float
+    announcement_bytes: float
+    announcements_sent_per_session: float
+    bytes_until_known_per_session: float
+    idle_bytes_s_per_session: float
+    rss_mb_per_session: float
+    cpu_s_total: float
+    idle_cpu_percent_total: float
+    router_rss_mb: list[float]
+
+
+# --- the one that asks ---------------------------------------------------------------------------
+
+
+async def measure(team: Team) -> Outcome:
+    """Start the team, wait until everybody knows everybody, then watch it idle."""
+    name = f"bench-{secrets.token_hex(4)}"
+    async with AsyncExitStack() as stack:
+        routers = free_ports(ROUTERS) if team.mode == Mode.CLIENT else []
+        relays = [
+            await stack.enter_async_context(program("router", name, [port], routers[:i]))
+            for i, port in enumerate(routers)
+        ]
+        for relay in relays:
+            await said(relay)
+        ports = free_ports(team.sessions) if team.mode == Mode.PEER else []
+        processes = min(PROCESSES, max(1, team.sessions // 3))
+        shares = [
+            await stack.enter_async_context(
+                program(
+                    "sessions",
+                    name,
+                    ports,
+                    routers,
+                    ids=range(1 + i, team.sessions + 1, processes),
+                    team=team,
+                )
+            )
+            for i in range(processes)
+        ]
+        for process in shares:
+            await said(process)  # has imported everything
+        start = time.perf_counter() + 0.2
+        for process in shares:
+            assert process.stdin is not None
+            process.stdin.write(f"{start}\n".encode())
+        results = [Share(**json.loads(await said(process))) for process in shares]
+        router_rss = [rss_mb(relay.pid) for relay in relays]
+    return outcome(team, results, router_rss)
+
+
+def outcome(team: Team, shares: Sequence[Share], router_rss: list[float]) -> Outcome:
+    n = team.sessions
+    known = sorted(known for share in shares for known in share.known_s)
+    return Outcome(
+        team=team.name,
+        sessions=n,
+        complete=len(known),
+        known_median_s=float(np.median(known)) if known else float("nan"),
+        known_last_s=known[-1] if len(known) == n else float("nan"),
+        announcement_bytes=shares[0].announcement_bytes,
+        announcements_sent_per_session=sum(share.announcements_sent for share in shares) / n,
+        bytes_until_known_per_session=sum(share.bytes_until_known for share in shares) / n,
+        idle_bytes_s_per_session=sum(share.idle_bytes_s for share in shares) / n,
+        rss_mb_per_session=sum(share.rss_after_mb - share.rss_before_mb for share in shares) / n,
+        cpu_s_total=sum(share.cpu_s for share in shares),
+        idle_cpu_percent_total=sum(share.idle_cpu_percent for share in shares),
+        router_rss_mb=router_rss,
+    )
+
+
+async def said(process: asyncio.subprocess.Process) -> str:
+    """The next line of a process."""
+    assert process.stdout is not None
+    line = await asyncio.wait_for(process.stdout.readline(), 2 * PATIENCE_S)
+    if not line:
+        raise report.BenchmarkError(f"clients: a process ended with {await process.wait()}")
+    return line.decode()
+
+
+@asynccontextmanager
+async def program(
+    role: str,
+    name: str,
+    listen: Sequence[int],
+    connect: Sequence[int],
+    *,
+    ids: Sequence[int] = (),
+    team: Team | None = None,
+) -> AsyncIterator[asyncio.subprocess.Process]:
+    """This module as another process, until the block ends. listen, connect: ports on loopback."""
+    task = {
+        "role": role,
+        "name": name,
+        "listen": list(listen),
+        "connect": list(connect),
+        "ids": list(ids),
+        "sessions": team.sessions if team else 0,
+    }
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "swarmtrack.benchmarks.hundred_clients", json.dumps(task)),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+    )
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            process.send_signal(signal.SIGKILL)
+        await process.wait()
+
+
+def free_ports(n: int) -> list[int]:
+    """n ports, free a moment ago."""
+    probes = [socket.socket() for _ in range(n)]
+    for probe in probes:
+        probe.bind(("127.0.0.1", 0))
+    ports = [probe.getsockname()[1] for probe in probes]
+    for probe in probes:
+        probe.close()
+    return ports
+
+
+# --- the others ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a process is told. ids: of its sessions, of as many in all; listen: by ID in a mesh, or the router's own."""
+
+    role: str
+    name: str
+    listen: list[int]
+    connect: list[int]
+    ids: list[int]
+    sessions: int
+
+    def network(self, drone_id: int) -> NetworkSettings:
+        """Peers dial those of lower ID; clients one router each, half of them the other first."""
+        if self.listen:
+            own, lower = self.listen[drone_id - 1], self.listen[: drone_id - 1]
+            return NetworkSettings(self.name, endpoints([own]), endpoints(lower))
+        turn = drone_id % len(self.connect)
+        routers = self.connect[turn:] + self.connect[:turn]
+        return NetworkSettings(self.name, connect=endpoints(routers), mode=Mode.CLIENT)
+
+
+def endpoints(ports: Sequence[int]) -> tuple[str, ...]:
+    return tuple(f"tcp/127.0.0.1:{port}" for port in ports)
+
+
+async def be_router(task: Task) -> None:
+    session = await open_session(
+        NetworkSettings(task.name, endpoints(task.listen), endpoints(task.connect), mode=Mode.ROUTER)
+    )
+    print("ready", flush=True)
+    await asyncio.to_thread(sys.stdin.readline)
+    await close_session(session, [])
+
+
+class Member:
+    """One session, and when it knew all others."""
+
+    def __init__(self, task: Task, drone_id: int) -> None:
+        self.drone_id = drone_id
+        self.boot, self.clock = keys.new_boot(), SystemClock()
+        self.transport = ZenohTransport(task.network(drone_id), drone_id, self.boot, self.clock)
+        self.known_at: float | None = None
+        self._others = task.sessions - 1
+
+    async def meet(self) -> None:
+        """Open, announce, and listen until all others are known."""
+        await self.transport.open()
+        await self.transport.announce(
+            Announcement(
+                self.drone_id, self.boot, 1, self.clock.now(), 0.01, np.zeros(3), np.eye(3), np.eye(3)
+            )
+        )
+        known: set[int] = set()
+        async for event in self.transport.events():
+            if isinstance(event, Announcement):
+                known.add(event.drone_id)
+                if len(known) == self._others:
+                    self.known_at = time.perf_counter()
+                    return
+
+    def counter(self, name: str) -> int:
+        return int(dict(self.transport.status().counters)[name])
+
+
+async def be_sessions(task: Task) -> None:
+    members = [Member(task, drone_id) for drone_id in task.ids]
+    print("ready", flush=True)
+    start = float(await asyncio.to_thread(sys.stdin.readline))
+    rss_before, cpu = rss_mb(os.getpid()), time.process_time()
+    await asyncio.sleep(start - time.perf_counter())
+    with suppress(TimeoutError):
+        async with asyncio.timeout(PATIENCE_S):
+            await asyncio.gather(*[member.meet() for member in members])
+    cpu_s, traffic = time.process_time() - cpu, tcp_bytes()
+    cpu = time.process_time()
+    await asyncio.sleep(IDLE_S)
+    share = Share(
+        known_s=[member.known_at - start for member in members if member.known_at is not None],
+        announcement_bytes=members[0].counter("announcement_bytes"),
+        announcements_sent=sum(member.counter("announcements_sent") for member in members),
+        rss_before_mb=rss_before,
+        rss_after_mb=rss_mb(os.getpid()),
+        bytes_until_known=traffic,
+        idle_bytes_s=(tcp_bytes() - traffic) / IDLE_S,
+        cpu_s=cpu_s,
+        idle_cpu_percent=100.0 * (time.process_time() - cpu) / IDLE_S,
+    )
+    print(json.dumps(asdict(share)), flush=True)
+    await asyncio.to_thread(sys.stdin.readline)  # the others may still be counting
+
+
+_BYTES_ACKED_AND_RECEIVED: Final = (120, "=QQ")  # where Linux has them in struct tcp_info
+
+
+def tcp_bytes() -> int:
+    """Sent and received by all TCP connections of this process so far."""
+    total = 0
+    for fd in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            if not str(fd.readlink()).startswith("socket:"):
+                continue
+            with socket.socket(fileno=os.dup(int(fd.name))) as connection:
+                if connection.family == socket.AF_INET and connection.type == socket.SOCK_STREAM:
+                    info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
+                    offset, layout = _BYTES_ACKED_AND_RECEIVED
+                    total += sum(struct.unpack_from(layout, info, offset))
+    return total
+
+
+def rss_mb(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGESIZE") / 1e6
+
+
+# --- the table -----------------------------------------------------------------------------------
+
+
+def run(out: Path, *, quick: bool = False) -> None:
+    """clients.json and clients.md in the folder `out`."""
+    teams = QUICK if quick else TEAMS
+    outcomes = []
+    with report.progress("clients", total=len(teams)) as advance:
+        for team in teams:
+            advance(team.name)
+            outcomes.append(asyncio.run(measure(team)))
+    report.write(out, "clients", {"teams": [asdict(outcome) for outcome in outcomes]}, markdown(outcomes))
+
+
+def markdown(outcomes: Sequence[Outcome]) -> str:
+    header = (
+        *("sessions", "complete", "everybody known: median / last s", "announcement bytes", "times sent"),
+        *("bytes until known", "bytes/s idle", "RSS MB", "routers' RSS MB", "CPU s, all", "idle CPU %, all"),
+    )
+    rows = (
+        (
+            o.team,
+            f"{o.complete} of {o.sessions}",
+            f"{report.number(o.known_median_s)} / {report.number(o.known_last_s)}",
+            report.number(o.announcement_bytes, 0),
+            report.number(o.announcements_sent_per_session, 1),
+            report.number(o.bytes_until_known_per_session, 0),
+            report.number(o.idle_bytes_s_per_session, 0),
+            report.number(o.rss_mb_per_session, 1),
+            ", ".join(report.number(rss, 0) for rss in o.router_rss_mb) or "–",
+            report.number(o.cpu_s_total, 1),
+            report.number(o.idle_cpu_percent_total, 1),
+        )
+        for o in outcomes
+    )
+    return f"# Everybody knows everybody\n\nPer session unless said.\n\n{report.table(header, rows)}\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="a process of `swarmtrack bench clients`")
+    parser.add_argument("task", type=json.loads)
+    task = Task(**parser.parse_args().task)
+    asyncio.run(be_router(task) if task.role == "router" else be_sessions(task))
+
+
+if __name__ == "__main__":
+    main()

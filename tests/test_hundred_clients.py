@@ -1,0 +1,34 @@
+"""`swarmtrack bench clients`, in small: sessions of real processes, in a mesh and through two routers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.benchmarks import hundred_clients
+from swarmtrack.benchmarks.hundred_clients import Team
+from swarmtrack.transport.settings import Mode
+
+
+@pytest.mark.parametrize("mode", [Mode.PEER, Mode.CLIENT])
+async def test_everybody_knows_everybody_in_a_mesh_and_through_two_routers(mode: Mode) -> None:
+    outcome = await hundred_clients.measure(Team(12, mode))
+    print(f"\n  {outcome}", end="")
+    assert outcome.complete == 12
+    assert 0 < outcome.announcement_bytes < 300
+    # Its own, and an answer to each of the others; a machine that is busy makes some ask again.
+    assert 1 <= outcome.announcements_sent_per_session <= 60
+    assert outcome.bytes_until_known_per_session > 11 * outcome.announcement_bytes
+    assert len(outcome.router_rss_mb) == (2 if mode == Mode.CLIENT else 0)
+
+
+def test_the_table_is_made_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert swarmtrack.main(["bench", "clients", "--quick", "--out", str(tmp_path)]) == 0
+    assert "10 clients, 2 routers" in capsys.readouterr().out
+    result = json.loads((tmp_path / "clients.json").read_text())
+    assert [(team["sessions"], team["complete"]) for team in result["teams"]] == [(3, 3), (10, 10)]
