@@ -14,13 +14,25 @@ from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import LOG_TWO_PI
 from swarmtrack.tracking.marginals import matching_marginals
 
-P_SEEN = 0.9  # prior: that a drone which should be in view has a confirmed track
-STRANGERS = 1.0  # prior: confirmed tracks in an image that are none of the announced drones
 IN_VIEW = 0.2  # prior: that a drone which may be anywhere is before this camera
 GATE_PROBABILITY = 0.9999
 
-LOG_PRIOR = math.log(P_SEEN / (1.0 - P_SEEN) / STRANGERS)
-LOG_ANYWHERE = LOG_PRIOR + math.log(IN_VIEW)
+
+class Prior(NamedTuple):
+    """What to expect of an image. p_seen: that a drone which should be in view has a confirmed track; strangers:
+    how many confirmed tracks are none of the announced drones. Neither is ever certain: p_seen < 1, strangers > 0."""
+
+    p_seen: float = 0.9
+    strangers: float = 1.0
+
+    @property
+    def log_ratio(self) -> float:
+        """Of "this track is that drone" and "a stranger, and the drone is not seen", before looking where they are."""
+        return math.log(self.p_seen / (1.0 - self.p_seen) / self.strangers)
+
+
+PRIOR = Prior()
+LOG_ANYWHERE = PRIOR.log_ratio + math.log(IN_VIEW)
 """The log ratio of a drone that may be anywhere, and any track."""
 
 
@@ -42,7 +54,7 @@ def residuals(mean: Array, cov: Array, predicted: Predictions) -> Residuals:
     )
 
 
-def log_ratios(found: Residuals, camera: PinholeCamera) -> Array:
+def log_ratios(found: Residuals, camera: PinholeCamera, prior: Prior = PRIOR) -> Array:
     """log (n, k) of how much more likely "track i is drone j" is than "i is a stranger, and j is not seen"; −inf
     outside every gate.
 
@@ -60,14 +72,16 @@ def log_ratios(found: Residuals, camera: PinholeCamera) -> Array:
     log_density = log_share - 0.5 * distance - np.minimum(log_extent, log_area - math.log(IN_VIEW))
     log_density[distance > gate_threshold(GATE_PROBABILITY)] = -np.inf
     total = np.logaddexp.reduce(log_density, axis=0)
-    return np.asarray(total + log_area + LOG_PRIOR)
+    return np.asarray(total + log_area + prior.log_ratio)
 
 
-def posterior(mean: Array, cov: Array, predicted: Predictions, camera: PinholeCamera) -> Array:
+def posterior(
+    mean: Array, cov: Array, predicted: Predictions, camera: PinholeCamera, prior: Prior = PRIOR
+) -> Array:
     """The probability (n, k) that track i is drone j by one scan alone; what a row lacks to one is "none of them"."""
     if len(mean) == 0 or not predicted.drone_id:
         return np.zeros((len(mean), len(predicted.drone_id)))
-    return matching_marginals(log_ratios(residuals(mean, cov, predicted), camera))
+    return matching_marginals(log_ratios(residuals(mean, cov, predicted), camera, prior))
 
 
 def nearest(mean: Array, predicted: Predictions) -> dict[int, int]:

@@ -14,13 +14,17 @@ ones. With F_j[S] the weight of what the first j columns can do using the set S,
 
 which adds and multiplies what is not negative and so cancels nothing. The cost is exponential in the largest number
 of rows open at once, so columns are ordered to keep it small, and pairs that share nothing are solved apart. The two
-passes are the forward-backward recursion over the joint events of JPDA (Fortmann, Bar-Shalom & Scheffe, 1983). Where
-more than `WIDEST` rows would be open, loopy belief propagation takes over (Williams & Lau, "Approximate evaluation of
-marginal association probabilities with belief propagation", IEEE T-AES 50(4), 2014, eqs. 10-11): it always converges,
-and by then so much is ambiguous that hardly any pair is likely.
+passes are the forward-backward recursion over the joint events of JPDA (Fortmann, Bar-Shalom & Scheffe, 1983).
+
+Where more than `WIDEST` rows would be open, pairs are left out of the sweep until no more are: those that loopy belief
+propagation (Williams & Lau, "Approximate evaluation of marginal association probabilities with belief propagation",
+IEEE T-AES 50(4), 2014, eqs. 10-11) thinks least likely. It always converges, but alone it is too sure of itself where
+many pairs compete; a pair left out keeps its belief, and so much less is there for the others of its row and column.
 """
 
 from __future__ import annotations
+
+from bisect import bisect_left
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +32,10 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 
 WIDEST = 13  # rows open at once: 8192 sets, some milliseconds
+LARGEST_EXPONENT = 600.0  # of a product of one ratio for each open row: a double ends at 709
 BELIEF_ITERATIONS, BELIEF_TOLERANCE = 200, 1e-6
+LEAST_BELIEF = np.geomspace(1e-6, 0.51, 40)
+"""What a pair must be believed to be swept: the first that leaves few enough rows open. Above 0.5 nobody has two."""
 
 Cluster = tuple[NDArray[np.int64], NDArray[np.int64]]
 
@@ -36,7 +43,8 @@ Cluster = tuple[NDArray[np.int64], NDArray[np.int64]]
 def matching_marginals(log_ratio: Array, widest: int = WIDEST) -> Array:
     """The probability (n, m) of each pair; what a row lacks to one is that of "none of them".
 
-    log_ratio (n, m): log r, −inf forbids a pair. widest: more open rows than this are left to belief propagation.
+    log_ratio (n, m): log r, −inf forbids a pair. widest: pairs are left out where more rows than this, one or more,
+    would be open.
     """
     probability = np.zeros(log_ratio.shape)
     for rows, columns in _clusters(log_ratio > -np.inf):
@@ -69,16 +77,38 @@ def _of_cluster(log_ratio: Array, widest: int) -> Array:
         top = max(0.0, float(log_ratio.max()))
         weight = np.exp(log_ratio - top)
         return np.asarray(weight / (np.exp(-top) + weight.sum()))
-    # Beyond e^±300 a double has no room for a product of two; nothing is that certain.
-    ratio = np.exp(np.clip(log_ratio, -300.0, 300.0))
-    ratio[log_ratio == -np.inf] = 0.0
-    by_columns, width = _sweep_order(ratio > 0.0)
-    by_rows, width_transposed = _sweep_order(ratio.T > 0.0)
-    if min(width, width_transposed) > widest:
-        return _beliefs(log_ratio)
+    allowed = log_ratio > -np.inf
+    by_columns, width = _sweep_order(allowed)
+    by_rows, width_transposed = _sweep_order(allowed.T)
+    narrower = min(width, width_transposed)
+    if narrower > widest:
+        return _of_thinned(log_ratio, widest)
+    limit = LARGEST_EXPONENT / narrower  # nothing is as certain as a ratio beyond it
+    ratio = np.where(allowed, np.exp(np.clip(log_ratio, -limit, limit)), 0.0)
     if width_transposed < width:
         return _sweep(np.ascontiguousarray(ratio.T), by_rows).T
     return _sweep(ratio, by_columns)
+
+
+def _of_thinned(log_ratio: Array, widest: int) -> Array:
+    """p (n, m) without sweeping over the least likely pairs.
+
+    With i → none: "i is in none of the pairs left out", p(i = j) = p(i = j | i → none) p(i → none). The sweep gives
+    the first factor, but for what the pairs left out do to others; beliefs give the second.
+    """
+    belief = _beliefs(log_ratio)
+
+    def swept(least: float) -> NDArray[np.bool_]:
+        return (log_ratio > -np.inf) & (belief >= least)
+
+    def is_narrow(least: float) -> bool:
+        return min(_sweep_order(swept(least))[1], _sweep_order(swept(least).T)[1]) <= widest
+
+    kept = swept(LEAST_BELIEF[bisect_left(LEAST_BELIEF, True, key=is_narrow, hi=len(LEAST_BELIEF) - 1)])
+    left_out = np.where(kept, 0.0, belief)
+    remaining = 1.0 - np.maximum(left_out.sum(axis=1)[:, None], left_out.sum(axis=0))
+    given_none = matching_marginals(np.where(kept, log_ratio, -np.inf), widest)
+    return np.asarray(given_none * np.maximum(remaining, 0.0) + left_out)
 
 
 def _sweep_order(allowed: NDArray[np.bool_]) -> tuple[list[int], int]:
@@ -165,15 +195,20 @@ def _with(sets: Array, bit: int) -> Array:
 
 def _beliefs(log_ratio: Array) -> Array:
     """Approximate p (n, m) by loopy belief propagation."""
-    ratio = np.exp(np.minimum(log_ratio, 300.0))
+    n, m = log_ratio.shape
+    ratio = np.exp(np.minimum(log_ratio, LARGEST_EXPONENT / 2.0))
+    # Sums over all others, not over all less one: of ratios this different the difference would be rounding alone.
+    other_rows, other_columns = 1.0 - np.eye(n), 1.0 - np.eye(m)
     to_rows = np.ones_like(ratio)
     for _ in range(BELIEF_ITERATIONS):
-        weighted = ratio * to_rows
-        to_columns = ratio / (1.0 + weighted.sum(axis=1, keepdims=True) - weighted)
-        updated = 1.0 / (1.0 + to_columns.sum(axis=0, keepdims=True) - to_columns)
+        to_columns = ratio / (1.0 + (ratio * to_rows) @ other_columns)
+        updated = 1.0 / (1.0 + other_rows @ to_columns)
         change = np.abs(updated - to_rows).max()
         to_rows = updated
         if change < BELIEF_TOLERANCE:
             break
     weighted = ratio * to_rows
-    return np.asarray(weighted / (1.0 + weighted.sum(axis=1, keepdims=True)))
+    belief = weighted / (1.0 + weighted.sum(axis=1, keepdims=True))
+    return np.asarray(
+        belief / np.maximum(belief.sum(axis=0), 1.0)
+    )  # by columns only where it has not converged
