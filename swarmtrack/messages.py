@@ -228,7 +228,11 @@ class PeerDeparted:
 
 @dataclass(frozen=True, slots=True)
 class IdClash:
-    """Two live processes speak as one drone. `ours` when that drone is this one."""
+    """Two live processes speak as one drone. `ours` when that drone is this one.
+
+    Told at each that joins. It ends with the `PeerDeparted` of all but one, whose announcement, if it was told, is
+    then told again: what was known of the drone meanwhile may have been the other's.
+    """
 
     drone_id: int
     boots: tuple[str, ...]

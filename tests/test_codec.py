@@ -287,6 +287,8 @@ def test_health_comes_back_as_it_went() -> None:
 def test_a_record_names_every_field_with_its_unit() -> None:
     record = codec.as_record(TRACKS)
     assert record["tracks"][0]["vu_px_s"] == -4.0
+    seen = codec.as_record(codec.decode_sightings(reported()))["sightings"]
+    assert seen == [{"drone_id": 2, "probability": 0.75, "direction": [0.0, 0.0, -1.0], "sigma_rad": 0.125}]
     assert codec.as_record(codec.decode_announcement(announced()))["position_m"] == [1.0, 2.0, -3.0]
 
 

@@ -437,8 +437,8 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
     async with asyncio.timeout(PATIENCE):
         # Again until counted: what the intruder puts before its own links stand is lost.
         while (
-            victim.counter("pose_malformed") < 2
-            or victim.counter("identities_malformed") < 2
+            victim.counter("announcements_malformed") < 2
+            or victim.counter("sightings_malformed") < 2
             or victim.counter("announcements_on_wrong_key") < 1
         ):
             for kind in Kind:

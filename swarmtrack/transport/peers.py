@@ -31,7 +31,10 @@ ANNOUNCED_CLOCKS_AGREE_S = 2.0  # an announcement may have been on its way for s
 REPORTED_CLOCKS_AGREE_S = 1.0  # of many reports one was quick
 # Waiting for the agent: more than MAX_PEERS can cause at once, so only a stalled agent loses any.
 MAX_EVENTS = 8192
-SUBSCRIBED = (Kind.POSE, Kind.IDENTITIES)  # what `on_message` understands
+SUBSCRIBED = {
+    Kind.POSE: "announcements",
+    Kind.IDENTITIES: "sightings",
+}  # for `on_message`, as counters name them
 
 
 class Peers:
@@ -48,7 +51,6 @@ class Peers:
         self._requested_at: dict[int, float] = {}
         self._closed = False
         self._counters: Counter[str] = Counter()
-        self._listening_to = {Kind.POSE: self._on_announcement, Kind.IDENTITIES: self._on_sightings}
 
     def on_token(self, key: str, alive: bool) -> None:
         address = self._address(key)
@@ -68,13 +70,16 @@ class Peers:
     def on_message(self, key: str, payload: bytes, arrived: float) -> None:
         """An announcement or a report of sightings. arrived: by our monotonic clock."""
         address = self._address(key)
-        if address is None or address.rest or address.kind not in self._listening_to:
+        if address is None or address.rest or address.kind not in SUBSCRIBED:
             self._counters["messages_on_no_key"] += 1
             return
         try:
-            self._listening_to[address.kind](address.drone_id, key, payload, arrived)
+            if address.kind == Kind.POSE:
+                self._on_announcement(address.drone_id, key, payload, arrived)
+            else:
+                self._on_sightings(address.drone_id, payload, arrived)
         except codec.DecodeError as error:
-            self._counters[f"{address.kind}_malformed"] += 1
+            self._counters[f"{SUBSCRIBED[address.kind]}_malformed"] += 1
             log.debug("message refused key=%s: %s", key, error)
 
     def on_request(self) -> None:
@@ -86,15 +91,14 @@ class Peers:
         life = self._membership.life(drone_id, message)
         if life is None or not self._is_genuine(drone_id, key, payload):
             return
-        offset = self._utc_offset
         t, t_sigma = life.clock.time_of(
-            message, arrived=arrived, utc_offset=offset, tolerance=ANNOUNCED_CLOCKS_AGREE_S
+            message, arrived=arrived, utc_offset=self._utc_offset, tolerance=ANNOUNCED_CLOCKS_AGREE_S
         )
         self._counters["clocks_off"] += abs(life.clock.apart_s) > ANNOUNCED_CLOCKS_AGREE_S
         life.announcement = codec.announcement(message, t, t_sigma)
         self._tell([life.announcement])
 
-    def _on_sightings(self, drone_id: int, key: str, payload: bytes, arrived: float) -> None:
+    def _on_sightings(self, drone_id: int, payload: bytes, arrived: float) -> None:
         message = codec.decode_sightings(payload)
         life = self._membership.life(drone_id, message)
         if life is None:
