@@ -321,8 +321,8 @@ def encode_sightings(report: SightingReport, utc_offset: float, now: float) -> b
 def decode_sightings(data: bytes) -> SightingsMessage:
     """As it stands on the wire."""
     m = _decode(SightingsMessage, data)
-    for i, sighting in enumerate(m.sightings):
-        _check_unit(f"sightings: sightings[{i}].direction", sighting.direction, "a unit vector")
+    for sighting in m.sightings:
+        _check_unit("sightings: direction", sighting.direction, "a unit vector")
     seen = [sighting.drone_id for sighting in m.sightings]
     for name, ids in (("sightings", seen), ("known", m.known)):
         if len(set(ids)) < len(ids):

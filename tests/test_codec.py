@@ -354,7 +354,7 @@ def test_an_announcement_that_cannot_be_is_refused_with_the_field_and_the_reason
         (8, -1.0, "position_sigma_m"),
         (9, [2, 2], "known: names a drone twice"),
         (9, [0], "known"),
-        (10, [[2, 0.5, [0.0, 0.0, 1.01], 0.1]], r"sightings\[0\]\.direction: norm is 1\.01"),
+        (10, [[2, 0.5, [0.0, 0.0, 1.01], 0.1]], r"direction: norm is 1\.01"),
         (10, [[2, 0.5, [0.0, 0.0, math.nan], 0.1]], "sightings"),
         (10, [[2, 1.5, [0.0, 0.0, 1.0], 0.1]], "sightings"),
         (10, [[2, 0.5, [0.0, 0.0, 1.0], 3.2]], "sightings"),
