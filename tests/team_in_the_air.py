@@ -18,23 +18,27 @@ from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Self
 
 from swarmtrack import codec
 from swarmtrack.agents.air import Air
-from swarmtrack.agents.swarm_configs import RadioEnds, Sources, write_configs
+from swarmtrack.agents.swarm_configs import Sources, write_configs
+from swarmtrack.config import NetworkSection
 from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.messages import Identity
 from swarmtrack.scenario_file import load_scenario
+from swarmtrack.security import names
+from swarmtrack.security.authority import create_authority
+from swarmtrack.security.loading import load_credentials
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.topology import of_monitor
 from swarmtrack.transport.zenoh_listener import ZenohListener
 
 PATIENCE = 30.0  # s: far beyond every promise, for a machine that is busy
-PORT = 7447
 SEED = 1
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
 
@@ -100,9 +104,9 @@ class Look:
 
 
 class Team:
-    """Agents are started one by one, and end with the team. World time begins with `async with`."""
+    """Agents are started one by one, and end with the team. World time begins when it is opened."""
 
-    def __init__(self, air: Air, scenario_file: Path, folder: Path) -> None:
+    def __init__(self, air: Air, scenario_file: Path, folder: Path, *, secured: bool) -> None:
         self.air = air
         self.looks: dict[int, list[Look]] = {}
         self._folder = folder
@@ -114,30 +118,25 @@ class Team:
         self._processes: list[Lines] = []
         self._sources: Mapping[int, Sources] = {}
         self._looked = asyncio.Condition()
-        self._listener = ZenohListener(
-            NetworkSettings(
-                team=self._name,
-                connect=tuple(f"tcp/{air.drone_wire_address(drone)}:{PORT}" for drone in self.drones),
-                insecure=True,
-            ),
-            keys.key(self._name, Kind.TRACKS, "*"),
-        )
+        self._watching: asyncio.Task[None] | None = None
+        self._keys = self._make_keys(folder / "keys") if secured else None
+        self._listener = ZenohListener(self._spectator(), keys.key(self._name, Kind.TRACKS, "*"))
         self.epoch = 0.0
 
     @property
     def drones(self) -> Sequence[int]:
         return self._scenario.members
 
-    async def __aenter__(self) -> Self:
+    async def open(self) -> None:
         self.epoch = time.monotonic()
         await self._start_simulator()
         await self._listener.open()
         self._watching = asyncio.create_task(self._watch(), name="spectator")
-        return self
 
-    async def __aexit__(self, *_: object) -> None:
+    async def close(self) -> None:
         await self._listener.close()
-        await self._watching
+        if self._watching is not None:
+            await self._watching
         for lines in self._processes:
             if lines.process.returncode is None:
                 await lines.end(signal.SIGKILL)
@@ -182,22 +181,39 @@ class Team:
     def _write_config(self, drone: int, name: int) -> Path:
         folder = self._folder / f"{drone}-as-{name}"
         folder.mkdir(exist_ok=True)
-        ends = {drone: self._radio_ends(drone) for drone in self.drones}
         path = write_configs(
-            folder, self._scenario, team=self._name, tracker="kalman", sources=self._sources, radio=ends
+            folder, self._scenario, team=self._name, tracker="kalman", sources=self._sources
         )[drone]
-        if name != drone:
-            path.write_text(path.read_text().replace(f"id = {drone}\n", f"id = {name}\n", 1))
+        text = path.read_text().replace(f"id = {drone}\n", f"id = {name}\n", 1)
+        path.write_text(f"{text}\n[network]\n{self._network(drone, name)}")
         return path
 
-    def _radio_ends(self, drone: int) -> RadioEnds:
-        """Lower IDs are dialled; the cable is listened on for the spectator."""
-        own = (self.air.radio_address(drone), self.air.drone_wire_address(drone))
-        lower = [self.air.radio_address(other) for other in self.drones if other < drone]
-        return RadioEnds(
-            listen=tuple(f"tcp/{address}:{PORT}" for address in own),
-            connect=tuple(f"tcp/{address}:{PORT}" for address in lower),
-        )
+    def _network(self, drone: int, name: int) -> str:
+        """The table [network]. Lower IDs are dialled over the radio; the cable is listened on for the spectator.
+
+        With keys everybody's address is known. Without, whoever is heard of is dialled too, clones included.
+        """
+        own = [self.air.radio_address(drone), self.air.drone_wire_address(drone)]
+        if self._keys is None:
+            lower = [self.air.radio_address(other) for other in self.drones if other < drone]
+            return f"insecure = true\nlisten = {json.dumps(own)}\nconnect = {json.dumps(lower)}\n"
+        peers = ", ".join(f'{other} = "{self.air.radio_address(other)}"' for other in self.drones)
+        folder = json.dumps(str(self._keys / names.drone(name)))
+        return f"keys = {folder}\nlisten = {json.dumps(own)}\npeers = {{ {peers} }}\n"
+
+    def _spectator(self) -> NetworkSettings:
+        credentials = None
+        if self._keys is not None:
+            credentials = load_credentials(self._keys / "monitor", "monitor", time.time())
+        cables = {str(drone): self.air.drone_wire_address(drone) for drone in self.drones}
+        section = NetworkSection(team=self._name, peers=cables, insecure=credentials is None)
+        return of_monitor(section, credentials)
+
+    def _make_keys(self, folder: Path) -> Path:
+        now = datetime.now(UTC)
+        authority = create_authority(folder, self._name, now)
+        authority.issue(["monitor", *map(names.drone, self.drones)], now)
+        return folder
 
     # --- watching -----------------------------------------------------------------------
 
@@ -242,8 +258,13 @@ class Team:
                 await self._looked.wait_for(so)
         except TimeoutError:
             last = {observer: self.looks.get(observer, [])[-1:] for observer in observers}
-            raise AssertionError(f"not in {PATIENCE:g} s: {what}; last seen: {last}") from None
+            raise AssertionError(f"not in {PATIENCE:g} s: {what}; {last}; {self._deaths()}") from None
         return time.monotonic()
+
+    def _deaths(self) -> str:
+        """The last words of processes that have ended."""
+        dead = [lines for lines in self._processes if lines.process.returncode is not None]
+        return "\n".join(f"{one.name} has ended: {one.said[-3:]}" for one in dead)
 
     async def until_known(self, drones: Sequence[int], since: float) -> float:
         """When each of these drones calls each other one of them that it sees by its name."""
@@ -270,10 +291,15 @@ class Team:
 
 
 @asynccontextmanager
-async def team_in_the_air(scenario: str, folder: Path) -> AsyncIterator[Team]:
-    """Of a scenario's TOML; no agent is started yet. Raises AirError where there can be no air."""
+async def team_in_the_air(scenario: str, folder: Path, *, secured: bool = True) -> AsyncIterator[Team]:
+    """Of a scenario's TOML; no agent is started yet. secured: with keys. Raises AirError where there can be no air."""
     file = folder / "scenario.toml"
     file.write_text(scenario)
     drones = load_scenario(file, seed=SEED).members
-    async with Air(drones, seed=SEED) as air, Team(air, file, folder) as team:
-        yield team
+    async with Air(drones, seed=SEED) as air:
+        team = Team(air, file, folder, secured=secured)
+        try:
+            await team.open()
+            yield team
+        finally:
+            await team.close()
