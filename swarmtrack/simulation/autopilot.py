@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import common
-from scipy.spatial.transform import Rotation
 
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.messages import Array
@@ -98,19 +97,19 @@ class DroneSenses:
         self._earth = earth
         self._gps_sigma = gps_sigma
         self._gps_error = gps_sigma * world.chance("gps", drone_id).standard_normal(3)
-        self._block = -1
+        self._block: int | None = None
         self._noise = np.zeros((0, 4, 3))
 
     def at(self, t: float) -> Sensed:
         motion = self._world.drones[self._drone_id].motion(t - self._epoch)
         white = self._white(round((t - self._epoch) * 1e3))
         gyro, accel = self._imu.measure(motion, white[:2])
-        error = Rotation.from_rotvec(self._ego.attitude_sigma * white[2])
-        x, y, z, w = (Rotation.from_matrix(motion.attitude) * error).as_quat()
+        # Of an error this small, the half angle is the vector part of its quaternion.
+        x, y, z = (0.5 * self._ego.attitude_sigma * white[2]).tolist()
         return Sensed(
             gyro=gyro,
             accel=accel,
-            q=np.array((w, x, y, z)),
+            q=_product(_quaternion(motion.attitude), (1.0, x, y, z)),
             position=motion.position - self._origin + self._ego.position_sigma * white[3],
             velocity=motion.velocity,
             gps=self._fix(motion.position),
@@ -360,6 +359,38 @@ def _thousandths(sensed: Sensed) -> list[int]:
     """Acceleration in mG and angular velocity in mrad/s, as 16 bits hold them."""
     values = np.concatenate([sensed.accel * (1e3 / STANDARD_GRAVITY), sensed.gyro * 1e3])
     return [int(v) for v in np.clip(np.rint(np.nan_to_num(values)), -32768, 32767)]
+
+
+def _quaternion(R: Array) -> tuple[float, float, float, float]:
+    """(w, x, y, z) of a rotation (3, 3): `rotation.to_quaternion` for one, in a tenth of its time.
+
+    Shepperd (1978): from the largest of the trace and the diagonal.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
+    trace = xx + yy + zz
+    largest = max(trace, xx, yy, zz)
+    if largest == trace:
+        q = (1.0 + trace, zy - yz, xz - zx, yx - xy)
+    elif largest == xx:
+        q = (zy - yz, 1.0 + xx - yy - zz, xy + yx, xz + zx)
+    elif largest == yy:
+        q = (xz - zx, xy + yx, 1.0 - xx + yy - zz, yz + zy)
+    else:
+        q = (yx - xy, xz + zx, yz + zy, 1.0 - xx - yy + zz)
+    return q
+
+
+def _product(a: tuple[float, ...], b: tuple[float, ...]) -> Array:
+    """The unit quaternion along a b."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    q = (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+    return np.array(q) / math.hypot(*q)
 
 
 def _datagrams(frames: list[bytes]) -> Iterator[bytes]:
