@@ -302,7 +302,7 @@ class FaultSection(Section):
             if value is None or not 0.0 <= value <= most:
                 raise ValueError(f"{'missing' if value is None else format(value, 'g')}, expected {meaning}")
         elif kind is not None and value is not None:
-            raise ValueError(f"{value:g}, expected none: a {kind} has no strength")
+            raise ValueError(f"{value:g}, expected none: {kind} has no strength")
         return value
 
     def fault(self) -> Fault:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import math
 
 import cv2
@@ -180,6 +181,24 @@ def test_the_stand_in_detector_misses_errs_and_invents_as_often_as_it_says():
         len(detect({}, scenario.camera, DetectorParameters(clutter_per_frame=0.0), rng, t=0.0, sequence=0))
         == 0
     )
+
+
+def test_of_two_drones_that_overlap_heavily_one_box_around_both_is_found_as_often_as_said():
+    near, far, aside = (
+        np.array(box, float) for box in ((300, 240, 80, 30), (330, 240, 60, 24), (500, 240, 60, 24))
+    )
+    parameters = DetectorParameters(p_detection=1.0, centre_sigma=0.0, size_sigma=0.0, clutter_per_frame=0.0)
+    rng = np.random.default_rng(3)
+    merged = 0
+    for sequence in range(2000):
+        found = detect({2: near, 3: far, 4: aside}, CAMERA, parameters, rng, t=0.0, sequence=sequence)
+        boxes = sorted(map(tuple, np.column_stack([found.centre, found.size])))
+        merged += len(boxes) == 2
+        around_both = (310.0, 240.0, 100.0, 30.0)  # from 260 to 360, as high as the nearer one
+        assert boxes == [*([around_both] if len(boxes) == 2 else [tuple(near), tuple(far)]), tuple(aside)]
+    assert merged / 2000 == pytest.approx(parameters.p_merged, rel=0.1)
+    never = dataclasses.replace(parameters, p_merged=0.0)
+    assert all(len(detect({2: near, 3: far}, CAMERA, never, rng, t=0.0, sequence=k)) == 2 for k in range(100))
 
 
 # --- pictures --------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +48,19 @@ class Airframe:
         )
 
     def outline(self) -> Array:
-        """Points (n, 3) m in body axes whose projection has the bounding box of the drone's."""
-        angle = np.arange(16) * (2.0 * math.pi / 16)
-        rim = self.rotor_radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(16)])
-        discs = (self.motors[:, None, :] + rim).reshape(-1, 3)
-        return np.concatenate([discs, self.feet])
+        """Points (n, 3) m in body axes whose projection has the bounding box of the drone's. Not to be written to."""
+        return _outline(self)
+
+
+@lru_cache(maxsize=64)
+def _outline(frame: Airframe) -> Array:
+    """Kept: a swarm's boxes are asked for thousands of times a second."""
+    angle = np.arange(16) * (2.0 * math.pi / 16)
+    rim = frame.rotor_radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(16)])
+    discs = (frame.motors[:, None, :] + rim).reshape(-1, 3)
+    outline = np.concatenate([discs, frame.feet])
+    outline.setflags(write=False)
+    return outline
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ from swarmtrack.simulation.trajectory import Motion
 from swarmtrack.simulation.world import World
 
 OCCLUDED = 0.7  # share of a box that nearer boxes must cover for its drone to count as hidden
+MERGING = 0.3  # share of a box that a nearer one must cover for a detector to take both for one thing
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +144,7 @@ def shown(boxes: Mapping[int, Array], camera: PinholeCamera) -> dict[int, Array]
     if not inside:
         return {}
     ids, table = list(inside), np.stack(list(inside.values()))
-    low, high = table[:, :2] - table[:, 2:] / 2.0, table[:, :2] + table[:, 2:] / 2.0
-    overlap = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
-    hides = np.maximum(overlap, 0.0).prod(axis=2) / table[:, 2:].prod(axis=1)[:, None] >= OCCLUDED
+    hides = _coverage(table) >= OCCLUDED
     seen: list[int] = []
     for n in range(len(ids)):
         if not hides[n, seen].any():
@@ -153,14 +152,31 @@ def shown(boxes: Mapping[int, Array], camera: PinholeCamera) -> dict[int, Array]
     return {ids[n]: table[n] for n in seen}
 
 
+def _coverage(boxes: Array) -> Array:
+    """The share of each of the boxes (n, 4) [u, v, w, h] that lies in each other one, (n, n)."""
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2.0, boxes[:, :2] + boxes[:, 2:] / 2.0
+    overlap = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    share: Array = np.maximum(overlap, 0.0).prod(axis=2) / boxes[:, 2:].prod(axis=1)[:, None]
+    return share
+
+
 @dataclass(frozen=True, slots=True)
 class DetectorParameters:
-    """A detector as the tracking literature has it: misses, Gaussian errors, Poisson clutter."""
+    """A detector as the tracking literature has it: misses, Gaussian errors, Poisson clutter; and boxes that merge."""
 
     p_detection: float = 0.95
     centre_sigma: float = 1.0  # px
     size_sigma: float = 0.05  # relative
     clutter_per_frame: float = 0.1
+    p_merged: float = 0.3  # that of two drones which overlap heavily, one box around both is found
+
+    def __post_init__(self) -> None:
+        for name, most in (("p_detection", 1.0), ("p_merged", 1.0), ("clutter_per_frame", 1000.0)):
+            if not 0.0 <= getattr(self, name) <= most:
+                raise ValueError(f"detector.{name}: found {getattr(self, name)}, expected 0 to {most:g}")
+        for name in ("centre_sigma", "size_sigma"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"detector.{name}: found {getattr(self, name)}, expected a number from 0")
 
 
 def detect(
@@ -172,9 +188,12 @@ def detect(
     t: float,
     sequence: int,
 ) -> Detections:
-    """What such a detector finds in the frame exposed at t, of which `boxes` are true. The order tells nothing."""
+    """What such a detector finds in the frame exposed at t, of which `boxes` are true, the nearest first.
+
+    The order of what it finds tells nothing.
+    """
     p = parameters
-    truth = np.array(list(boxes.values()), dtype=float).reshape(-1, 4)
+    truth = _merged(np.array(list(boxes.values()), dtype=float).reshape(-1, 4), p.p_merged, rng)
     truth = truth[rng.random(len(truth)) < p.p_detection]
     n = len(truth)
     n_clutter = int(rng.poisson(p.clutter_per_frame))
@@ -193,3 +212,15 @@ def detect(
     score = np.concatenate([rng.uniform(0.5, 1.0, n), rng.uniform(0.2, 0.6, n_clutter)])
     order = rng.permutation(n + n_clutter)
     return Detections(t=t, sequence=sequence, centre=centre[order], size=size[order], score=score[order])
+
+
+def _merged(boxes: Array, p_merged: float, rng: np.random.Generator) -> Array:
+    """What is left, (m, 4), of boxes (n, 4), nearest first, when one that is partly hidden may join its hider's."""
+    covered = np.tril(_coverage(boxes), -1) >= MERGING  # of each, by which nearer ones
+    group = np.arange(len(boxes))
+    for farther in np.flatnonzero(covered.any(axis=1)):
+        if rng.random() < p_merged:
+            group[farther] = group[covered[farther].argmax()]
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2.0, boxes[:, :2] + boxes[:, 2:] / 2.0
+    around = [(low[group == g].min(axis=0), high[group == g].max(axis=0)) for g in np.unique(group)]
+    return np.array([[*(a + b) / 2.0, *(b - a)] for a, b in around]).reshape(-1, 4)
