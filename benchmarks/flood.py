@@ -128,7 +128,7 @@ async def measure(sort: Sort, seconds: float = SECONDS) -> Outcome:
     delays = heard.friend_delays[before.friend : after.friend]
     return Outcome(
         flood=str(sort),
-        sent_hz=sent_hz,
+        sent_hz=0.0 if sort == Sort.NOTHING else sent_hz,
         lag_p50_ms=1e3 * float(p50),
         lag_p95_ms=1e3 * float(p95),
         lag_p99_ms=1e3 * float(p99),

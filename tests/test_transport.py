@@ -31,6 +31,7 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.transport.membership import MAX_BOOTS, MAX_PEERS, Membership
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
+from swarmtrack.transport.outgoing import Outgoing
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.transport.settings import NetworkSettings, check
 
@@ -510,6 +511,32 @@ async def test_the_killed_are_missed_by_the_living(hub: MemoryHub) -> None:
     hub.kill(victim.transport)
     await witness.until(lambda told: told[-1:] == [PeerDeparted(2, victim.boot)])
     await witness.leave()
+
+
+# --- our own announcement, pure ---------------------------------------------------------
+
+
+def test_a_flood_of_questions_is_answered_within_bounds_and_signed_once() -> None:
+    signed: list[bytes] = []
+
+    def count_and_sign(text: bytes) -> bytes:
+        signed.append(text)
+        return sign(text)
+
+    clock = ManualClock(now=50.0)
+    outgoing = Outgoing("team", 1, "0000000a", clock, count_and_sign)
+    assert outgoing.answer() is None
+    assert not outgoing.accept_request()  # there is nothing to renew
+    outgoing.replace(announcement(1, "0000000a", t=48.0))
+    answers = [outgoing.answer() for _ in range(10_000)]
+    told = [answer for answer in answers if answer is not None]
+    assert 100 < len(told) < 1000
+    assert outgoing.counters["answers_refused"] == len(answers) - len(told)
+    assert len(signed) == 1
+    clock.set(60.0)  # a later second: answered again, with the age as of then
+    later = outgoing.answer()
+    assert later is not None
+    assert codec.decode_announcement(later).age_s == pytest.approx(12.0)
 
 
 # --- the sender's clock, pure ---
