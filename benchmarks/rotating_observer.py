@@ -28,7 +28,7 @@ from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.benchmarks import report
 from swarmtrack.evaluation.intervals import Interval, bootstrap_interval
-from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Array, Detections, ImuSample, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory

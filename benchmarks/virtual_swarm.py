@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement, EgoPose, PeerArrived, TrackList
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory

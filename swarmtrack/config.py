@@ -25,13 +25,12 @@ from pydantic import (
     model_validator,
 )
 
-from swarmtrack.calibration import Calibration, load_calibration
 from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.toml_layers import Layers, Problem, Table, read_layers
 from swarmtrack.toml_sections import (
     Count,
@@ -431,24 +430,29 @@ def mount_camera(section: CameraSection) -> MountedCamera:
     What the config says of the mount and the time offset goes before what the file says; neither: a camera that
     looks forward from the body's origin. Raises CalibrationError.
     """
+    imu_from_camera: Pose | None = None
+    file_offset_s: float | None = None
     if section.calibration is not None:
+        # Here, not above: a drone with its numbers in the config pays for no YAML.
+        from swarmtrack.calibration import load_calibration  # noqa: PLC0415
+
         file = load_calibration(section.calibration, section.calibration_camera)
+        camera, imu_from_camera, file_offset_s = file.camera, file.imu_from_camera, file.time_offset_s
     elif section.intrinsics is not None:
         lens = section.distortion.distortion() if section.distortion else None
         camera = PinholeCamera(**section.intrinsics.model_dump(), distortion=lens)
-        file = Calibration(camera, name="inline", source_format="config")
     else:
         raise ValueError(
             f"camera.source {section.source}: no calibration, expected the simulation to be asked"
         )
     if section.body_from_camera is not None:
         body_from_camera = section.body_from_camera.pose()
-    elif file.imu_from_camera is not None:
-        body_from_camera = Pose(FRD_FROM[section.imu_frame], np.zeros(3)) @ file.imu_from_camera
+    elif imu_from_camera is not None:
+        body_from_camera = Pose(FRD_FROM[section.imu_frame], np.zeros(3)) @ imu_from_camera
     else:
         body_from_camera = Mount().pose()
-    offsets = (section.time_offset_s, file.time_offset_s, 0.0)
-    return MountedCamera(file.camera, body_from_camera, next(s for s in offsets if s is not None))
+    offsets = (section.time_offset_s, file_offset_s, 0.0)
+    return MountedCamera(camera, body_from_camera, next(s for s in offsets if s is not None))
 
 
 def config_schema() -> dict[str, Any]:

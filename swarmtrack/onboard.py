@@ -19,7 +19,8 @@ import numpy as np
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.agreement import Agreement, Disagreement, OwnView
-from swarmtrack.identity.identities import Identities, IdentityParameters
+from swarmtrack.identity.identities import Identities
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import (
     Announcement,
     Array,

@@ -6,7 +6,7 @@ import pytest
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement, Detections, EgoPose, ImuSample
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory

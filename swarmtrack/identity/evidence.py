@@ -30,6 +30,10 @@ class Evidence:
         self.scans: NDArray[np.int64] = np.zeros((0, 0), dtype=int)
         """(n, k): how many scans each pair was seen in."""
 
+    def seen_in(self, row: int) -> int:
+        """How many scans there are of a row, with whichever column."""
+        return int(self.scans[row].max(initial=0))
+
     def add(self, t: float, rows: Sequence[int], columns: Sequence[Key], found: Residuals) -> None:
         """The residuals of one scan: rows are track IDs, columns the keys of predictions."""
         mean, cov = found.mean.copy(), found.cov.copy()

@@ -6,15 +6,18 @@ matched anew: the posterior over all one-to-one matchings, of residuals averaged
 where it is likely enough, and "unknown" else. A drone whose track ended is expected where it was seen last, moving
 on.
 
-What speaks against an ID opens its case again, with the past as prior: a new announcement, another track that fits it
-better, observers who see that drone elsewhere. A case is closed by the same posterior. A track that no drone explains
-for a while is foreign. While two processes speak as one drone, that ID is given to nobody.
+An ID that was given stands until something speaks against it (`Standing`). News of the drone, from itself or from
+observers who see it elsewhere, lets the same posterior try the case again, with the past as prior. A track that was
+not detected for a while may have come back as another drone: its ID is withheld until the posterior is sure again,
+and if it was hidden by a teammate, both are asked where they are. A track that no drone explains for a while is
+foreign. While two processes speak as one drone, that ID is given to nobody.
 """
 
 from __future__ import annotations
 
+import enum
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,86 +25,75 @@ import numpy as np
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.evidence import Evidence
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.posterior import LOG_ANYWHERE, log_ratios, nearest, residuals
+from swarmtrack.identity.questions import Questions
 from swarmtrack.identity.reprojection import LastSeen, Predictions, View, joined, reproject, retrace
 from swarmtrack.messages import FOREIGN, Announcement, Array, IdentifiedTrack, Identity, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.marginals import matching_marginals
 
 HELD_LOG_ODDS = math.log(1e3)  # of an ID that was given: how rarely a track jumps from one drone to another
+HIDDEN_LOG_ODDS = math.log(3.0)  # of one whose track met another, or came back from where it was not seen
+HIDDEN_S = 0.25  # s without a detection: no longer a miss
+MEETING_PX = 10.0  # between two boxes, so near that one of them may take the other's detections
+LIKELY = 0.01  # of a candidate that is worth a question
 FORGET_S = 30.0  # s after which it does not matter where somebody was last seen
+NAMELESS_S = 1.0  # s that a track is nameless before its candidates are asked for their poses
 AHEAD_S = 0.1  # s: over which a track's velocity becomes a turn of its ray
-ASK_AFTER_S = 1.0  # s that a track is nameless before its candidates are asked for their poses
-ASK_AGAIN_S = 3.0  # s between two questions to one drone, doubled with each
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IdentityParameters:
-    """profile `paper`: Algorithm 1 as printed, in one shot; `default`: the posterior, with "unknown"."""
+class Standing(enum.Enum):
+    """How an ID stands that a track holds."""
 
-    profile: str = "default"
-    probability: float = 0.95
-    """An ID is stated only above it."""
-    scans: int = 3
-    """A track must have been seen in so many."""
-    window_s: float = 0.5
-    """s over which residuals are averaged."""
-    foreign_s: float = 3.0
-    """s after which a track that nothing explains is foreign."""
-    drift_speed: float = 0.5
-    """m/s: how fast an announced drone that has left its pose may be moving."""
-    stay_s: float = 30.0
-    """s after which half of the announced drones have left their pose: they wait for take-off."""
-    turn_rate: float = 0.1
-    """rad/s: how far the bearing of a drone out of sight may leave its course, for each second."""
+    SETTLED = enum.auto()
+    TRIED = enum.auto()  # there is news of the drone; the ID is stated until it is refuted
+    HIDDEN = enum.auto()  # the track is not detected: the drone may come back as another one
+    DOUBTED = enum.auto()  # it is detected again; the ID is not stated until it is sure
 
-    def __post_init__(self) -> None:
-        if self.profile not in ("default", "paper"):
-            raise ValueError(f"identity.profile: found {self.profile!r}, expected one of default, paper")
-        if not 0.5 <= self.probability < 1.0:
-            raise ValueError(
-                f"identity.probability: found {self.probability!r}, expected 0.5 or more, below 1"
-            )
-        if self.scans < 1:
-            raise ValueError(f"identity.scans: found {self.scans!r}, expected 1 or more")
-        if not self.drift_speed >= 0.0:
-            raise ValueError(f"identity.drift_speed: found {self.drift_speed!r}, expected 0 or more")
-        for name in ("window_s", "foreign_s", "stay_s", "turn_rate"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"identity.{name}: found {getattr(self, name)!r}, expected a number above 0")
+
+UNSEEN = (Standing.HIDDEN, Standing.DOUBTED)
 
 
 @dataclass(slots=True)
 class Given:
-    """An ID that a track holds. open: its case is being tried again, since `scans_open` scans, with log odds `held` in its favour; seen: where the drone
-    was when it was last detected."""
+    """An ID that a track holds. scans: since it is tried or doubted; held: log odds in its favour; seen: where the
+    drone was when it was last detected beyond doubt; met: the teammates that may have been taken for it meanwhile."""
 
     drone_id: int
     probability: float
-    open: bool = False
-    scans_open: int = 0
+    standing: Standing = Standing.SETTLED
+    scans: int = 0
     held: float = HELD_LOG_ODDS
     seen: LastSeen | None = None
+    met: set[int] = field(default_factory=set)
+
+    @property
+    def stated(self) -> bool:
+        return self.standing is not Standing.DOUBTED
+
+    @property
+    def undecided(self) -> bool:
+        return self.standing in (Standing.TRIED, Standing.DOUBTED)
+
+    def settle(self, probability: float) -> None:
+        self.standing, self.held, self.probability = Standing.SETTLED, HELD_LOG_ODDS, probability
+        self.met.clear()
+
+    def reopen(self, standing: Standing, held: float) -> None:
+        self.standing, self.scans, self.held = standing, 0, min(held, self.held)
 
 
 @dataclass(slots=True)
 class _Stranger:
     """A nameless track. unexplained_since [s]: since when no drone is likely to be it, with probability p_none;
-    asked: whether those who have a name were asked for their poses because of it."""
+    foreign: for long enough; asked: whether those who have a name were asked for their poses because of it."""
 
     first_t: float
     unexplained_since: float | None = None
     p_none: float = 0.0
     foreign: bool = False
     asked: bool = False
-
-
-@dataclass(slots=True)
-class _Question:
-    """When a drone was last asked for its pose, and how long to wait with the next time."""
-
-    asked_t: float
-    wait_s: float = field(default=ASK_AGAIN_S)
 
 
 class Identities:
@@ -118,22 +110,16 @@ class Identities:
         self._unannounced: set[int] = set()
         self._suspended: set[int] = set()
         self._given: dict[int, Given] = {}
-        self._nameless: dict[int, _Stranger] = {}
-        self._last_seen: dict[int, LastSeen] = {}
+        self._strangers: dict[int, _Stranger] = {}
+        self._lost: dict[int, Given] = {}
+        """By drone: what its track held when it ended."""
         self._evidence = Evidence(parameters.window_s)
-        self._questions: dict[int, _Question] = {}
-        self._wanted: set[int] = set()
-        self._view: View | None = None
+        self._questions = Questions()
 
     @property
     def announced(self) -> dict[int, Announcement]:
         """The latest announcement of every teammate."""
         return dict(self._announced)
-
-    @property
-    def given(self) -> dict[int, Given]:
-        """The IDs that tracks hold, by track ID."""
-        return self._given
 
     def announce(self, announcement: Announcement) -> bool:
         """Take in a teammate's pose. Returns False for our own ID, or for one that is not newer."""
@@ -144,11 +130,12 @@ class Identities:
             return False
         self._announced[drone] = announcement
         self._unannounced.discard(drone)
-        seen = self._last_seen.get(drone)
-        if seen is not None and seen.t < announcement.t:
-            del self._last_seen[drone]
-        if known is not None:
-            self._reopen(drone, HELD_LOG_ODDS if known.boot == announcement.boot else 0.0)
+        given = self._holder(drone)
+        if given is not None and known is not None and given.standing is not Standing.HIDDEN:
+            given.reopen(
+                Standing.TRIED if given.stated else Standing.DOUBTED,
+                HELD_LOG_ODDS if known.boot == announcement.boot else 0.0,
+            )
         return True
 
     def arrived(self, drone_id: int) -> None:
@@ -173,26 +160,23 @@ class Identities:
 
     def withdraw(self, drone_id: int) -> None:
         """No track is this drone any more, nor is it where it was last seen."""
-        self._last_seen.pop(drone_id, None)
+        self._lost.pop(drone_id, None)
         self._given = {track: given for track, given in self._given.items() if given.drone_id != drone_id}
 
     def ask_for(self, drone_id: int) -> None:
         """Its pose is wanted anew."""
-        self._wanted.add(drone_id)
+        self._questions.put(drone_id)
 
     def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
         """Look at the tracks of a scan, with this drone's own pose at its exposure."""
         alive = {track.id: track for track in tracks}
-        view = self._view = View.of(observer, self._camera, self._body_from_camera)
-        self._bury(alive, view)
-        undecided = [
-            track
-            for id, track in alive.items()
-            if (id in self._given and self._given[id].open)
-            or (id not in self._given and track.status is TrackStatus.CONFIRMED)
-        ]
-        self._nameless = {
-            track.id: self._nameless.get(track.id) or _Stranger(observer.t)
+        view = View.of(observer, self._camera, self._body_from_camera)
+        self._end(alive, observer.t)
+        self._watch_for_hiding(alive, observer.t)
+        self._remember_rays(alive, view)
+        undecided = [track for track in alive.values() if self._is_undecided(track)]
+        self._strangers = {
+            track.id: self._strangers.get(track.id) or _Stranger(observer.t)
             for track in undecided
             if track.id not in self._given
         }
@@ -201,7 +185,6 @@ class Identities:
             self._give_nearest(undecided, predicted)
         else:
             self._give_by_posterior(undecided, predicted, observer.t)
-        self._ask(predicted, observer.t)
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
@@ -209,56 +192,92 @@ class Identities:
 
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
         """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
-        held = self._given.values()
-        return [(g.seen, g.probability) for g in held if g.seen is not None and g.seen.t == t and not g.open]
+        held = [given for given in self._given.values() if given.standing is Standing.SETTLED]
+        return [(given.seen, given.probability) for given in held if given.seen and given.seen.t == t]
 
     def take_wanted(self) -> tuple[int, ...]:
         """The drones whose pose is wanted anew; each is told once."""
-        wanted, self._wanted = tuple(self._wanted), set()
-        return wanted
-
-    def _reopen(self, drone_id: int, held: float) -> None:
-        """There is news of the drone that a track was named after: try whether it still is, with log odds `held`."""
-        for given in self._given.values():
-            if given.drone_id == drone_id:
-                given.open, given.scans_open, given.held = True, 0, held
+        return self._questions.take()
 
     def _name(self, track_id: int) -> tuple[Identity, float]:
         given = self._given.get(track_id)
-        if given is not None:
+        if given is not None and given.stated:
             return given.drone_id, given.probability
-        stranger = self._nameless.get(track_id)
+        stranger = self._strangers.get(track_id)
         if stranger is not None and stranger.foreign:
             return FOREIGN, stranger.p_none
         return None, 0.0
 
-    def _bury(self, alive: dict[int, Track], view: View) -> None:
-        """Take the IDs from tracks that ended; remember where their drones were seen last."""
-        ended = [id for id in self._given if id not in alive]
-        for id in ended:
+    def _holder(self, drone_id: int) -> Given | None:
+        return next((given for given in self._given.values() if given.drone_id == drone_id), None)
+
+    def _is_undecided(self, track: Track) -> bool:
+        given = self._given.get(track.id)
+        if given is not None:
+            return given.undecided and track.coasting_since is None
+        return track.status is TrackStatus.CONFIRMED
+
+    # --- what becomes of the tracks that have an ID ---
+
+    def _end(self, alive: Mapping[int, Track], t: float) -> None:
+        """Take the IDs from tracks that ended."""
+        for id in [id for id in self._given if id not in alive]:
             given = self._given.pop(id)
-            if given.seen is not None and not given.open:
-                self._last_seen[given.drone_id] = given.seen
-        detected = [id for id in self._given if alive[id].coasting_since is None]
-        rays = _seen([(self._given[id].drone_id, alive[id]) for id in detected], view)
-        for id, seen in zip(detected, rays, strict=True):
-            self._given[id].seen = seen
+            if given.seen is not None:
+                self._lost[given.drone_id] = given
+        self._lost = {
+            drone: given
+            for drone, given in self._lost.items()
+            if given.seen is not None and t - given.seen.t < FORGET_S
+        }
+
+    def _watch_for_hiding(self, alive: Mapping[int, Track], t: float) -> None:
+        """Who is not detected is hidden, and may be taken for whoever is near; who is detected again is doubted."""
+        for id, given in self._given.items():
+            since = alive[id].coasting_since
+            if since is not None and t - since >= HIDDEN_S:
+                given.standing = Standing.HIDDEN
+                given.met |= {
+                    self._given[other].drone_id
+                    for other in self._given
+                    if other != id and _meet(alive[id], alive[other])
+                }
+            elif since is None and given.standing is Standing.HIDDEN:
+                given.reopen(Standing.DOUBTED, HIDDEN_LOG_ODDS)
+                self._verify(given)
+
+    def _verify(self, came_back: Given) -> None:
+        """Ask who met while one of them was hidden: their tracks may have changed places."""
+        for drone in came_back.met:
+            self._questions.put(drone)
+            self._questions.put(came_back.drone_id)
+            other = self._holder(drone)
+            if other is not None:
+                other.held = min(other.held, HIDDEN_LOG_ODDS)
+
+    def _remember_rays(self, alive: Mapping[int, Track], view: View) -> None:
+        seen = [id for id, given in self._given.items() if given.stated and alive[id].coasting_since is None]
+        rays = _rays([(self._given[id].drone_id, alive[id]) for id in seen], view)
+        for id, ray in zip(seen, rays, strict=True):
+            self._given[id].seen = ray
+
+    # --- what is undecided ---
 
     def _predict(self, view: View) -> Predictions:
-        """Where the drones that no track has for certain should be."""
-        p, t = self._parameters, view.observer.t
-        taken = {given.drone_id for given in self._given.values() if not given.open} | self._suspended
-        self._last_seen = {
-            drone: seen
-            for drone, seen in self._last_seen.items()
-            if t - seen.t < FORGET_S and drone not in taken
-        }
-        free = [a for drone, a in self._announced.items() if drone not in taken]
-        waiting = [a for a in free if a.drone_id not in self._last_seen]
-        by_pose = reproject(waiting, view, drift_speed=p.drift_speed, stay_s=p.stay_s)
-        if not self._last_seen:
-            return by_pose
-        return joined(by_pose, retrace(list(self._last_seen.values()), view, turn_rate=p.turn_rate))
+        """Where the drones should be that no track has for certain: by their pose, or by where they were seen
+        since."""
+        p = self._parameters
+        settled = {g.drone_id for g in self._given.values() if g.standing is Standing.SETTLED}
+        free = [a for drone, a in self._announced.items() if drone not in settled | self._suspended]
+        unseen = [*self._lost.values(), *(g for g in self._given.values() if g.standing in UNSEEN)]
+        seen = {g.drone_id: g.seen for g in unseen if g.seen is not None}
+        by_sight = [seen[a.drone_id] for a in free if a.drone_id in seen and a.t <= seen[a.drone_id].t]
+        found = {ray.drone_id for ray in by_sight}
+        by_pose = [a for a in free if a.drone_id not in found]
+        return joined(
+            reproject(by_pose, view, drift_speed=p.drift_speed, stay_s=p.stay_s),
+            retrace(by_sight, view, turn_rate=p.turn_rate),
+        )
 
     def _give_nearest(self, tracks: Sequence[Track], predicted: Predictions) -> None:
         mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
@@ -274,10 +293,14 @@ class Identities:
         probability = matching_marginals(self._log_ratios(tracks, predicted))
         stated = probability[:, : len(predicted.drone_id)]
         for i, track in enumerate(tracks):
-            self._judge(track.id, stated[i], predicted.drone_id, self._evidence.scans[i])
-        for i, track in enumerate(tracks):
+            candidates = dict(zip(predicted.drone_id, stated[i].tolist(), strict=True))
+            given = self._given.get(track.id)
+            if given is not None and self._try(track.id, given, candidates, t):
+                continue
+            if self._evidence.seen_in(i) >= self._parameters.scans:
+                self._name_likeliest(track.id, candidates)
             if track.id not in self._given:
-                self._mistrust(track.id, 1.0 - float(probability[i].sum()), t)
+                self._wonder(track.id, candidates, 1.0 - float(probability[i].sum()), t)
 
     def _log_ratios(self, tracks: Sequence[Track], predicted: Predictions) -> Array:
         """(n, k + u): of the predicted drones, then of those that may be anywhere."""
@@ -290,66 +313,70 @@ class Identities:
         anywhere = np.full((len(tracks), unlocated), LOG_ANYWHERE)
         return np.concatenate([ratios, anywhere], axis=1)
 
-    def _judge(self, track_id: int, probability: Array, drones: list[int], scans: Array) -> None:
-        """Give, confirm or take back the ID of one track, whose drone it is with probability (k,)."""
-        given = self._given.get(track_id)
-        if given is not None:
-            given.scans_open += 1
-            if given.scans_open < self._parameters.scans:
-                return
-            held = float(probability[drones.index(given.drone_id)]) if given.drone_id in drones else None
-            if held is None or held >= 0.5:  # whom the camera cannot see, it cannot judge
-                given.open = False
-                given.probability = given.probability if held is None else held
-                return
+    def _try(self, track_id: int, given: Given, candidates: Mapping[int, float], t: float) -> bool:
+        """Judge an ID that is held, whose drone it is with the probabilities of `candidates`; whether it is kept."""
+        given.scans += 1
+        if given.scans < self._parameters.scans:
+            return True
+        if given.drone_id not in candidates and given.stated:
+            given.settle(given.probability)  # whom the camera cannot see, it cannot judge
+            return True
+        p = candidates.get(given.drone_id, 0.0)
+        sure = 0.5 if given.held == HELD_LOG_ODDS else self._parameters.probability
+        if p >= sure:
+            given.settle(p)
+            self._questions.answered(given.drone_id)
+            return True
+        if p < 0.5:
             del self._given[track_id]
-            self._nameless[track_id] = _Stranger(self._view.observer.t if self._view else 0.0)
-        if not drones:
-            return
-        best = int(probability.argmax())
-        if probability[best] >= self._parameters.probability and scans[best] >= self._parameters.scans:
-            self._give(track_id, drones[best], float(probability[best]))
+            return False
+        self._ask(candidates, t)
+        return True
 
-    def _give(self, track_id: int, drone_id: int, probability: float) -> None:
+    def _name_likeliest(self, track_id: int, candidates: Mapping[int, float]) -> None:
         """Whoever had this ID loses it: of two tracks of one drone the likelier one is it."""
-        self.withdraw(drone_id)
-        self._given[track_id] = Given(drone_id, probability)
-        self._nameless.pop(track_id, None)
-        self._questions.pop(drone_id, None)
+        drone = max(candidates, key=candidates.__getitem__, default=None)
+        if drone is None or candidates[drone] < self._parameters.probability:
+            return
+        before = self._lost.get(drone) or self._holder(drone)
+        self.withdraw(drone)
+        self._given[track_id] = Given(drone, candidates[drone])
+        self._strangers.pop(track_id, None)
+        self._questions.answered(drone)
+        if before is not None:
+            self._verify(before)
 
-    def _mistrust(self, track_id: int, p_none: float, t: float) -> None:
-        """Count how long nothing has explained a track; a first time, ask whether all names are where they belong."""
-        stranger = self._nameless.setdefault(track_id, _Stranger(t))
+    def _wonder(self, track_id: int, candidates: Mapping[int, float], p_none: float, t: float) -> None:
+        """A track stays nameless: ask those that it may be; if it is nobody, whether all names are where they
+        belong."""
+        stranger = self._strangers.setdefault(track_id, _Stranger(t))
         stranger.p_none = p_none
         if p_none < self._parameters.probability:
             stranger.unexplained_since, stranger.foreign = None, False
-        elif stranger.unexplained_since is not None:
-            stranger.foreign = t - stranger.unexplained_since >= self._parameters.foreign_s
-        else:
-            stranger.unexplained_since = t
-            if not stranger.asked:
-                self._wanted |= {
-                    given.drone_id
-                    for given in self._given.values()
-                    if t - self._announced[given.drone_id].t > ASK_AGAIN_S
-                }
-                stranger.asked = True
-
-    def _ask(self, predicted: Predictions, t: float) -> None:
-        """Ask the drones that a track, nameless for a while, may be."""
-        waiting = [s for s in self._nameless.values() if s.unexplained_since is None]
-        if not any(t - stranger.first_t > ASK_AFTER_S for stranger in waiting):
+            if t - stranger.first_t > NAMELESS_S:
+                self._ask(candidates, t)
             return
-        for drone in predicted.drone_id:
-            question = self._questions.get(drone)
-            fresh = t - self._announced[drone].t < ASK_AFTER_S
-            if fresh or (question is not None and t - question.asked_t < question.wait_s):
-                continue
-            self._questions[drone] = _Question(t, 2.0 * question.wait_s if question else ASK_AGAIN_S)
-            self._wanted.add(drone)
+        if stranger.unexplained_since is None:
+            stranger.unexplained_since = t
+        stranger.foreign = t - stranger.unexplained_since >= self._parameters.foreign_s
+        if not stranger.asked:
+            stranger.asked = True
+            for given in self._given.values():
+                self._questions.put(given.drone_id)
+
+    def _ask(self, candidates: Mapping[int, float], t: float) -> None:
+        for drone, p in candidates.items():
+            if p > LIKELY and t - self._announced[drone].t > NAMELESS_S:
+                self._questions.ask(drone, t)
 
 
-def _seen(named: Sequence[tuple[int, Track]], view: View) -> list[LastSeen]:
+def _meet(one: Track, other: Track) -> bool:
+    """Whether two boxes touch, nearly."""
+    size = np.nan_to_num(one.size, nan=0.0) + np.nan_to_num(other.size, nan=0.0)
+    return bool((np.abs(one.mean[::2] - other.mean[::2]) < 0.5 * size + MEETING_PX).all())
+
+
+def _rays(named: Sequence[tuple[int, Track]], view: View) -> list[LastSeen]:
     """The rays to tracks that are drones, and how these turn."""
     if not named:
         return []

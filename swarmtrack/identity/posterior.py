@@ -27,7 +27,8 @@ class Prior(NamedTuple):
 
     @property
     def log_ratio(self) -> float:
-        """Of "this track is that drone" and "a stranger, and the drone is not seen", before looking where they are."""
+        """Of "this track is that drone" and "a stranger, and the drone is not seen", before looking where they
+        are."""
         return math.log(self.p_seen / (1.0 - self.p_seen) / self.strangers)
 
 

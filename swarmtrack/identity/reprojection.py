@@ -119,7 +119,10 @@ def retrace(seen: Sequence[LastSeen], view: View, *, turn_rate: float) -> Predic
     camera = view.camera
     age = np.array([view.observer.t - s.t for s in seen])
     travelled = COURSE_S * -np.expm1(-age / COURSE_S)
-    direction = np.array([s.direction for s in seen]) + travelled[:, None] * np.array([s.rate for s in seen])
+    direction, rate = (
+        np.array(v).reshape(-1, 3) for v in ([s.direction for s in seen], [s.rate for s in seen])
+    )
+    direction = direction + travelled[:, None] * rate
     in_camera = direction @ view.team_from_camera.rotation
     pixel, _, valid = camera.project_undistorted(in_camera)
     moved = np.array([np.linalg.norm(view.team_from_camera.position - s.origin) for s in seen])

@@ -11,7 +11,7 @@ from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import IdentityParameters
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory

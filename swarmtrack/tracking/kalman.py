@@ -24,6 +24,7 @@ from swarmtrack.tracking.table import TrackTable
 
 TURNS = {"default": turn_exactly, "paper": turn_by_flow}
 SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxes jitter, drones grow slowly
+SIZE_GATE = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +43,8 @@ class KalmanParameters(CommonParameters):
     """s: a confirmed track is dropped when it has not been detected for so long."""
     birth_score: float = 0.55
     """A detection of a lower score carries a track on but starts none: keep low, give birth high."""
+    size_sigma: float = 0.2
+    """Relative, of a box's sides from scan to scan: of two drones in one place the size tells the nearer one."""
     score_weight: float = 1.0
     """How far a detection's score is believed: its clutter intensity is scaled by ((1 − s) / s) to this power."""
 
@@ -183,6 +186,7 @@ class KalmanTracker:
         ratio = np.exp(log_density) / self._clutter_intensity(measured.odds)
         with np.errstate(divide="ignore"):
             log_ratio = np.log(p_detection[:, None] * ratio / (1.0 - p_detection[:, None]))
+        log_ratio += _log_likelihood_of_sizes(table.size, measured.size, parameters.size_sigma)
         log_ratio[distance > self._gate] = -np.inf
         rows, columns = self._match(log_ratio)
 
@@ -255,6 +259,16 @@ class KalmanTracker:
         self._next_id += n
         no, seen, never = np.zeros(n, np.bool_), np.full(n, t), np.full(n, np.nan)
         return TrackTable(ids, mean, cov, np.zeros(n), size, no, no.copy(), seen, never)
+
+
+def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Array:
+    """(n, m) of boxes (m, 2) px, known to have the sizes (n, 2) px up to a relative sigma per side, over a typical one.
+
+    A side that differs by more than `SIZE_GATE` sigma is that of a box around two drones: it speaks against, but no louder.
+    """
+    deviation = np.abs(np.log(measured[None] / tracks[:, None])) / sigma
+    likelihood = 0.5 * (1.0 - np.minimum(deviation, SIZE_GATE) ** 2)
+    return np.asarray(np.nan_to_num(likelihood, nan=0.0).sum(axis=2))
 
 
 def _blend(old: Array, new: Array) -> Array:

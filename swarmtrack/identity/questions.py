@@ -1,0 +1,41 @@
+"""Whom to ask to announce itself anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+FIRST_WAIT_S = 3.0  # s between two questions to one drone that did not settle the matter, doubled with each
+
+
+@dataclass(slots=True)
+class _Asked:
+    t: float
+    wait_s: float
+
+
+class Questions:
+    """Collects questions until they are taken; a question asked in vain is repeated more and more rarely."""
+
+    def __init__(self) -> None:
+        self._waiting: set[int] = set()
+        self._asked: dict[int, _Asked] = {}
+
+    def put(self, drone_id: int) -> None:
+        """Ask now."""
+        self._waiting.add(drone_id)
+
+    def ask(self, drone_id: int, t: float) -> None:
+        """Ask unless it was asked not long ago."""
+        before = self._asked.get(drone_id)
+        if before is None or t - before.t >= before.wait_s:
+            self._asked[drone_id] = _Asked(t, 2.0 * before.wait_s if before else FIRST_WAIT_S)
+            self._waiting.add(drone_id)
+
+    def answered(self, drone_id: int) -> None:
+        """The matter is settled."""
+        self._asked.pop(drone_id, None)
+
+    def take(self) -> tuple[int, ...]:
+        """The drones to ask, each once."""
+        waiting, self._waiting = tuple(sorted(self._waiting)), set()
+        return waiting
