@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import io
 import logging
 import os
@@ -20,6 +21,9 @@ DONE, FAILED, WRONG_USAGE = 0, 1, 2
 LAST_WORD = (
     0.3  # s for the interpreter's own end: with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
 )
+
+
+ZENOH_THREADS = "zenoh "  # what `transport.zenoh_session.bounded` names its threads
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -115,12 +119,17 @@ def _absence(device: str) -> str:
 
 
 def _fly(arguments: argparse.Namespace) -> int:
-    from swarmtrack.config import load_config
-    from swarmtrack.runtime.agent import Agent
-    from swarmtrack.runtime.assembly import assemble
-    from swarmtrack.runtime.console import Console
+    gc.disable()  # while hundreds of modules load it finds nothing, at a tenth of the start's cost
+    try:
+        from swarmtrack.config import load_config
+        from swarmtrack.runtime.agent import Agent
+        from swarmtrack.runtime.assembly import assemble
+        from swarmtrack.runtime.console import Console
 
-    parts = assemble(load_config(arguments.config))
+        parts = assemble(load_config(arguments.config))
+    finally:
+        gc.freeze()  # what is loaded by now stays for good: no collection need look at it again
+        gc.enable()
     if parts.detector is not None:
         import cv2
 
@@ -149,6 +158,11 @@ def _fly(arguments: argparse.Namespace) -> int:
 
 def _end_soon() -> None:
     """Everything is closed and written; a thread that hangs (a net, a name look-up) must not keep the process."""
+    if any(thread.name.startswith(ZENOH_THREADS) for thread in threading.enumerate()):
+        # Waiting for a router, say. Coming back into an interpreter that ends, Zenoh's call would abort the process.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(DONE)
     last_word = threading.Timer(LAST_WORD, os._exit, [DONE])
     last_word.daemon = True
     last_word.start()

@@ -28,8 +28,9 @@ ACK_TIMEOUT = 1.0  # s: a busy link takes 0.2 s
 ATTEMPTS = 3  # unanswered ones, before the command counts as not understood
 AGAIN_AFTER = 4.0  # s before a slow stream is asked for again, doubling up to AGAIN_AT_MOST
 AGAIN_AT_MOST = 30.0
-POSE_RATE = 50.0  # Hz
-GLOBAL_POSITION_RATE = 10.0  # Hz: carried on by its velocity in between
+ATTITUDE_RATE = 50.0  # Hz
+# Hz: carried on by its velocity in between, at 5 m/s² to 4 mm and to 25 mm.
+LOCAL_POSITION_RATE, GLOBAL_POSITION_RATE = 25.0, 10.0
 FIX_RATE = 5.0  # Hz: that of most receivers
 LINE_SHARE = 0.7  # of what the line carries may be ours; the rest is for parameters and other programs
 
@@ -43,7 +44,7 @@ GLOBAL_POSITION_INT: int = common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS_RAW_INT: int = common.MAVLINK_MSG_ID_GPS_RAW_INT
 
 # Message and rate [Hz], beside the attitude.
-LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: POSE_RATE}
+LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: LOCAL_POSITION_RATE}
 GLOBAL_POSE: dict[int, float] = {GLOBAL_POSITION_INT: GLOBAL_POSITION_RATE, GPS_RAW_INT: FIX_RATE}
 
 
@@ -152,7 +153,7 @@ class StreamRequests:
 
     def _choose(self) -> None:
         rates = {self.imu.id: self.imu_rate_hz}
-        rates[ATTITUDE_QUATERNION] = max(POSE_RATE, rates.get(ATTITUDE_QUATERNION, 0.0))
+        rates[ATTITUDE_QUATERNION] = max(ATTITUDE_RATE, rates.get(ATTITUDE_QUATERNION, 0.0))
         rates |= self._positions
         self.streams = {i: Stream(i, rate) for i, rate in rates.items()}
         for i, granted in self._granted.items():
