@@ -1,6 +1,6 @@
 """`swarmtrack router`: relays between drones that do not reach each other, or are too many for a mesh.
 
-It believes nobody more than a drone does: each certificate's name may speak for itself only. What a router itself says is
+It believes nobody more than a drone does: the name in each certificate may speak for itself only. What a router says is
 believed by the drones, except announcements, which are signed.
 """
 

@@ -14,7 +14,8 @@ from swarmtrack.transport.settings import ENCRYPTED, Mode, NetworkSettings
 MAX_ZENOH_BYTES: Final = 1024 * 1024  # of a fragmented message: Zenoh drops larger ones before we see them
 MAX_LINKS: Final = 2  # between two with keys (`links.Links.PAIR`)
 HANDSHAKE_MS: Final = 3000
-CLIENT_CONNECT_MS: Final = 4000  # a client's `open` blocks until a router answers, but not for ever
+CLIENT_HANDSHAKE_MS: Final = 1500  # then the next router is tried
+CLIENT_CONNECT_MS: Final = 6000  # a client's `open` blocks until a router answers, but not for ever
 
 
 def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tuple[str, ...]) -> zenoh.Config:
@@ -57,7 +58,10 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
         "timestamping": {"enabled": True},
         "queries_default_timeout": 2000,
         "transport": {
-            "unicast": {"open_timeout": HANDSHAKE_MS, "accept_timeout": HANDSHAKE_MS},
+            "unicast": {
+                "open_timeout": CLIENT_HANDSHAKE_MS if is_client else HANDSHAKE_MS,
+                "accept_timeout": HANDSHAKE_MS,
+            },
             "shared_memory": {"enabled": False},  # nothing to gain at our sizes, and it hides lost links
             "link": {
                 "tx": {"lease": round(network.lease_s * 1000), "keep_alive": 4},

@@ -41,12 +41,8 @@ CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs
 _T = TypeVar("_T")
 
 
-class NobodyThereError(TransportError):
-    """No router answers now; one may later."""
-
-
 async def open_session(network: NetworkSettings, listening: bool = True) -> zenoh.Session:
-    """Raises TransportError; NobodyThereError where it is worth trying again. listening: whether others may dial us.
+    """Raises TransportError; also where no router answers a client, which may try again. listening: for others to dial.
 
     An address that this machine does not have yet (an interface that is down) is listened on as soon as it has.
     """
@@ -59,8 +55,8 @@ def _open(network: NetworkSettings, listening: bool) -> zenoh.Session:
     if network.mode == Mode.CLIENT:
         try:
             return zenoh.open(zenoh_config(network, (), network.connect))
-        except zenoh.ZError as error:
-            raise NobodyThereError(f"network: no router answers: {plain(error)}") from None
+        except zenoh.ZError:
+            raise TransportError(f"network: no router answers at {' or '.join(network.connect)}") from None
     if not network.rendezvous:
         listen = network.listen if listening else ()
         return zenoh.open(zenoh_config(network, listen, network.connect))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 from collections import Counter
 from collections.abc import AsyncIterator
@@ -26,11 +27,10 @@ from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
-from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
-    NobodyThereError,
     ask_for_announcement,
     bounded,
     close_session,
@@ -101,22 +101,22 @@ class ZenohTransport:
         )
         self._bridges = [tokens, messages]
         self._loop = asyncio.get_running_loop()
+        if self._network.mode == Mode.CLIENT:  # a router that is not there yet is no reason not to fly
+            self._tasks = [asyncio.create_task(self._keep_joining(tokens, messages), name="joining")]
+            return
         try:
             await self._join(tokens, messages)
-        except NobodyThereError as error:  # no reason not to fly
-            log.warning("%s; we keep trying", error)
-            self._tasks = [asyncio.create_task(self._keep_joining(tokens, messages), name="joining")]
         except BaseException:
             await self.close()
             raise
 
     async def _keep_joining(self, tokens: Bridge, messages: Bridge) -> None:
-        while True:
-            await asyncio.sleep(REJOIN_S)
+        for attempt in itertools.count():
             try:
                 return await self._join(tokens, messages)
             except TransportError as error:
-                log.info("%s", error)
+                log.log(logging.INFO if attempt else logging.WARNING, "%s; we keep trying", error)
+            await asyncio.sleep(REJOIN_S)
 
     async def _join(self, tokens: Bridge, messages: Bridge) -> None:
         session = await open_session(self._network)
