@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rotation = names.add_parser("rotation", help="what the gyro is worth to an observer that turns")
     clients = names.add_parser("clients", help="how long until everybody knows everybody, to 100 drones")
     flood = names.add_parser("flood", help="a member that floods, and the others")
-    for name in (agent, clips, rotation, clients, flood):
+    identity = names.add_parser("identity", help="who is who from one look: the paper's rule and ours")
+    for name in (agent, clips, rotation, clients, flood, identity):
         name.add_argument(
             "--out",
             type=Path,
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        if name not in (clients, flood):
+        if name not in (clients, flood, identity):
             name.add_argument(
                 "--tracker", default="kalman", choices=list(TRACKERS), help="(default: %(default)s)"
             )
@@ -102,10 +103,18 @@ def _flood(args: argparse.Namespace) -> None:
     flood.run(args.out, seconds=1.0 if args.quick else flood.SECONDS)
 
 
+def _identity(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import identity_layouts
+
+    layouts = identity_layouts.QUICK_LAYOUTS if args.quick else identity_layouts.LAYOUTS
+    identity_layouts.run(args.out, layouts=layouts)
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
     "clients": _clients,
     "clips": _clips,
     "flood": _flood,
+    "identity": _identity,
     "rotation": _rotation,
 }

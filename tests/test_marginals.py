@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.tracking import marginals
-from swarmtrack.tracking.marginals import WIDEST, matching_marginals
+from swarmtrack.tracking.marginals import WIDEST, matching_marginals, sweep_width
 
 NEVER = -np.inf
 
@@ -142,23 +142,17 @@ def test_leaving_pairs_out_stays_near_the_exact_marginals():
     thinned, beliefs = [], []
     while len(thinned) < 10:
         log_ratio = crowded(rng, 20)
-        if not 13 <= width(log_ratio) <= 15:
+        if not 13 <= sweep_width(log_ratio) <= 15:
             continue
         exact = matching_marginals(log_ratio, 15)
         thinned.append(np.abs(matching_marginals(log_ratio, 12) - exact).max())
-        beliefs.append(np.abs(marginals._beliefs(log_ratio) - exact).max())
+        beliefs.append(np.abs(marginals.beliefs(log_ratio) - exact).max())
     assert max(thinned) < 0.03
     assert np.median(beliefs) > 0.05
-
-
-def width(log_ratio):
-    """How many rows are open at once in the sweep over these pairs."""
-    allowed = log_ratio > NEVER
-    return min(marginals._sweep_order(allowed)[1], marginals._sweep_order(allowed.T)[1])
 
 
 def test_where_everything_may_be_everything_nothing_is_likely():
     """Thirty drones that nobody can tell apart: leaving pairs out must not make the rest look certain."""
     found = matching_marginals(np.full((30, 30), 10.0))
-    assert width(np.full((30, 30), 10.0)) > WIDEST
+    assert sweep_width(np.full((30, 30), 10.0)) > WIDEST
     assert found == pytest.approx(np.full((30, 30), 1.0 / 30.0), abs=0.01)

@@ -45,3 +45,24 @@ def bootstrap_interval(
     drawn = [statistic(samples[rng.integers(n, size=n)]) for _ in range(resamples)]
     low, high = np.percentile(drawn, [2.5, 97.5])
     return Interval(float(statistic(samples)), float(low), float(high))
+
+
+def fraction_interval(hits: Array, trials: Array, least_effect: float = 1.0) -> Interval:
+    """Of the share of trials that are hits, in independent groups (n,) whose trials may hang together.
+
+    Wilson's interval for as many independent trials as bring the same variance: theirs over the design effect, the
+    variance between groups over the binomial one (Kish, "Survey Sampling" (1965), section 8.2). least_effect: the
+    design effect is not believed to be smaller; where nothing was hit it is all that is known.
+    """
+    total = float(trials.sum())
+    if total == 0.0:
+        return Interval(math.nan, 0.0, 1.0)
+    p = float(hits.sum()) / total
+    effect = least_effect
+    if 0.0 < p < 1.0 and len(hits) > 1:
+        between = len(hits) / (len(hits) - 1) * float(((hits - p * trials) ** 2).sum()) / total**2
+        effect = max(effect, between / (p * (1.0 - p) / total))
+    n, z2 = total / effect, NORMAL_975**2
+    centre = (p + z2 / (2.0 * n)) / (1.0 + z2 / n)
+    half = NORMAL_975 / (1.0 + z2 / n) * math.sqrt(p * (1.0 - p) / n + z2 / (4.0 * n**2))
+    return Interval(p, max(centre - half, 0.0), min(centre + half, 1.0))

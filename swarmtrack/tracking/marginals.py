@@ -53,6 +53,12 @@ def matching_marginals(log_ratio: Array, widest: int = WIDEST) -> Array:
     return probability
 
 
+def sweep_width(log_ratio: Array) -> int:
+    """How many rows are open at once at most, in the sweep over all allowed pairs."""
+    blocks = [log_ratio[np.ix_(rows, columns)] > -np.inf for rows, columns in _clusters(log_ratio > -np.inf)]
+    return max((_narrower(block) for block in blocks), default=0)
+
+
 def _clusters(allowed: NDArray[np.bool_]) -> list[Cluster]:
     """Connected parts of the graph of allowed pairs, as (rows, columns)."""
     left = np.asarray(allowed.any(axis=1))
@@ -96,19 +102,24 @@ def _of_thinned(log_ratio: Array, widest: int) -> Array:
     With i → none: "i is in none of the pairs left out", p(i = j) = p(i = j | i → none) p(i → none). The sweep gives
     the first factor, but for what the pairs left out do to others; beliefs give the second.
     """
-    belief = _beliefs(log_ratio)
+    belief = beliefs(log_ratio)
 
     def swept(least: float) -> NDArray[np.bool_]:
         return (log_ratio > -np.inf) & (belief >= least)
 
     def is_narrow(least: float) -> bool:
-        return min(_sweep_order(swept(least))[1], _sweep_order(swept(least).T)[1]) <= widest
+        return _narrower(swept(least)) <= widest
 
     kept = swept(LEAST_BELIEF[bisect_left(LEAST_BELIEF, True, key=is_narrow, hi=len(LEAST_BELIEF) - 1)])
     left_out = np.where(kept, 0.0, belief)
     remaining = 1.0 - np.maximum(left_out.sum(axis=1)[:, None], left_out.sum(axis=0))
     given_none = matching_marginals(np.where(kept, log_ratio, -np.inf), widest)
     return np.asarray(given_none * np.maximum(remaining, 0.0) + left_out)
+
+
+def _narrower(allowed: NDArray[np.bool_]) -> int:
+    """The width of the narrower sweep: over columns, or over rows."""
+    return min(_sweep_order(allowed)[1], _sweep_order(allowed.T)[1])
 
 
 def _sweep_order(allowed: NDArray[np.bool_]) -> tuple[list[int], int]:
@@ -193,7 +204,7 @@ def _with(sets: Array, bit: int) -> Array:
     return sets.reshape(-1, 2, 1 << bit)[:, 1]
 
 
-def _beliefs(log_ratio: Array) -> Array:
+def beliefs(log_ratio: Array) -> Array:
     """Approximate p (n, m) by loopy belief propagation."""
     n, m = log_ratio.shape
     ratio = np.exp(np.minimum(log_ratio, LARGEST_EXPONENT / 2.0))
