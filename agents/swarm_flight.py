@@ -27,7 +27,7 @@ from swarmtrack.agents.swarm_table import Spectator
 from swarmtrack.agents.swarm_watch import Watch
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.runtime.clock import SystemClock
-from swarmtrack.scenario_file import load_scenario
+from swarmtrack.scenario_file import load_limits, load_scenario
 from swarmtrack.simulation.scenarios import Fault, FaultKind, Scenario
 from swarmtrack.transport import keys
 from swarmtrack.transport.settings import NetworkSettings
@@ -213,6 +213,7 @@ class _Flight:
             argv = [*program, "swarmtrack.agents.vehicle", *arguments]
         if self._air is not None:
             argv = self._air.wrap(drone_id, argv)
+        self._watch.started(drone_id)
         self._agents[drone_id] = await self._children.start(f"drone {drone_id}", argv)
 
     # --- in flight ----------------------------------------------------------------------
@@ -288,10 +289,12 @@ class _Flight:
             tracker=plan.tracker,
             detector=plan.detector,
             score=self._watch.scorer.score(),
+            all_known_s=self._watch.all_known_s,
             agents=self._watch.figures(),
             asked_tracks_hz=scenario.tracks_hz,
             asked_imu_hz=scenario.imu_rate_hz,
             image_width=scenario.camera.width,
+            limits=load_limits(plan.scenario),
         )
 
 

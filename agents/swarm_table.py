@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Sequence
 from typing import Protocol
 
+from rich.box import SIMPLE
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -87,9 +88,9 @@ class Silent:
 
 
 def flight_table(watch: Watch, title: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = _table(title)
     table.add_column("drone", justify="right")
-    table.add_column("sees whom as whom (with what probability)", min_width=42)
+    table.add_column("sees whom as whom, how surely")
     for heading in ("error px", "tracks Hz", "IMU Hz", "camera Hz", "CPU %", "RSS MB"):
         table.add_column(heading, justify="right")
     for drone_id, agent in watch.agents.items():
@@ -175,10 +176,15 @@ def _identity_figures(score: SwarmScore) -> str:
 
 
 def agents_table(report: SwarmReport) -> Table:
-    table = Table(title="agents", title_justify="left", title_style="bold")
+    table = _table("agents")
+    table.caption = (
+        "named: until it named everyone it saw; delay: from a frame's exposure to its tracks on the network, "
+        "median … 95th percentile; bytes: of its announcement"
+    )
+    table.caption_justify = "left"
     for heading in (
-        "drone", "time to identify s", "RMSE px", "tracks Hz", "IMU Hz", "camera Hz",
-        "exposure → published ms, p50 / p95", "CPU %", "RSS MB", "announcement B",
+        "drone", "named s", "RMSE px", "tracks Hz", "IMU Hz", "camera Hz",
+        "delay ms", "CPU %", "RSS MB", "bytes",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     for agent in report.agents:
@@ -189,7 +195,7 @@ def agents_table(report: SwarmReport) -> Table:
             number(agent.track_rate_hz, 1),
             number(agent.imu_rate_hz, 1),
             number(agent.detection_rate_hz, 1),
-            f"{number(1e3 * agent.latency_p50_s, 0)} / {number(1e3 * agent.latency_p95_s, 0)}",
+            f"{number(1e3 * agent.latency_p50_s, 0)} … {number(1e3 * agent.latency_p95_s, 0)}",
             number(agent.cpu_percent, 0),
             number(agent.rss_mb, 0),
             "–" if agent.announcement_bytes is None else str(agent.announcement_bytes),
@@ -200,7 +206,7 @@ def agents_table(report: SwarmReport) -> Table:
 def team_table(report: SwarmReport) -> Table:
     """Found beside expected."""
     score, limits = report.score, report.limits
-    table = Table(title="team", title_justify="left", title_style="bold")
+    table = _table("team")
     for heading in ("", "found", "expected"):
         table.add_column(heading, justify="left" if not heading else "right")
     table.add_row("right names", share(score.correct), f"≥ {limits.correct:g}")
@@ -209,12 +215,17 @@ def team_table(report: SwarmReport) -> Table:
     table.add_row("agreement", share(score.agreement), f"≥ {limits.agreement:g}")
     slowest = max(score.time_to_identify_s.values(), default=math.nan)
     table.add_row("slowest to identify, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:g}")
+    table.add_row("all announcements known, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:g}")
     worst = max(score.rmse_px.values(), default=math.nan)
     table.add_row("worst RMSE, px", number(worst, 2), f"≤ {limits.rmse_px:g}")
     table.add_row("recall", share(score.recall), "")
     table.add_row("false tracks a second", number(score.false_tracks_per_s, 3), "")
     table.add_row("switches", str(score.switches), "")
     return table
+
+
+def _table(title: str) -> Table:
+    return Table(title=title, title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
 
 
 def share(value: float) -> str:

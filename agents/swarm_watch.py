@@ -72,6 +72,8 @@ class Watch:
         self._epoch = epoch
         self._seconds = seconds
         self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+        self._last_start = math.nan
+        self._known: dict[int, dict[int, float]] = {drone_id: {} for drone_id in scenario.members}
         self._waiting: deque[Statement] = deque()
         self._news = asyncio.Event()
         self._arrivals = asyncio.Condition()
@@ -109,6 +111,11 @@ class Watch:
         async with self._arrivals:
             await self._arrivals.wait_for(lambda: self.agents[drone_id].boot is not None)
 
+    def started(self, drone_id: int) -> None:
+        """A process of its own begins now, and knows nobody."""
+        self._last_start = self.t
+        self._known[drone_id].clear()
+
     def ended(self, drone_id: int) -> None:
         """Its process was ended on purpose: its silence means nothing."""
         self.agents[drone_id].boot = None
@@ -133,6 +140,8 @@ class Watch:
             case codec.SightingsMessage():
                 for teammate in message.known:
                     self.scorer.knows(drone_id, message.boot, teammate, self.t)
+                    if message.boot == agent.boot:
+                        self._known[drone_id].setdefault(teammate, self.t)
 
     def _on_tracks(self, drone_id: int, agent: AgentView, message: codec.TracksMessage) -> None:
         if agent.boot is None or message.scan_age_s == 0.0:
@@ -219,6 +228,14 @@ class Watch:
 
     # --- figures ------------------------------------------------------------------------
 
+    @property
+    def all_known_s(self) -> float:
+        """From the last start of an agent until each had told that it has everybody's announcement; NaN: not yet."""
+        team = self.agents.keys()
+        if any(team - known.keys() - {drone_id} for drone_id, known in self._known.items()):
+            return math.nan
+        return max(t for known in self._known.values() for t in known.values()) - self._last_start
+
     def figures(self) -> tuple[AgentFigures, ...]:
         """Of every agent, over the flight so far."""
         return tuple(self._figures(drone_id, agent) for drone_id, agent in self.agents.items())
@@ -242,7 +259,19 @@ class Watch:
             cpu_percent=_mean([message.cpu_percent for message in health]),
             rss_mb=max((message.rss_mb for message in health), default=math.nan),
             announcement_bytes=agent.announcement_bytes,
+            announcements_sent=_announcements_sent(agent.health),
         )
+
+
+def _announcements_sent(health: list[tuple[float, codec.HealthMessage]]) -> int:
+    """Over all lives of the agent: the counter begins anew with each."""
+    by_boot = {
+        message.boot: int(link.counters["announcements_sent"])
+        for _, message in health
+        for link in message.links
+        if "announcements_sent" in link.counters
+    }
+    return sum(by_boot.values())
 
 
 def _mean(values: list[float]) -> float:

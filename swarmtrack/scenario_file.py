@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field, Strict, ValidationError, ValidationInfo, field_validator, model_validator
 
 from swarmtrack.errors import ConfigError
+from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.simulation.scenarios import (
     CAMERA,
     DRIFT_M,
@@ -130,7 +131,7 @@ class RingSection(Section):
     spacing_m: Annotated[Number, Field(ge=1.5)] = Field(
         default=1.8, description="at least, along the circle, m"
     )
-    heights_m: Heights = Field(default=(3.0,), description="above the ground, in turn, m")
+    heights_m: Heights = Field(default=(5.0,), description="above the ground, in turn, m")
 
 
 class LanesSection(Section):
@@ -326,6 +327,7 @@ class ScenarioFile(Section):
     formation: FormationSection | None = None
     drone: tuple[DroneSection, ...] = ()
     fault: tuple[FaultSection, ...] = ()
+    expected: ParameterSection = ParameterSection()
 
 
 def SCENARIO_NAMES() -> list[str]:
@@ -342,6 +344,7 @@ def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None
     path = _path(name_or_path)
     layers = read_layers(path, lambda table, folder: None)
     problems = parameter_problems(layers, "detector", DetectorParameters)
+    problems += parameter_problems(layers, "expected", Limits)
     try:
         file = ScenarioFile.model_validate(layers.table)
     except ValidationError as error:
@@ -353,6 +356,12 @@ def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None
     if problems:
         raise ConfigError([str(problem) for problem in sorted(problems)])
     return _scenario(path.stem, file, seed, drones)
+
+
+def load_limits(name_or_path: str | Path) -> Limits:
+    """What a scenario's file expects of a flight, in [expected]; of a file that `load_scenario` has accepted."""
+    layers = read_layers(_path(name_or_path), lambda table, folder: None)
+    return Limits(**layers.table.get("expected", {}))
 
 
 def _path(name_or_path: str | Path) -> Path:

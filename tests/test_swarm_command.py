@@ -22,7 +22,33 @@ from swarmtrack.scenario_file import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 120.0  # s: far beyond what it takes, for a machine that is busy
-SMALL = ("--detector", "oracle", "--drones", "2", "--seconds", "4")
+SMALL = ("--detector", "oracle", "--seconds", "4")
+PAIR = """
+about = "two drones look at each other"
+seconds = 4.0
+[agents]
+tracks_hz = 20.0
+imu_rate_hz = 50.0
+[formation]
+drones = 2
+ring = { radius_m = 2.0 }
+[expected]                    # only what no busy machine can spoil
+rmse_px = 15.0
+time_to_identify_s = 60.0
+all_known_s = 60.0
+first_tracks_s = 60.0
+correct = 0.5
+rate = 0.1
+"""
+
+
+def pair(folder: Path, **expected: float) -> tuple[str, str]:
+    """A scenario file of two drones, as arguments of the command; expected: of its limits others than stated."""
+    path = folder / "pair.toml"
+    lines = [line for line in PAIR.splitlines() if line.partition(" =")[0] not in expected]
+    lines += [f"{name} = {value}" for name, value in expected.items()]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return "--scenario", str(path)
 
 
 def environment(folder: Path) -> dict[str, str]:
@@ -147,7 +173,7 @@ def test_a_module_runs_on_a_clock_that_is_wrong(tmp_path):
 
 def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     out = tmp_path / "out.json"
-    code, said, complained = finish(start(tmp_path, *SMALL, "--json", str(out)))
+    code, said, complained = finish(start(tmp_path, *pair(tmp_path), *SMALL, "--json", str(out)))
     assert (code, complained) == (0, ""), said + complained
     assert said.splitlines()[-1] == "PASSED"
     result = json.loads(out.read_text())
@@ -158,7 +184,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     assert list(result) == [
         "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "agents", "passed",
     ]  # fmt: skip
-    assert (result["scenario"], result["drones"], result["seconds"]) == ("hover-triangle", 2, 4.0)
+    assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, 4.0)
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "kalman", "oracle")
     assert list(result["identity"]) == ["time_to_identify_s", "correct", "wrong", "unknown", "agreement"]
     assert set(result["identity"]["time_to_identify_s"]) == {"1", "2"}
@@ -172,12 +198,23 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
         assert agent["cpu_percent"] > 0
         assert agent["rss_mb"] > 10
     assert result["passed"] is True
-    assert list(tmp_path.iterdir()) == [out]
+    assert {path.name for path in tmp_path.iterdir()} == {"out.json", "pair.toml"}
     assert not living(tmp_path)
 
 
+def test_a_number_that_is_not_as_expected_fails_the_flight_and_is_named(tmp_path):
+    out = tmp_path / "out.json"
+    impossible = pair(tmp_path, rmse_px=0.001)
+    code, said, _ = finish(start(tmp_path, *impossible, *SMALL, "--json", str(out)))
+    assert code == 1
+    assert json.loads(out.read_text())["passed"] is False
+    verdict = said[said.index("FAILED") :].splitlines()
+    assert len(verdict) == 3, said
+    assert all(", expected 0.001 at most" in line for line in verdict[1:])
+
+
 def test_kept_configs_are_those_of_real_agents(tmp_path):
-    code, said, _ = finish(start(tmp_path, *SMALL, "--keep"))
+    code, said, _ = finish(start(tmp_path, *pair(tmp_path), *SMALL, "--keep"))
     assert code == 0, said
     (folder,) = tmp_path.glob("swarmtrack-sim-*")
     assert str(folder) in said
@@ -209,7 +246,7 @@ def test_wrong_usage_says_what_was_expected_and_starts_nothing(tmp_path, argumen
 
 
 def test_an_agent_that_dies_is_reported_with_its_last_words(tmp_path):
-    process = start(tmp_path, *SMALL, "--seconds", "60")
+    process = start(tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "60")
     agent = until(lambda: pid_of(tmp_path, "drone-2.toml"), "drone 2 is started")
     os.kill(agent, signal.SIGABRT)
     code, said, complained = finish(process)
@@ -222,7 +259,7 @@ def test_an_agent_that_dies_is_reported_with_its_last_words(tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_whatever_ends_the_launcher_nothing_is_left(tmp_path, number):
-    process = start(tmp_path, *SMALL, "--seconds", "60")
+    process = start(tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "60")
     until(lambda: pid_of(tmp_path, "drone-2.toml"), "drone 2 is started")
     process.send_signal(number)
     code, _, complained = finish(process)

@@ -8,7 +8,7 @@ import pytest
 
 from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScore, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.evaluation.swarm_verdict import AgentFigures, SwarmReport
+from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.sensors import visible
@@ -313,6 +313,7 @@ GOOD_AGENT = AgentFigures(
     cpu_percent=12.0,
     rss_mb=120.0,
     announcement_bytes=161,
+    announcements_sent=1,
 )
 GOOD = SwarmReport(
     scenario="hover-triangle",
@@ -322,10 +323,12 @@ GOOD = SwarmReport(
     tracker="kalman",
     detector="onnx",
     score=GOOD_SCORE,
+    all_known_s=0.7,
     agents=(GOOD_AGENT, replace(GOOD_AGENT, drone_id=2)),
     asked_tracks_hz=100.0,
     asked_imu_hz=200.0,
     image_width=640,
+    limits=Limits(wrong=0.0),
 )
 
 
@@ -370,10 +373,16 @@ def test_a_flight_fails_by_every_number_of_an_agent(changed, named):
     assert named in report.shortfalls[0]
 
 
-def test_wrong_names_are_bounded_by_the_scenario():
+@pytest.mark.parametrize(("took", "said"), [(5.1, "after 5.1 s"), (math.nan, "not at all")])
+def test_a_flight_fails_if_announcements_take_too_long(took, said):
+    (shortfall,) = replace(GOOD, all_known_s=took).shortfalls
+    assert f"known by all {said}" in shortfall
+
+
+def test_the_limits_are_the_scenarios():
     rare = replace(GOOD_SCORE, wrong=0.0008)
     assert not replace(GOOD, score=rare).passed
-    assert replace(GOOD, score=rare, scenario="crossing").passed
+    assert replace(GOOD, score=rare, limits=Limits()).passed
 
 
 def test_what_cannot_be_said_is_null_in_json():

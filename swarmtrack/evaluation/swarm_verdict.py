@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from swarmtrack.evaluation.swarm_score import SwarmScore
@@ -14,7 +13,7 @@ REFERENCE_WIDTH = 640  # px: RMSE limits are for images of this width
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What is expected of a flight. Rates are shares of what the configs ask for."""
+    """What is expected of a flight, unless its scenario says otherwise in [expected]."""
 
     correct: float = 0.97
     """At least."""
@@ -25,17 +24,13 @@ class Limits:
     time_to_identify_s: float = 2.0
     rmse_px: float = 2.5
     """In an image of `REFERENCE_WIDTH`."""
+    all_known_s: float = 5.0
+    """From the last start of an agent until each has everybody's announcement."""
     rate: float = 0.95
+    """Of tracks and IMU samples: at least this share of what the configs ask for."""
     announcement_bytes: int = 300
     first_tracks_s: float = 5.0
     """From the beginning of the flight, or from a late agent's start, to its first tracks."""
-
-
-DEFAULT_LIMITS = Limits()
-# By scenario; those that are not here, and users' own, have the default.
-LIMITS: Mapping[str, Limits] = {
-    "hover-triangle": replace(DEFAULT_LIMITS, wrong=0.0),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +38,8 @@ class AgentFigures:
     """How one agent did, by its own health messages; NaN where it never said.
 
     latency: from a frame's exposure to the first message with tracks of it, s; p50 and p95. announcement_bytes: of
-    one announcement as heard. first_tracks_s: world time of its first tracks.
+    one announcement as heard; announcements_sent: puts and answers to whoever asked. first_tracks_s: world time of its
+    first tracks.
     """
 
     drone_id: int
@@ -57,6 +53,7 @@ class AgentFigures:
     cpu_percent: float
     rss_mb: float
     announcement_bytes: int | None
+    announcements_sent: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +67,12 @@ class SwarmReport:
     tracker: str
     detector: str
     score: SwarmScore
+    all_known_s: float
     agents: tuple[AgentFigures, ...]
     asked_tracks_hz: float
     asked_imu_hz: float
     image_width: int
-
-    @property
-    def limits(self) -> Limits:
-        return LIMITS.get(self.scenario, DEFAULT_LIMITS)
+    limits: Limits
 
     @property
     def shortfalls(self) -> list[str]:
@@ -119,15 +114,20 @@ class SwarmReport:
     def _agent_shortfalls(self) -> list[str]:
         limits = self.limits
         short = []
+        if not self.all_known_s <= limits.all_known_s:
+            took = "not at all" if math.isnan(self.all_known_s) else f"after {self.all_known_s:.1f} s"
+            short.append(
+                f"announcements: known by all {took}, expected {limits.all_known_s:g} s after the last start at most"
+            )
         for agent in self.agents:
             who = f"drone {agent.drone_id}"
             if math.isnan(agent.first_tracks_s):
                 short.append(f"{who}: no tracks were ever heard of it")
                 continue
-            took = agent.first_tracks_s - agent.start_s
-            if took > limits.first_tracks_s:
+            late = agent.first_tracks_s - agent.start_s
+            if late > limits.first_tracks_s:
                 short.append(
-                    f"{who}: its first tracks came {took:.1f} s late, expected {limits.first_tracks_s:g} at most"
+                    f"{who}: its first tracks came {late:.1f} s late, expected {limits.first_tracks_s:g} at most"
                 )
             for name, found, asked in (
                 ("track_rate_hz", agent.track_rate_hz, self.asked_tracks_hz),
