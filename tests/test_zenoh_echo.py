@@ -149,7 +149,8 @@ async def test_silence_is_an_error_that_says_what_to_check(team: str) -> None:
         (["tracks/*", "--connect", "tcp/192.168.1.5:7447"], "--insecure"),
         (["tracks/*", "--count", "-1"], "found -1, expected a whole number above 0"),
         (["tracks/*", "--seconds", "nan"], "found nan, expected a number of seconds above 0"),
-        (["tracks/*", "--connect", "192.168.1.5"], "expected PROTOCOL/HOST:PORT"),
+        (["tracks/*", "--connect", "tcp/192.168.1.5"], "expected PROTOCOL/HOST:PORT"),
+        (["tracks/*", "--connect", "192.168.1.5:x"], "expected HOST or HOST:PORT"),
     ],
 )
 async def test_wrong_usage_is_exit_code_2_and_a_sentence(arguments: list[str], says: str) -> None:

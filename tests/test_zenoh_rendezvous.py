@@ -16,10 +16,11 @@ import pytest
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.errors import TransportError
-from swarmtrack.messages import Announcement
+from swarmtrack.messages import Announcement, PeerArrived, PeerDeparted
 from swarmtrack.runtime.clock import ManualClock
 from swarmtrack.transport import keys, zenoh_session
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Bridge, Sample
 from swarmtrack.transport.zenoh_session import bounded, close_session, open_session
@@ -200,6 +201,23 @@ async def test_a_bridge_of_newest_keeps_the_last_word_on_each_key() -> None:
     await asyncio.sleep(0)
     assert got == [Sample("alive/1", b"", False, 0.0), Sample("alive/2", b"", True, 0.0)]
     assert (bridge.dropped, bridge.superseded) == (0, 6)
+
+
+async def test_a_link_lost_and_found_within_a_moment_does_not_look_as_if_it_had_stood() -> None:
+    membership, told = Membership(1, "0000000a"), list[object]()
+
+    def on_token(sample: Sample) -> None:
+        told.extend((membership.arrived if sample.alive else membership.departed)(2, "0000000b"))
+
+    bridge = Bridge(on_token, newest_per_key=2)
+    for moment, expected in (([True], 1), ([False, True], 3), ([False, True, False, True], 5)):
+        for alive in moment:
+            bridge.put(Sample("alive/2/0000000b", b"", alive, 0.0))
+        async with asyncio.timeout(PATIENCE):
+            while len(told) < expected:
+                await asyncio.sleep(0)
+    arrived, departed = PeerArrived(2, "0000000b"), PeerDeparted(2, "0000000b")
+    assert told == [arrived, departed, arrived, departed, arrived]
 
 
 async def test_whoever_floods_a_bridge_replaces_only_its_own_and_waits_its_turn() -> None:

@@ -91,8 +91,9 @@ class ZenohTransport:
         self._counters: Counter[str] = Counter()
 
     async def open(self) -> None:
-        # A token's key says all, so the last word on each is enough: no flood of tokens can push a departure out.
-        tokens = Bridge(lambda s: self._peers.on_token(s.key, s.alive), _MAX_TOKENS, newest_per_key=1)
+        # A token's key says all, so the last two words on each are enough: whether it is alive, and whether it was away
+        # before, when it may have announced itself anew. No flood of tokens can push a departure out.
+        tokens = Bridge(lambda s: self._peers.on_token(s.key, s.alive), _MAX_TOKENS, newest_per_key=2)
         # Clones speak on one key, and each must be heard.
         messages = Bridge(
             lambda s: self._peers.on_message(s.key, s.payload, s.arrived),
