@@ -37,6 +37,9 @@ HELD_LOG_ODDS = math.log(1e3)  # of an ID that was given: how rarely a track jum
 HIDDEN_LOG_ODDS = math.log(3.0)  # of one whose track met another, or came back from where it was not seen
 HIDDEN_S = 0.25  # s without a detection: no longer a miss
 MEETING_PX = 10.0  # between two boxes, so near that one of them may take the other's detections
+OFF_CENTRE = (
+    0.15  # of a box's side: between its middle and the drone's, one sigma; half hidden drones count, too
+)
 LIKELY = 0.01  # of a candidate that is worth a question
 FORGET_S = 30.0  # s after which it does not matter where somebody was last seen
 NAMELESS_S = 1.0  # s that a track is nameless before its candidates are asked for their poses
@@ -285,8 +288,7 @@ class Identities:
             self._given[tracks[row].id] = Given(drone, 1.0)
 
     def _give_by_posterior(self, tracks: Sequence[Track], predicted: Predictions, t: float) -> None:
-        mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
-        cov = np.array([track.cov for track in tracks]).reshape(-1, 4, 4)
+        mean, cov = _of_bodies(tracks)
         self._evidence.add(t, [track.id for track in tracks], predicted.key, residuals(mean, cov, predicted))
         if not tracks:
             return
@@ -322,8 +324,8 @@ class Identities:
             given.settle(given.probability)  # whom the camera cannot see, it cannot judge
             return True
         p = candidates.get(given.drone_id, 0.0)
-        sure = 0.5 if given.held == HELD_LOG_ODDS else self._parameters.probability
-        if p >= sure:
+        has_rival = any(q > LIKELY for drone, q in candidates.items() if drone != given.drone_id)
+        if p >= (self._parameters.probability if has_rival or given.held < HELD_LOG_ODDS else 0.5):
             given.settle(p)
             self._questions.answered(given.drone_id)
             return True
@@ -368,6 +370,16 @@ class Identities:
         for drone, p in candidates.items():
             if p > LIKELY and t - self._announced[drone].t > NAMELESS_S:
                 self._questions.ask(drone, t)
+
+
+def _of_bodies(tracks: Sequence[Track]) -> tuple[Array, Array]:
+    """Means (n, 4) and covariances (n, 4, 4) of the drones' bodies, which are not quite in the middle of their
+    boxes."""
+    mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
+    cov = np.array([track.cov for track in tracks]).reshape(-1, 4, 4)
+    size = np.nan_to_num([track.size for track in tracks], nan=0.0).reshape(-1, 2)
+    cov[:, [0, 2], [0, 2]] += (OFF_CENTRE * size) ** 2
+    return mean, cov
 
 
 def _meet(one: Track, other: Track) -> bool:
