@@ -214,7 +214,7 @@ async def test_a_link_lost_and_found_within_a_moment_does_not_look_as_if_it_had_
         for alive in moment:
             bridge.put(Sample("alive/2/0000000b", b"", alive, 0.0))
         async with asyncio.timeout(PATIENCE):
-            while len(told) < expected:
+            while len(told) < expected:  # noqa: ASYNC110
                 await asyncio.sleep(0)
     arrived, departed = PeerArrived(2, "0000000b"), PeerDeparted(2, "0000000b")
     assert told == [arrived, departed, arrived, departed, arrived]
