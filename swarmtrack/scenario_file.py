@@ -142,7 +142,7 @@ class LanesSection(Section):
     lanes_a_side: Count = Field(default=2, description="one behind the other")
     spacing_m: Annotated[Number, Field(ge=1.5)] = Field(default=2.5, description="within a lane, m")
     heights_m: Heights = Field(
-        default=(3.0,), description="of the lanes of a side above the ground, in turn, m"
+        default=(5.0,), description="of the lanes of a side above the ground, in turn, m"
     )
 
 
@@ -227,7 +227,7 @@ class DroneSection(Section):
     swing: OwnSwingSection | None = Field(default=None, description="about its heading")
     flight: OscillationSection | None = Field(default=None, description="after the hover, without end")
     waypoints: tuple[WaypointSection, ...] = Field(
-        default=(), description="instead of a hover and a flight: from rest at the first to rest at the last"
+        default=(), description="instead of flight: from rest at the first of them to rest at the last"
     )
 
     @model_validator(mode="after")

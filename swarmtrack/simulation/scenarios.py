@@ -196,11 +196,11 @@ class Station(NamedTuple):
 def ring(n: int, *, radius_m: float, spacing_m: float, heights_m: Sequence[float]) -> list[Station]:
     """n stations about the origin, `spacing_m` along the circle or more, at the heights in turn.
 
-    Four make a rhombus with the sides of the triangle of that radius. In a square, a camera of 73° would show each
-    drone only its opposite and one neighbour, so 8 of the 12 pairs; here it is 10.
+    Four make a rhombus of two equilateral triangles. In a square, a camera of 73° would show each drone only
+    its opposite and one neighbour, so 8 of the 12 pairs; here it is 10.
     """
     radius = max(radius_m, n * spacing_m / (2.0 * math.pi))
-    along, across = (1.5 * radius, 0.75**0.5 * radius) if n == 4 else (radius, radius)
+    along, across = (1.3 * radius, 0.75 * radius) if n == 4 else (radius, radius)
     angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
     return [
         Station(np.array([along * math.cos(a), across * math.sin(a), -heights_m[k % len(heights_m)]]))
