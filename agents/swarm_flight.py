@@ -36,7 +36,8 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 # s of lead before world time 0, generous: hovering a little longer costs nothing.
 SIMULATOR_START_S = 3.0
 AGENT_START_CPU_S = {"onnx": 1.6, "oracle": 1.2}
-RECOGNISE_S = 1.5
+RECOGNISE_S = 2.5
+RADIO_LINKS_S = 6.0  # through a bad radio, a connection takes several attempts
 SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
 START_PATIENCE_S = 8.0  # that one agent may hold up the next ones' start
 SHOW_HZ = 4.0
@@ -101,7 +102,8 @@ class _Flight:
         self._cores = len(os.sched_getaffinity(0))
         starters = [drone_id for drone_id in scenario.members if scenario.starts_s.get(drone_id, 0.0) <= 0.0]
         starting = len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
-        self._epoch = self._clock.now() + SIMULATOR_START_S + starting + RECOGNISE_S
+        lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if air is not None else 0.0)
+        self._epoch = self._clock.now() + lead
         self._watch = Watch(scenario, self._clock, epoch=self._epoch, seconds=self._seconds)
         self._configs: Mapping[int, Path] = {}
         self._agents: dict[int, Child] = {}

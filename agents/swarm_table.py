@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Sequence
 from typing import Protocol
 
-from rich.box import SIMPLE
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -17,6 +17,7 @@ from swarmtrack.codec import HealthMessage
 from swarmtrack.evaluation.swarm_score import Seen, SwarmScore
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.messages import FOREIGN, Identity
+from swarmtrack.simulation.scenarios import Fault
 
 LARGE_TEAM = 8  # from here on a line has no room for everybody
 LAG_WORTH_A_WORD = 2.0  # s by which judging may be behind
@@ -105,7 +106,7 @@ def flight_table(watch: Watch, title: str) -> Table:
 
 def _state(agent: AgentView, team: Collection[int]) -> Text:
     if agent.boot is None:
-        return Text("not running", style="dim")
+        return Text("no agent yet" if agent.health == [] else "no agent now", style="dim")
     if math.isnan(agent.first_tracks_t):
         return Text("starting", style="dim")
     return sightings(agent.seen, team)
@@ -157,10 +158,18 @@ def team_line(watch: Watch) -> Text:
     score = watch.scorer.score()
     text = Text(f"{watch.t:6.1f} s  {_identity_figures(score)}")
     judged = [agent.judged_t for agent in watch.agents.values() if agent.boot is not None]
+    for fault in watch.faults:
+        text.append(f"   {describe_fault(fault)}", style="bold yellow")
     behind = watch.t - min((t for t in judged if not math.isnan(t)), default=watch.t)
     if behind > LAG_WORTH_A_WORD and watch.waiting:
         text.append(f"   (as of {behind:.0f} s ago: the rest is judged after landing)", style="dim")
     return text
+
+
+def describe_fault(fault: Fault) -> str:
+    """Kind, whose, how much."""
+    whose = f" of {', '.join(map(str, fault.drones))}" if fault.drones else ""
+    return f"{fault.kind}{whose}{f' {fault.value:g}' if fault.value else ''}"
 
 
 def _identity_figures(score: SwarmScore) -> str:
@@ -179,7 +188,7 @@ def agents_table(report: SwarmReport) -> Table:
     table = _table("agents")
     table.caption = (
         "named: until it named everyone it saw; delay: from a frame's exposure to its tracks on the network, "
-        "median … 95th percentile; bytes: of its announcement"
+        "median…95th percentile; bytes: of its announcement"
     )
     table.caption_justify = "left"
     for heading in (
@@ -195,7 +204,7 @@ def agents_table(report: SwarmReport) -> Table:
             number(agent.track_rate_hz, 1),
             number(agent.imu_rate_hz, 1),
             number(agent.detection_rate_hz, 1),
-            f"{number(1e3 * agent.latency_p50_s, 0)} … {number(1e3 * agent.latency_p95_s, 0)}",
+            f"{number(1e3 * agent.latency_p50_s, 0)}…{number(1e3 * agent.latency_p95_s, 0)}",
             number(agent.cpu_percent, 0),
             number(agent.rss_mb, 0),
             "–" if agent.announcement_bytes is None else str(agent.announcement_bytes),
@@ -225,7 +234,14 @@ def team_table(report: SwarmReport) -> Table:
 
 
 def _table(title: str) -> Table:
-    return Table(title=title, title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
+    return Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
 
 
 def share(value: float) -> str:

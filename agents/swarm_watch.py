@@ -21,13 +21,13 @@ from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, Seen,
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.evaluation.swarm_verdict import AgentFigures
 from swarmtrack.runtime.clock import Clock
-from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.simulation.scenarios import Fault, Scenario
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.zenoh_bridge import Sample
 
 JUDGING_SHARE = 0.15  # of one core, in flight
-SETTLED_S = 1.0  # s of world time: the second that a health message looks back upon is one of flight
+SETTLED_S = 3.0  # s of an agent's life: the second that its health message looks back upon is an ordinary one
 NEW_SCAN_S = 1e-3  # s: exposures nearer to each other than this are one
 
 
@@ -82,6 +82,12 @@ class Watch:
     def t(self) -> float:
         """World time now [s]."""
         return self._clock.now() - self._epoch
+
+    @property
+    def faults(self) -> list[Fault]:
+        """What is going wrong by plan; a moment is shown for a second."""
+        t = self.t
+        return [f for f in self._scenario.faults if f.at_s <= t < f.at_s + max(f.seconds, 1.0)]
 
     # --- hearing ------------------------------------------------------------------------
 
@@ -241,7 +247,9 @@ class Watch:
         return tuple(self._figures(drone_id, agent) for drone_id, agent in self.agents.items())
 
     def _figures(self, drone_id: int, agent: AgentView) -> AgentFigures:
-        health = [message for t, message in agent.health if t >= SETTLED_S] or [m for _, m in agent.health]
+        health = [message for t, message in agent.health if t >= 1.0 and message.uptime_s >= SETTLED_S] or [
+            message for _, message in agent.health
+        ]
         p50, p95 = np.percentile(agent.latencies, [50, 95]) if agent.latencies else (math.nan, math.nan)
 
         def rate(name: str) -> float:

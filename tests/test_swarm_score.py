@@ -69,6 +69,15 @@ def test_a_name_of_another_and_foreign_are_wrong_no_name_and_no_track_are_unknow
     assert (score.samples, score.wrong, score.unknown, score.correct) == (10, 0.3, 0.5, 0.2)
 
 
+def test_foreign_is_no_wrong_name_for_whom_the_observer_cannot_know_yet():
+    flight = Flight()
+    flight.scorer.knows(1, "a", 2, 2.0)
+    flight.show(0, 30, {2: LEFT}, (track(7, "foreign", *LEFT),))
+    assert (flight.score.unknown, flight.score.wrong) == (1.0, 0.0)
+    flight.show(30, 50, {2: LEFT}, (track(7, "foreign", *LEFT),))
+    assert flight.score.wrong == 0.5
+
+
 def test_an_observer_that_says_nothing_is_at_a_loss_about_everyone_in_view():
     flight = Flight()
     flight.show(0, 20, {2: LEFT, 3: RIGHT}, None)

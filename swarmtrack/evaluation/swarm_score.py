@@ -11,8 +11,9 @@ Counted are the glances of [start, end) s, and in them every drone from `GRACE` 
 starts that second again, and so do a new life of the observer's process and, for a teammate, its announcement.
 
 * correct, wrong, unknown: of those (observer, drone in view, glance). *Wrong* is another ID, "foreign", or the ID on a
-  track that is nobody while its drone is in view; *unknown* is a track without a name, or no track. A stranger that
-  is tracked and not called by a team's ID is correct; one that is not tracked is no statement and not counted.
+  track that is nobody while its drone is in view; *unknown* is a track without a name, or no track. "Foreign" is a name
+  only from `GRACE` after the observer had the drone's announcement: before, "none that I know of" is all it can say.
+  A stranger that is tracked and not called by a team's ID is correct; one that is not tracked is not counted.
 * agreement: of the (instant, drone) about which two observers or more state a name, those where all names are one.
   "Unknown" is no name: it contradicts nobody, and has its price in `correct` already. NaN where nobody could compare.
 * time to identify, of an observer: the longest, over the teammates it saw, from the later of "first in view" and
@@ -186,7 +187,8 @@ class SwarmScorer:
             switched = acquaintance.follow(track)
             if counted and self._is_due(drone_id, acquaintance, glance.t):
                 self._switches += switched
-                self._count(glance, drone_id, box, track, drone_id in ghosts)
+                named = self._as_heard(life, drone_id, track, glance.t)
+                self._count(glance, drone_id, box, named, drone_id in ghosts)
         return _seen(glance, tracks, pairs)
 
     def score(self) -> SwarmScore:
@@ -218,6 +220,14 @@ class SwarmScorer:
         if drone_id in self._members:
             since = max(since, self._announced.get(drone_id, math.inf))
         return t - since >= GRACE
+
+    def _as_heard(
+        self, life: tuple[int, str], drone_id: int, track: NamedTrack | None, t: float
+    ) -> NamedTrack | None:
+        """The track, without the "foreign" that an observer says of whom it cannot know yet."""
+        if track is None or track.identity != FOREIGN or drone_id not in self._members:
+            return track
+        return track if t - self._known_at(life, drone_id) >= GRACE else track._replace(identity=None)
 
     def _count(
         self, glance: Glance, drone_id: int, box: Array, track: NamedTrack | None, ghost: bool
