@@ -553,6 +553,7 @@ def tell_time(clock: SenderClock, sent_utc: float, arrived: float) -> float:
     return at.t
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(0.0, 4.0), min_size=1, max_size=40), st.floats(-1e6, 1e6))
 def test_the_quickest_message_tells_how_far_a_clock_is_off(ways: list[float], ahead: float) -> None:
     """A pose is never dated before it held, nor later than it is by the quickest message's way."""
