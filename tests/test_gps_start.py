@@ -99,15 +99,16 @@ async def test_a_position_that_is_not_to_be_trusted_is_none_and_the_reason_is_na
         assert flight.unit.status().ok
 
 
-async def test_a_receiver_that_falls_silent_is_not_believed_for_long():
+@pytest.mark.parametrize("silent", ["GPS_RAW_INT", "GLOBAL_POSITION_INT"])
+async def test_what_falls_silent_is_not_believed_for_long_and_is_named(silent):
     autopilot = FakeAutopilot()
     autopilot.gps = at(1.0, 2.0, 3.0)
     async with Flight(autopilot, gps=GlobalPosition(ORIGIN)) as flight:
         flight.fly(2.0)
-        autopilot.set_interval(common.MAVLINK_MSG_ID_GPS_RAW_INT, -1, flight.clock.now())
+        autopilot.set_interval(getattr(common, f"MAVLINK_MSG_ID_{silent}"), -1, flight.clock.now())
         autopilot.offered = ()
         flight.fly(5.0)
-        assert "GPS_RAW_INT has stopped" in flight.text
+        assert f"no {silent} comes" in flight.text
         assert positions(flight)[-1].t < flight.clock.now() - 1.0
 
 

@@ -66,7 +66,7 @@ class Diagnosis:
         contact, telemetry, address = self._contact, self._telemetry, self._link.address
         if self.state is State.STALE or contact.down == OPENING:
             return  # a hiccup until it is called lost; nothing to say until the first attempt is over
-        if self.state is State.STREAMING and not telemetry.lack:
+        if self.state is State.STREAMING and not telemetry.lack(now):
             if self._trouble and telemetry.imu_rate_hz:  # the line tells the rate, so wait until it is known
                 self._trouble = ""
                 text = self._sentence(now)[1]
@@ -108,8 +108,8 @@ class Diagnosis:
                 return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
             case State.STALE:
                 return "stale", f"no IMU sample for {now - telemetry.imu_at:.1f} s"
-            case State.STREAMING if telemetry.lack:
-                return "no position", f"{self._imu_text()}, but no position: {telemetry.lack}"
+            case State.STREAMING if lack := telemetry.lack(now):
+                return "no position", f"{self._imu_text()}, but no position: {lack}"
             case State.STREAMING:
                 return "streaming", self._imu_text()
 
@@ -161,5 +161,5 @@ class Diagnosis:
                 "signed_old": codec.signed_old,
                 "unsigned": codec.unsigned,
             }
-        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self._telemetry.lack)
+        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self._telemetry.lack(now))
         return LinkStatus("autopilot", ok, text, tuple(counters.items()))

@@ -8,6 +8,8 @@ grid is nothing, beside an origin taken for another the whole frame is.
 Whether to believe it is told by GPS_RAW_INT: both autopilots go on sending positions without a fix, ArduPilot at
 0° N 0° E. Its `h_acc` and `v_acc` are the receiver's own standard deviations. Much of that error is the same for all
 drones of one field and cancels between them, so the user may state a smaller one.
+
+Attitude and velocity stay with the drone's own north, which 10 km from the origin, at 45° N, is 0.1° from the team's.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ USUAL_SIGMA = 1.5  # m per axis of a receiver that does not say: open sky, no co
 WORST_SIGMA = 5.0  # m: what ArduPilot's estimator asks of a receiver before it uses it
 FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
 FIX_AGE = 3.0  # s that a fix is believed: PX4 tells of a receiver that went once a second
+UNKNOWN = 255  # satellites
 FARTHEST = 100e3  # m from the team's origin: one of the two is wrong
 
 
@@ -32,48 +35,46 @@ class GlobalPosition:
     """Told of GPS_RAW_INT and GLOBAL_POSITION_INT.
 
     origin: of the team frame, height above mean sea level; stated_sigma: m per axis, instead of what the receiver says.
-    lack: why there is no position, in a few words; empty while there is one.
     """
 
     def __init__(self, origin: Geodetic, stated_sigma: float | None = None) -> None:
-        self.lack = "no GPS_RAW_INT yet"
         self.sigma = stated_sigma or USUAL_SIGMA
         self._origin = origin
         self._stated_sigma = stated_sigma
-        self._fix_at = -math.inf
-        self._fix_lack = self.lack
+        self._fix_at = self._told_at = -math.inf
+        self._fix_lack = self._place_lack = ""
+
+    def lack(self, now: float) -> str:
+        """Why there is no position, in a few words; empty while there is one."""
+        if now - self._fix_at > FIX_AGE:
+            return "no GPS_RAW_INT comes"
+        if self._fix_lack:
+            return self._fix_lack
+        return "no GLOBAL_POSITION_INT comes" if now - self._told_at > FIX_AGE else self._place_lack
 
     def on_fix(self, t: float, m: Any) -> None:
         """GPS_RAW_INT has come at t [s]."""
         accuracy = 1e-3 * max(m.h_acc, m.v_acc)  # 0: not told, by an old firmware
         self._fix_at = t
+        self._fix_lack = ""
         if m.fix_type < FIX_3D:
-            seen = "" if m.satellites_visible == 255 else f" with {m.satellites_visible} satellites"
+            seen = "" if m.satellites_visible == UNKNOWN else f" with {m.satellites_visible} satellites"
             self._fix_lack = f"GPS fix {m.fix_type}{seen}, expected a 3D fix (3 or more)"
         elif accuracy > WORST_SIGMA:
             self._fix_lack = f"GPS ±{accuracy:.1f} m, expected ±{WORST_SIGMA:g} m or better"
         else:
-            self._fix_lack = ""
             self.sigma = self._stated_sigma or accuracy or USUAL_SIGMA
-        if self._fix_lack:
-            self.lack = self._fix_lack
 
     def place(self, t: float, m: Any) -> tuple[Array, Array] | None:
         """Position (3,) m and velocity (3,) m/s, north, east, down, by GLOBAL_POSITION_INT that came at t; or None."""
-        if t - self._fix_at > FIX_AGE and not self._fix_lack:
-            self._fix_lack = "GPS_RAW_INT has stopped"
-        self.lack = self._fix_lack
-        if self.lack:
-            return None
-        if m.lat == m.lon == 0:
-            self.lack = "the estimator has no position yet (0° N 0° E)"
-            return None
         place = Geodetic.from_degrees(1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
         position = to_ned(place, self._origin)
         away = float(np.linalg.norm(position))
-        if not away < FARTHEST:
-            self.lack = (
-                f"{away * 1e-3:.0f} km from the team's origin, expected at most {FARTHEST * 1e-3:.0f} km"
-            )
-            return None
-        return position, 1e-2 * np.array((m.vx, m.vy, m.vz))
+        self._told_at = t
+        self._place_lack = ""
+        if m.lat == m.lon == 0:
+            self._place_lack = "the estimator has no position yet (0° N 0° E)"
+        elif away > FARTHEST:
+            expected = f"expected at most {FARTHEST * 1e-3:.0f} km"
+            self._place_lack = f"{away * 1e-3:.0f} km from the team's origin, {expected}"
+        return None if self.lack(t) else (position, 1e-2 * np.array((m.vx, m.vy, m.vz)))

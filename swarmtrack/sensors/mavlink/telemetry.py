@@ -103,10 +103,9 @@ class Telemetry:
         """The message that the samples come from."""
         return IMU_MESSAGES[self._imu_rank or 0]
 
-    @property
-    def lack(self) -> str:
-        """Why there is no position although one is needed; empty otherwise."""
-        return "" if self._gps is None else self._gps.lack
+    def lack(self, now: float) -> str:
+        """Why there is no position although a start by GPS needs one; empty otherwise."""
+        return "" if self._gps is None else self._gps.lack(now)
 
     @property
     def counters(self) -> dict[str, float]:
