@@ -143,7 +143,7 @@ def test_the_gyro_keeps_a_turning_observer_s_tracks_where_the_drones_are(tmp_pat
 
 
 def test_a_seed_flies_the_same_flight_bit_for_bit():
-    experiment = rotating_observer.Experiment(ends_s=rotating_observer.HOVER + 1.5)
+    experiment = rotating_observer.Experiment(ends_s=rotating_observer.HOVER_S + 1.5)
     first, second = (rotating_observer.fly(experiment, 3, "kalman", {}) for _ in range(2))
     for name in rotating_observer.CONDITIONS:
         assert np.array_equal(first[name].error, second[name].error, equal_nan=True)

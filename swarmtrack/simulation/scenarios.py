@@ -268,6 +268,13 @@ class Sway:
     amplitude_m: tuple[float, float, float]
     period_s: tuple[float, float]
 
+    def path(self, world: World, drone_id: int, station: Station) -> Path:
+        chance = world.chance("sway", drone_id)
+        frequencies = 1.0 / chance.uniform(*self.period_s, 3)
+        return Lissajous(
+            station.position, self.amplitude_m, frequencies, chance.uniform(0.0, 2.0 * math.pi, 3)
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Weave:
@@ -279,6 +286,12 @@ class Weave:
     reach_m: float
     period_s: tuple[float, float]
 
+    def path(self, world: World, drone_id: int, station: Station) -> Path:
+        chance = world.chance("weave", station.side)
+        frequency = 1.0 / chance.uniform(*self.period_s)
+        phase = chance.uniform(0.0, 2.0 * math.pi) + station.phase
+        return Lissajous(station.position, (0.0, self.reach_m, 0.0), (0.0, frequency, 0.0), (0.0, phase, 0.0))
+
 
 @dataclass(frozen=True, slots=True)
 class Swing:
@@ -286,6 +299,11 @@ class Swing:
 
     peak_rad_s: float
     period_s: tuple[float, float]
+
+    def view(self, world: World, drone_id: int, heading: float, departs_s: float) -> YawProfile:
+        chance = world.chance("swing", drone_id)
+        period = chance.uniform(*self.period_s)
+        return SwingingYaw(heading, self.peak_rad_s, period, departs_s + chance.uniform(0.0, period))
 
 
 def form_up(
@@ -303,34 +321,13 @@ def form_up(
     for drone_id, station in stations.items():
         others = [other.position for key, other in stations.items() if key != drone_id]
         target = best_view(station.position, others, view)
-        departs = departs_s[drone_id]
-        path: Path | None = None
-        profile: YawProfile = SteadyYaw(_heading(station.position, target))
-        match flight:
-            case Sway(amplitude, period):
-                chance = world.chance("sway", drone_id)
-                frequencies = 1.0 / chance.uniform(*period, 3)
-                path = Lissajous(
-                    station.position, amplitude, frequencies, chance.uniform(0.0, 2.0 * math.pi, 3)
-                )
-            case Weave(reach, period):
-                chance = world.chance("weave", station.side)
-                frequency = 1.0 / chance.uniform(*period)
-                phase = chance.uniform(0.0, 2.0 * math.pi) + station.phase
-                path = Lissajous(
-                    station.position, (0.0, reach, 0.0), (0.0, frequency, 0.0), (0.0, phase, 0.0)
-                )
-                profile = Facing(target)
+        north, east, _ = target - station.position
+        heading = math.atan2(east, north)
         if swing is not None:
-            chance = world.chance("swing", drone_id)
-            period_s = chance.uniform(*swing.period_s)
-            begins = departs + chance.uniform(0.0, period_s)
-            profile = SwingingYaw(_heading(station.position, target), swing.peak_rad_s, period_s, begins)
-        plans[drone_id] = Plan(station.position, profile, path, departs)
+            profile = swing.view(world, drone_id, heading, departs_s[drone_id])
+        else:
+            # Who leaves its station by metres keeps the others in view by looking at a point among them.
+            profile = Facing(target) if isinstance(flight, Weave) else SteadyYaw(heading)
+        path = flight.path(world, drone_id, station) if flight is not None else None
+        plans[drone_id] = Plan(station.position, profile, path, departs_s[drone_id])
     return plans
-
-
-def _heading(eye: Array, target: Array) -> float:
-    """Rad from north."""
-    north, east, _ = target - eye
-    return math.atan2(east, north)
