@@ -130,8 +130,8 @@ def _miss_of_rays(
 ) -> tuple[float, float]:
     """How far apart two rays pass, both looked along from their observers: metres, squared Mahalanobis distance.
 
-    The point that both see is taken halfway between the rays at their closest, at least `NEAREST` ahead of each
-    observer and at most `FARTHEST`: rays that are nearly parallel meet far off, within their errors.
+    They pass closest at `NEAREST` ahead of each observer or more, and at `FARTHEST` or less. Rays that errors turned
+    apart pass closest right there and may yet be to one drone far off, so that is tried as well.
     """
     between = report.position - view.position
     cosine = float(ours.direction @ theirs.direction)
@@ -139,11 +139,17 @@ def _miss_of_rays(
     sine2 = max(1.0 - cosine**2, 1e-9)
     s = min(max((a - cosine * b) / sine2, NEAREST), FARTHEST)
     r = min(max((cosine * a - b) / sine2, NEAREST), FARTHEST)
-    on_ours, on_theirs = view.position + s * ours.direction, report.position + r * theirs.direction
-    middle = 0.5 * (on_ours + on_theirs)
-    _, by_ours = _off_axis(ours, middle - view.position, s, math.hypot(view.position_sigma, moved))
-    _, by_theirs = _off_axis(theirs, middle - report.position, r, report.position_sigma)
-    return float(np.linalg.norm(on_ours - on_theirs)), by_ours + by_theirs
+
+    def miss_at(s: float, r: float) -> tuple[float, float]:
+        """s [m] along our ray and r along theirs, if both see what is halfway between."""
+        on_ours, on_theirs = view.position + s * ours.direction, report.position + r * theirs.direction
+        middle = 0.5 * (on_ours + on_theirs)
+        _, by_ours = _off_axis(ours, middle - view.position, s, math.hypot(view.position_sigma, moved))
+        _, by_theirs = _off_axis(theirs, middle - report.position, r, report.position_sigma)
+        return float(np.linalg.norm(on_ours - on_theirs)), by_ours + by_theirs
+
+    miss, distance = miss_at(s, r)
+    return miss, min(distance, miss_at(FARTHEST, FARTHEST)[1])
 
 
 def _off_axis(ray: Sighting, towards: Array, length: float, place: float) -> tuple[float, float]:
