@@ -43,6 +43,7 @@ p_detection = 1.0
 centre_sigma = 0.0
 size_sigma = 0.0
 clutter_per_frame = 0.0
+p_merged = 0.0
 [formation]
 drones = 3
 ring = { radius_m = 2.9, heights_m = [3.0, 3.5] }

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from itertools import compress
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Detections, EgoPose, ImuSample
+from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.trajectory import Motion
 from swarmtrack.simulation.world import World
 
@@ -94,15 +97,21 @@ def ego_pose(world: World, drone_id: int, index: int, parameters: EgoParameters)
     )
 
 
+@cache
+def _outline(airframe: Airframe) -> Array:
+    return airframe.outline()
+
+
 class Instant:
     """Where all drones of a world are at one time; what each of them sees then is asked of it."""
 
     def __init__(self, world: World, t: float) -> None:
         self._ids = list(world.drones)
         self._poses = [world.pose(drone_id, t) for drone_id in self._ids]
+        self._positions = np.stack([pose.position for pose in self._poses])
         self._outlines = np.stack(
             [
-                pose.transform(world.airframe(drone_id).outline())
+                pose.transform(_outline(world.airframe(drone_id)))
                 for drone_id, pose in zip(self._ids, self._poses, strict=True)
             ]
         )  # (n, points, 3) m in the world
@@ -118,9 +127,9 @@ class Instant:
         ahead[observer] = False
         low, high = pixels.min(axis=1), pixels.max(axis=1)
         boxes = np.concatenate([(low + high) / 2.0, high - low], axis=1)
-        distances = np.array([np.linalg.norm(p.position - world_from_camera.position) for p in self._poses])
-        nearest_first = sorted(np.flatnonzero(ahead), key=lambda n: (distances[n], self._ids[n]))
-        return {self._ids[n]: boxes[n] for n in nearest_first}
+        distances = np.linalg.norm(self._positions - world_from_camera.position, axis=1)
+        nearest_first = np.lexsort((self._ids, distances))
+        return {self._ids[n]: boxes[n] for n in nearest_first[ahead[nearest_first]]}
 
     def visible(self, drone_id: int, camera: PinholeCamera, body_from_camera: Pose) -> dict[int, Array]:
         """Of these the ones that `drone_id` can see.
@@ -139,11 +148,10 @@ def visible(
 
 def shown(boxes: Mapping[int, Array], camera: PinholeCamera) -> dict[int, Array]:
     """Of all boxes (4,) [u, v, w, h] px ahead of a camera, nearest first, those of `visible`."""
+    table = np.array(list(boxes.values())).reshape(-1, 4)
     beyond = (camera.width - 0.5, camera.height - 0.5)
-    inside = {n: box for n, box in boxes.items() if (box[:2] >= -0.5).all() and (box[:2] < beyond).all()}
-    if not inside:
-        return {}
-    ids, table = list(inside), np.stack(list(inside.values()))
+    inside = np.asarray(((table[:, :2] >= -0.5) & (table[:, :2] < beyond)).all(axis=1))
+    ids, table = list(compress(boxes, inside.tolist())), table[inside]
     hides = _coverage(table) >= OCCLUDED
     seen: list[int] = []
     for n in range(len(ids)):
@@ -221,6 +229,8 @@ def _merged(boxes: Array, p_merged: float, rng: np.random.Generator) -> Array:
     for farther in np.flatnonzero(covered.any(axis=1)):
         if rng.random() < p_merged:
             group[farther] = group[covered[farther].argmax()]
+    if (group == np.arange(len(boxes))).all():
+        return boxes
     low, high = boxes[:, :2] - boxes[:, 2:] / 2.0, boxes[:, :2] + boxes[:, 2:] / 2.0
     around = [(low[group == g].min(axis=0), high[group == g].max(axis=0)) for g in np.unique(group)]
     return np.array([[*(a + b) / 2.0, *(b - a)] for a, b in around]).reshape(-1, 4)
