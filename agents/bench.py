@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     clients = names.add_parser("clients", help="how long until everybody knows everybody, to 100 drones")
     flood = names.add_parser("flood", help="a member that floods, and the others")
     identity = names.add_parser("identity", help="who is who from one look: the paper's rule and ours")
-    for name in (agent, clips, rotation, clients, flood, identity):
+    swarm = names.add_parser("swarm", help="whole local swarms: who knows whom, and at what cost")
+    for name in (agent, clips, rotation, clients, flood, identity, swarm):
         name.add_argument(
             "--out",
             type=Path,
@@ -110,6 +111,12 @@ def _identity(args: argparse.Namespace) -> None:
     identity_layouts.run(args.out, layouts=layouts)
 
 
+def _swarm(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import swarm_runs
+
+    swarm_runs.run(args.out, tracker=args.tracker, programme=swarm_runs.QUICK if args.quick else None)
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
     "clients": _clients,
@@ -117,4 +124,5 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "flood": _flood,
     "identity": _identity,
     "rotation": _rotation,
+    "swarm": _swarm,
 }

@@ -38,10 +38,15 @@ def write_configs(
     team: str,
     tracker: str,
     sources: Mapping[int, Sources],
+    simulator: str,
     radio: Mapping[int, RadioEnds] | None = None,
 ) -> dict[int, Path]:
-    """team.toml and drone-N.toml; returns each drone's file. radio: None for a swarm on this machine's loopback."""
-    (folder / "team.toml").write_text(_team_file(scenario, team, tracker), encoding="utf-8")
+    """team.toml and drone-N.toml; returns each drone's file.
+
+    simulator: the command of a simulator for them, for whoever reads them later. radio: None for a swarm on this
+    machine's loopback.
+    """
+    (folder / "team.toml").write_text(_team_file(scenario, team, tracker, simulator), encoding="utf-8")
     files = {}
     for drone_id in scenario.members:
         files[drone_id] = folder / f"drone-{drone_id}.toml"
@@ -50,9 +55,15 @@ def write_configs(
     return files
 
 
-def _team_file(scenario: Scenario, team: str, tracker: str) -> str:
+def _team_file(scenario: Scenario, team: str, tracker: str, simulator: str) -> str:
     return f"""\
 # What all drones of this swarm share. A drone's own file begins with: extends = "team.toml"
+#
+# To fly again by hand, start
+#     {simulator}
+# and put the addresses that it prints into camera.source and autopilot.link of each drone's file; then, for each,
+#     swarmtrack-agent --config drone-1.toml
+# and `swarmtrack echo 'tracks/*' --team {team}` hears them.
 
 [network]
 team = {_text(team)}

@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import secrets
+import shlex
 import signal
 import sys
 import tempfile
@@ -116,6 +117,7 @@ class _Flight:
             team=self._team,
             tracker=self._plan.tracker,
             sources=sources,
+            simulator=shlex.join(["python", *self._simulator_arguments()]),
             radio=self._radio_ends(),
         )
         listener = ZenohListener(self._listening(), keys.key(self._team, "**"))
@@ -145,13 +147,7 @@ class _Flight:
 
     async def _start_simulator(self) -> dict[int, Sources]:
         self._spectator.note("starting the simulator …")
-        argv = [
-            *(sys.executable, "-m", "swarmtrack.agents.simulator"),
-            *("--scenario", self._plan.scenario, "--seed", str(self._plan.seed)),
-            *("--epoch", repr(self._epoch), "--detector", self._plan.detector),
-        ]
-        if self._plan.drones is not None:
-            argv += ["--drones", str(self._plan.drones)]
+        argv = [sys.executable, *self._simulator_arguments(), "--epoch", repr(self._epoch)]
         if self._air is not None:
             argv += ["--host", self._air.wire_address]
         simulator = await self._children.start("simulator", argv, talks=True)
@@ -167,6 +163,14 @@ class _Flight:
             int(drone_id): Sources(addresses["camera"], addresses["autopilot"])
             for drone_id, addresses in ready["drones"].items()
         }
+
+    def _simulator_arguments(self) -> list[str]:
+        """What decides what is flown."""
+        plan = self._plan
+        arguments = ["--scenario", plan.scenario, "--seed", str(plan.seed), "--detector", plan.detector]
+        if plan.drones is not None:
+            arguments += ["--drones", str(plan.drones)]
+        return ["-m", "swarmtrack.agents.simulator", *arguments]
 
     def _radio_ends(self) -> dict[int, RadioEnds] | None:
         """Each listens on its radio, and on its cable for us; it dials the radios of lower IDs."""

@@ -104,7 +104,7 @@ def test_the_configs_say_what_the_scenario_says(tmp_path):
     sources = {
         d: Sources(f"detections://127.0.0.1:9/{d}", f"udpout:127.0.0.1:{5000 + d}") for d in scenario.members
     }
-    files = write_configs(tmp_path, scenario, team="blue", tracker="kalman", sources=sources)
+    files = write_configs(tmp_path, scenario, team="blue", tracker="kalman", sources=sources, simulator="…")
     assert set(files) == set(scenario.members)
     config = load_config(files[17])
     mounted = mount_camera(config.camera)
@@ -123,7 +123,9 @@ def test_with_a_radio_the_configs_name_its_ends(tmp_path):
     scenario = load_scenario("hover-triangle", drones=2)
     ends = {d: RadioEnds((f"tcp/198.18.0.{d}:7447",), ("tcp/198.18.0.1:7447",)[: d - 1]) for d in (1, 2)}
     sources = dict.fromkeys((1, 2), Sources("http://127.0.0.1:9/1", "udpout:127.0.0.1:5000"))
-    files = write_configs(tmp_path, scenario, team="blue", tracker="kalman", sources=sources, radio=ends)
+    files = write_configs(
+        tmp_path, scenario, team="blue", tracker="kalman", sources=sources, simulator="…", radio=ends
+    )
     network = load_config(files[2]).network
     assert (network.listen, network.connect) == (ends[2].listen, ends[2].connect)
 

@@ -1,0 +1,204 @@
+"""Whole local swarms, flown and judged as by `swarmtrack sim`: do they know each other, and what does it cost?
+
+Two experiments, every run with real processes, one run after the other because two would share the cores:
+
+* recognition: four drones that cross, hide behind each other and swing their views; many seeds, oracle detector.
+* size: the same scenario and the same rates with 3, 10 and 30 drones: how long from the last agent's start until all
+  have everybody's announcement, and what an agent sends for it, its memory and its share of a core.
+
+    python -m swarmtrack.benchmarks.swarm_runs --out DIR [--seeds 20]
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from swarmtrack.agents.swarm_flight import FlightPlan, fly
+from swarmtrack.agents.swarm_processes import ProcessDied
+from swarmtrack.agents.swarm_table import Silent
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.evaluation.swarm_verdict import SwarmReport
+
+NAME = "swarm"
+MAX_WRONG = 0.001  # of all judged views of a scenario: the claim
+MAX_ALL_KNOWN_S = 5.0  # after the last start: the claim
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Programme:
+    """Which swarms fly, for how long."""
+
+    scenarios: Sequence[str] = ("crossing", "occlusion", "fast-yaw")
+    drones: int = 4
+    seeds: int = 20
+    seconds: float = 20.0
+    size_scenario: str = "thirty"
+    sizes: Sequence[int] = (3, 10, 30)
+    size_seconds: float = 15.0
+
+
+QUICK = Programme(seeds=1, seconds=8.0, sizes=(3, 10), size_seconds=8.0)
+
+
+def run(out: Path, *, tracker: str = "kalman", programme: Programme | None = None) -> dict[str, Any]:
+    """Fly everything, write swarm.json and swarm.md into `out`, and return what is in the JSON."""
+    p = programme or Programme()
+    flights = len(p.scenarios) * p.seeds + len(p.sizes)
+    with report.progress("swarms", flights) as advance:
+        recognition = {
+            name: [
+                _fly(FlightPlan(name, p.drones, p.seconds, seed, tracker, "oracle"), advance)
+                for seed in range(1, p.seeds + 1)
+            ]
+            for name in p.scenarios
+        }
+        sizes = {
+            n: _fly(FlightPlan(p.size_scenario, n, p.size_seconds, 1, tracker, "oracle"), advance)
+            for n in p.sizes
+        }
+    result = {
+        "tracker": tracker,
+        "seconds": p.seconds,
+        "recognition": {name: _recognition(runs) for name, runs in recognition.items()},
+        "sizes": {str(n): _size(one) for n, one in sizes.items()},
+        "runs": [one.as_record() for runs in recognition.values() for one in runs]
+        + [one.as_record() for one in sizes.values()],
+    }
+    report.write(out, NAME, result, _markdown(p, result))
+    return result
+
+
+def _fly(plan: FlightPlan, advance: Callable[[str], None]) -> SwarmReport:
+    try:
+        flight = asyncio.run(fly(plan, Silent()))
+    except ProcessDied as error:
+        raise BenchmarkError(f"{plan.scenario}, seed {plan.seed}: {error}") from error
+    advance(f"{plan.scenario}, seed {plan.seed}")
+    return flight
+
+
+def _recognition(runs: Sequence[SwarmReport]) -> dict[str, Any]:
+    """Shares are of the judged views of all runs together."""
+    scores = [one.score for one in runs]
+    samples = sum(score.samples for score in scores)
+
+    def pooled(name: str) -> float:
+        parts = [getattr(score, name) * score.samples for score in scores if score.samples]
+        return sum(parts) / samples if samples else math.nan
+
+    times = [seconds for score in scores for seconds in score.time_to_identify_s.values()]
+    errors = [rmse for score in scores for rmse in score.rmse_px.values()]
+    agreements = [score.agreement for score in scores if math.isfinite(score.agreement)]
+    return {
+        "runs": len(runs),
+        "passed": sum(one.passed for one in runs),
+        "samples": samples,
+        "correct": pooled("correct"),
+        "wrong": pooled("wrong"),
+        "unknown": pooled("unknown"),
+        "worst_run_wrong": max((score.wrong for score in scores if score.samples), default=math.nan),
+        "worst_run_agreement": min(agreements, default=math.nan),
+        "slowest_to_identify_s": max(times, default=math.nan),
+        "worst_rmse_px": max(errors, default=math.nan),
+        "switches_per_run": sum(score.switches for score in scores) / len(scores),
+        "ok": pooled("wrong") <= MAX_WRONG,
+    }
+
+
+def _size(flight: SwarmReport) -> dict[str, Any]:
+    """Means over the agents."""
+    agents = flight.agents
+    sent = [(agent.announcement_bytes or 0) * agent.announcements_sent for agent in agents]
+    return {
+        "all_known_s": flight.all_known_s,
+        "announcement_bytes": max(agent.announcement_bytes or 0 for agent in agents),
+        "announced_bytes_per_drone": sum(sent) / len(sent),
+        "rss_mb": sum(agent.rss_mb for agent in agents) / len(agents),
+        "cpu_percent": sum(agent.cpu_percent for agent in agents) / len(agents),
+        "correct": flight.score.correct,
+        "wrong": flight.score.wrong,
+        "ok": flight.all_known_s <= MAX_ALL_KNOWN_S,
+    }
+
+
+def _markdown(p: Programme, result: dict[str, Any]) -> str:
+    recognition = [
+        [
+            name,
+            f"{found['passed']} of {found['runs']}",
+            f"{found['correct']:.4f}",
+            f"{found['wrong']:.5f}",
+            f"{found['unknown']:.4f}",
+            report.number(found["worst_run_agreement"], 4),
+            report.number(found["slowest_to_identify_s"], 1),
+            report.number(found["worst_rmse_px"]),
+            f"{found['switches_per_run']:.1f}",
+            "holds" if found["ok"] else "**fails**",
+        ]
+        for name, found in result["recognition"].items()
+    ]
+    sizes = [
+        [
+            n,
+            report.number(found["all_known_s"], 1),
+            str(found["announcement_bytes"]),
+            f"{found['announced_bytes_per_drone']:.0f}",
+            f"{found['rss_mb']:.0f}",
+            f"{found['cpu_percent']:.1f}",
+            f"{found['correct']:.4f}",
+            f"{found['wrong']:.5f}",
+            "holds" if found["ok"] else "**fails**",
+        ]
+        for n, found in result["sizes"].items()
+    ]
+    return "\n".join(
+        [
+            "# Local swarms",
+            "",
+            f"{p.drones} drones, {p.seconds:g} s, {p.seeds} seeds a scenario, `--detector oracle`, tracker"
+            f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
+            "",
+            report.table(
+                [
+                    "scenario", "passed", "correct", "wrong", "unknown", "agreement, worst run",
+                    "slowest to identify, s", "worst RMSE, px", "switches a run", f"wrong ≤ {MAX_WRONG:g}",
+                ],
+                recognition,
+            ),
+            "",
+            f"Scenario `{p.size_scenario}` with its rates, {p.size_seconds:g} s; means over the agents.",
+            "",
+            report.table(
+                [
+                    "drones", "all announcements known, s after the last start", "bytes of one announcement",
+                    "bytes announced by a drone", "RSS, MB", "CPU, % of a core", "correct", "wrong",
+                    f"known ≤ {MAX_ALL_KNOWN_S:g} s",
+                ],
+                sizes,
+            ),
+        ]
+    )  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="swarm_runs", description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
+    parser.add_argument("--seeds", type=int, default=Programme().seeds)
+    parser.add_argument("--tracker", default="kalman")
+    options = parser.parse_args(arguments)
+    result = run(options.out, tracker=options.tracker, programme=Programme(seeds=options.seeds))
+    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
+    claims = [*result["recognition"].values(), *result["sizes"].values()]
+    return 0 if all(claim["ok"] for claim in claims) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
