@@ -7,6 +7,7 @@ import sys
 from importlib import import_module
 
 from swarmtrack import __version__
+from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.errors import SwarmtrackError
 
 # Imported only when called: `swarmtrack --help` answers at once.
@@ -36,6 +37,13 @@ def main(argv: list[str] | None = None) -> int:
         if name in words[:1]:
             import_module(module).add_arguments(command)
     arguments = parser.parse_args(words)
+    code = _run(arguments)
+    if argv is None:
+        end_at_once_if_stuck(code)
+    return code
+
+
+def _run(arguments: argparse.Namespace) -> int:
     try:
         return int(import_module(COMMANDS[arguments.command][0]).run(arguments))
     except SwarmtrackError as error:

@@ -15,15 +15,13 @@ from pathlib import Path
 
 from swarmtrack import __version__
 from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 LAST_WORD = (
     0.3  # s for the interpreter's own end: with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
 )
-
-
-ZENOH_THREADS = "zenoh "  # what `transport.zenoh_session.bounded` names its threads
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -158,11 +156,7 @@ def _fly(arguments: argparse.Namespace) -> int:
 
 def _end_soon() -> None:
     """Everything is closed and written; a thread that hangs (a net, a name look-up) must not keep the process."""
-    if any(thread.name.startswith(ZENOH_THREADS) for thread in threading.enumerate()):
-        # Waiting for a router, say. Coming back into an interpreter that ends, Zenoh's call would abort the process.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(DONE)
+    end_at_once_if_stuck(DONE)
     last_word = threading.Timer(LAST_WORD, os._exit, [DONE])
     last_word.daemon = True
     last_word.start()
