@@ -90,7 +90,7 @@ def ego_pose(world: World, drone_id: int, index: int, parameters: EgoParameters)
     error = world.chance("ego", drone_id, index).standard_normal((2, 3))
     return EgoPose(
         t=t,
-        position=truth.position - world.pose(drone_id, 0.0).position + parameters.position_sigma * error[0],
+        position=truth.position - world.drones[drone_id].position(0.0) + parameters.position_sigma * error[0],
         world_from_body=truth.rotation @ rotation.exp(parameters.attitude_sigma * error[1]),
         position_sigma=parameters.position_sigma,
         attitude_sigma=parameters.attitude_sigma,
