@@ -140,6 +140,10 @@ class _Flight:
                     await listener.close()
         except* ProcessDied as group:
             raise group.exceptions[0] from None
+        if listener.dropped:
+            self._spectator.note(
+                f"{listener.dropped} messages came too fast to be judged: this machine is too busy"
+            )
         await self._land()
         return self._report()
 

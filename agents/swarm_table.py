@@ -71,7 +71,7 @@ class PlainLines:
         line = team_line(watch)
         if len(watch.agents) < LARGE_TEAM:
             for drone_id, agent in watch.agents.items():
-                line.append(f" | {drone_id} sees ").append_text(sightings(agent.seen, watch.agents))
+                line.append(f" | {drone_id} sees ").append_text(sightings(agent.seen, watch.team))
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def close(self) -> None: ...
@@ -97,7 +97,7 @@ def flight_table(watch: Watch, title: str) -> Table:
     for drone_id, agent in watch.agents.items():
         table.add_row(
             str(drone_id),
-            _state(agent, watch.agents),
+            _state(agent, watch.team),
             _error(agent.seen),
             *_health_cells(agent.health[-1][1] if agent.health else None),
         )

@@ -84,6 +84,11 @@ class Watch:
         return self._clock.now() - self._epoch
 
     @property
+    def team(self) -> list[int]:
+        """Who has announced itself: before, a drone is a stranger to all."""
+        return [drone_id for drone_id, agent in self.agents.items() if agent.announcement_bytes is not None]
+
+    @property
     def faults(self) -> list[Fault]:
         """What is going wrong by plan; a moment is shown for a second."""
         t = self.t
@@ -99,7 +104,7 @@ class Watch:
                 continue
             agent = self.agents[address.drone_id]
             if address.kind is Kind.ALIVE:
-                if sample.alive:
+                if sample.alive and len(address.rest) == 1:
                     await self._on_boot(agent, address.rest[0])
                 continue
             decode = keys.DECODERS.get(address.kind)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmtrack.benchmarks import swarm_runs
 from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScore, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
@@ -397,3 +398,36 @@ def test_the_limits_are_the_scenarios():
 def test_what_cannot_be_said_is_null_in_json():
     nothing = replace(GOOD, score=replace(GOOD_SCORE, agreement=math.nan), agents=())
     assert nothing.as_record()["identity"]["agreement"] is None
+
+
+# --- many of them ---------------------------------------------------------------------------------
+
+
+def test_the_benchmark_pools_views_and_names_the_worst_run(tmp_path, monkeypatch):
+    bad = replace(
+        GOOD_SCORE, samples=100, wrong=0.01, correct=0.94, agreement=0.9, time_to_identify_s={1: 3.0}
+    )
+
+    async def fly(plan, spectator):
+        """Every second run is bad, and whatever is large takes long."""
+        score = bad if plan.seed % 2 == 0 else GOOD_SCORE
+        return replace(
+            GOOD, scenario=plan.scenario, seed=plan.seed, score=score, all_known_s=0.3 * plan.drones
+        )
+
+    monkeypatch.setattr(swarm_runs, "fly", fly)
+    programme = swarm_runs.Programme(scenarios=("crossing",), seeds=2, sizes=(3, 30))
+    result = swarm_runs.run(tmp_path, programme=programme)
+    crossing = result["recognition"]["crossing"]
+    assert (crossing["runs"], crossing["passed"], crossing["samples"]) == (2, 1, 500)
+    assert crossing["wrong"] == pytest.approx(0.01 * 100 / 500)
+    assert crossing["worst_run_wrong"] == 0.01
+    assert crossing["slowest_to_identify_s"] == 3.0
+    assert crossing["worst_run_agreement"] == 0.9
+    assert not crossing["ok"]
+    assert result["sizes"]["3"]["ok"]
+    assert not result["sizes"]["30"]["ok"]
+    assert result["sizes"]["3"]["announced_bytes_per_drone"] == 161.0
+    text = (tmp_path / "swarm.md").read_text(encoding="utf-8")
+    assert "| crossing | 1 of 2 | 0.9800 | 0.00200 |" in text
+    assert (tmp_path / "swarm.json").exists()
