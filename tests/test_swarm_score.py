@@ -85,14 +85,18 @@ def test_an_observer_that_says_nothing_is_at_a_loss_about_everyone_in_view():
     assert (flight.score.unknown, flight.score.recall) == (1.0, 0.0)
 
 
-def test_an_id_on_a_track_that_is_nobody_is_wrong_while_its_drone_is_in_view():
-    ghost = (track(7, 2, 500.0, 400.0),)
+def test_an_id_on_a_track_that_is_nobody_is_wrong_while_its_drones_own_track_has_none():
+    ghost = track(7, 2, 500.0, 400.0)
     flight = Flight()
-    flight.show(0, 20, {2: LEFT}, ghost)
+    flight.show(0, 20, {2: LEFT}, (ghost, track(9, None, *LEFT)))
     assert flight.score.wrong == 1.0
-    elsewhere = Flight()
-    elsewhere.show(0, 20, {3: LEFT}, (*ghost, track(9, 3, *LEFT)))
-    assert elsewhere.score.wrong == 0.0  # only false
+
+
+def test_a_track_that_has_drifted_off_its_drone_is_false_but_no_wrong_name():
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT}, (track(7, 2, 150.0, 100.0),))
+    assert (flight.score.unknown, flight.score.wrong, flight.score.recall) == (1.0, 0.0, 0.0)
+    assert flight.score.false_tracks_per_s > 0.0
 
 
 def test_who_comes_back_into_view_gives_the_observer_another_second():

@@ -11,9 +11,10 @@ Counted are the glances of [start, end) s, and in them every drone from `GRACE` 
 starts that second again, and so do a new life of the observer's process and, for a teammate, its announcement.
 
 * correct, wrong, unknown: of those (observer, drone in view, glance). *Wrong* is another ID, "foreign", or the ID on a
-  track that is nobody while its drone is in view; *unknown* is a track without a name, or no track. "Foreign" is a name
-  only from `GRACE` after the observer had the drone's announcement: before, "none that I know of" is all it can say.
-  A stranger that is tracked and not called by a team's ID is correct; one that is not tracked is not counted.
+  track that is nobody while the drone's own track has no name; *unknown* is a track without a name, or no track (one
+  that has drifted off is no wrong name: recall and false tracks tell of it). "Foreign" is a name only from `GRACE` after
+  the observer had the drone's announcement: before, "none that I know of" is all it can say. A stranger that is
+  tracked and not called by a team's ID is correct; one that is not tracked is not counted.
 * agreement: of the (instant, drone) about which two observers or more state a name, those where all names are one.
   "Unknown" is no name: it contradicts nobody, and has its price in `correct` already. NaN where nobody could compare.
 * time to identify, of an observer: the longest, over the teammates it saw, from the later of "first in view" and
@@ -248,10 +249,11 @@ class SwarmScorer:
             if track is None:
                 return None
             return "correct" if track.identity in (FOREIGN, None) else "wrong"
-        name = None if track is None else track.identity
-        if name == drone_id:
+        if track is None:
+            return "unknown"
+        if track.identity == drone_id:
             return "correct"
-        return "wrong" if ghost or name is not None else "unknown"
+        return "wrong" if ghost or track.identity is not None else "unknown"
 
     def _known_at(self, life: tuple[int, str], drone_id: int) -> float:
         """Where no report said it: as soon as it could be known to anybody."""
