@@ -12,7 +12,7 @@ starts that second again, and so do a new life of the observer's process and, fo
 
 * correct, wrong, unknown: of those (observer, drone in view, glance). *Wrong* is another ID, "foreign", or the ID on a
   track that is nobody while the drone's own track has no name; *unknown* is a track without a name, or no track (one
-  that has drifted off is no wrong name: recall and false tracks tell of it). "Foreign" is a name only from `GRACE` after
+  that has drifted off is no wrong name: recall and false tracks tell of it). "Foreign" is a name only `GRACE` after
   the observer had the drone's announcement: before, "none that I know of" is all it can say. A stranger that is
   tracked and not called by a team's ID is correct; one that is not tracked is not counted.
 * agreement: of the (instant, drone) about which two observers or more state a name, those where all names are one.
