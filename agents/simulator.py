@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from swarmtrack.simulation.scenarios import Scenario
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
+NICENESS = -10  # a camera does not wait until the agents have computed; without root, it has to
 LEAD = 2.0  # s from the start of the program to world time 0, where nobody gives an epoch
 
 
@@ -94,6 +95,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     # Before NumPy is imported: for matrices of 4 x 4 its threads only cost.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     from swarmtrack.scenario_file import load_scenario
 
     try:
