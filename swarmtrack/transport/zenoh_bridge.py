@@ -21,7 +21,11 @@ from swarmtrack.runtime.clock import Clock, SystemClock
 
 BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached while the loop turns
 _HANDFUL: Final = 32  # samples taken in one turn of the loop: at 0.2 ms for the dearest, 6 ms
-_REST_S: Final = 0.01  # until the next handful, where only the newest counts: 3200 samples a second at most
+# Where only the newest counts:
+_REST_S: Final = 0.01  # between two handfuls: 3200 samples a second at most, whoever sends
+_ROUND_S: Final = (
+    0.05  # before what came meanwhile is looked at: of one key, its newest twenty times a second at most
+)
 
 
 class Sample(NamedTuple):
@@ -40,7 +44,7 @@ class Bridge:
     """Hands samples from Zenoh's threads to the event loop, in order, holding at most `capacity` of them.
 
     When full, the oldest goes, counted in `dropped`. With `newest_per_key` only the last so many of each key wait, what
-    they replace is counted in `superseded`, and the loop rests between two handfuls.
+    they replace is counted in `superseded`, and the loop rests between two handfuls, and longer before the next round.
     """
 
     def __init__(
@@ -59,6 +63,7 @@ class Bridge:
         # Samples by key, the keys in order of arrival; in order of arrival altogether under the one key "".
         self._waiting: dict[str, deque[Sample]] = {}
         self._count = 0
+        self._round = 0  # of those waiting, how many are still to be taken before the longer rest
         self._scheduled = False
         self.dropped = 0
         self.superseded = 0
@@ -102,12 +107,25 @@ class Bridge:
 
     def _drain(self) -> None:
         with self._lock:
-            handful = [self._take() for _ in range(min(_HANDFUL, self._count))]
+            self._round = self._round or self._count
         try:
-            for sample in handful:
-                self._receive(sample)
+            self.hand_over()
         finally:
-            self._schedule(self._loop.call_later, _REST_S if self._newest_per_key else 0.0, self._rested)
+            self._schedule(self._loop.call_later, self._rest, self._rested)
+
+    def hand_over(self) -> None:
+        """On the loop: a handful now, without waiting for its turn; for what another bridge's samples refer to."""
+        with self._lock:
+            handful = [self._take() for _ in range(min(_HANDFUL, self._count))]
+            self._round = max(0, self._round - len(handful))
+        for sample in handful:
+            self._receive(sample)
+
+    @property
+    def _rest(self) -> float:
+        if not self._newest_per_key:
+            return 0.0
+        return _REST_S if self._round else _ROUND_S
 
     def _rested(self) -> None:
         with self._lock:

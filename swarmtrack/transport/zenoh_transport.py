@@ -28,7 +28,7 @@ from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
 from swarmtrack.transport.settings import Mode, NetworkSettings
-from swarmtrack.transport.zenoh_bridge import Bridge
+from swarmtrack.transport.zenoh_bridge import Bridge, Sample
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
     ask_for_announcement,
@@ -94,12 +94,13 @@ class ZenohTransport:
         # A token's key says all, so the last two words on each are enough: whether it is alive, and whether it was away
         # before, when it may have announced itself anew. No flood of tokens can push a departure out.
         tokens = Bridge(lambda s: self._peers.on_token(s.key, s.alive), _MAX_TOKENS, newest_per_key=2)
+
+        def on_message(sample: Sample) -> None:
+            tokens.hand_over()  # nobody is believed before its token, and it may wait beside us
+            self._peers.on_message(sample.key, sample.payload, sample.arrived)
+
         # Clones speak on one key, and each must be heard.
-        messages = Bridge(
-            lambda s: self._peers.on_message(s.key, s.payload, s.arrived),
-            newest_per_key=MAX_BOOTS,
-            clock=self._clock,
-        )
+        messages = Bridge(on_message, newest_per_key=MAX_BOOTS, clock=self._clock)
         self._bridges = [tokens, messages]
         self._loop = asyncio.get_running_loop()
         if self._network.mode == Mode.CLIENT:  # a router that is not there yet is no reason not to fly
