@@ -1,0 +1,335 @@
+"""Who keeps an ID, who loses it, who is asked, and who is a stranger: no tracker, tracks are put by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import Identities, IdentityParameters
+from swarmtrack.messages import FOREIGN, Announcement, Track, TrackStatus
+from swarmtrack.motion.ego import TeamPose
+
+CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
+FORWARD = Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+SCAN_S = 0.1
+
+LEFT, MIDDLE, RIGHT = (170.0, 240.0), (320.0, 240.0), (470.0, 240.0)
+
+
+def at(pixel, metres=8.0):
+    """The place (3,) in the team frame that the observer, at the origin and facing north, sees there."""
+    u, v = pixel
+    return metres * np.array([1.0, (u - 320.0) / 430.0, (v - 240.0) / 430.0])
+
+
+class Observer:
+    """Drone 1: it hears announcements, and its tracks are what a test says."""
+
+    def __init__(self, **parameters):
+        self.identities = Identities(
+            1, camera=CAMERA, body_from_camera=FORWARD, parameters=IdentityParameters(**parameters)
+        )
+        self.t = 0.0
+        self.tracks = []
+        self.coasting = {}
+        self.wanted = []
+
+    def hears(self, drone_id, pixel, sequence=1, boot="0000000a"):
+        return self.identities.announce(
+            Announcement(drone_id, boot, sequence, self.t, 0.0, at(pixel), np.eye(3), 0.01 * np.eye(3))
+        )
+
+    def sees(self, seconds, coasting=(), tentative=(), **tracks):
+        """`a=(u, v)` is track 1 there, b track 2 … ; the IDs by name after so many seconds of scans."""
+        for _ in range(max(round(seconds / SCAN_S), 1)):
+            self.t = round(self.t + SCAN_S, 6)
+            self.coasting = {name: self.coasting.get(name, self.t) for name in coasting}
+            self.tracks = [self._track(name, pixel, name in tentative) for name, pixel in tracks.items()]
+            self.identities.observe(self.tracks, TeamPose(self.t, np.zeros(3), np.eye(3), 0.05, 0.01))
+            self.wanted += [(self.t, drone) for drone in self.identities.take_wanted()]
+        return self.names()
+
+    def names(self):
+        """Who is who now, by the names of the tracks."""
+        labels = self.identities.label(self.tracks)
+        return {chr(ord("a") - 1 + entry.track.id): entry.identity for entry in labels}
+
+    def _track(self, name, pixel, tentative):
+        since = self.coasting.get(name)
+        status = TrackStatus.CONFIRMED if since is None else TrackStatus.LOST
+        return Track(
+            id=ord(name) - ord("a") + 1,
+            t=self.t,
+            mean=np.array([pixel[0], 0.0, pixel[1], 0.0]),
+            cov=np.diag([4.0, 25.0, 4.0, 25.0]),
+            status=TrackStatus.TENTATIVE if tentative else status,
+            probability=1.0,
+            size=np.array([20.0, 20.0]),
+            coasting_since=since,
+        )
+
+
+@pytest.fixture
+def observer():
+    """Who has heard that drone 2 is to the left and drone 3 to the right."""
+    alone = Observer()
+    alone.hears(2, LEFT)
+    alone.hears(3, RIGHT)
+    return alone
+
+
+def shifted(pixel, right=0.0, down=0.0):
+    return (pixel[0] + right, pixel[1] + down)
+
+
+# --- given ---
+
+
+def test_a_drone_is_named_where_it_said_it_is_once_its_track_is_confirmed_and_seen_thrice(observer):
+    assert observer.sees(1.0, tentative="ab", a=LEFT, b=RIGHT) == {"a": None, "b": None}
+    assert observer.sees(2 * SCAN_S, a=LEFT, b=RIGHT) == {"a": None, "b": None}
+    assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_its_own_announcement_and_one_heard_before_change_nothing(observer):
+    assert not observer.hears(1, MIDDLE)
+    assert not observer.hears(2, RIGHT, sequence=1)
+    assert observer.hears(2, LEFT, sequence=2)
+    assert sorted(observer.identities.announced) == [2, 3]
+
+
+def test_algorithm_1_names_in_one_shot_and_twice_if_so_it_falls():
+    paper = Observer(profile="paper")
+    paper.hears(2, LEFT)
+    assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 2}
+
+
+def test_of_two_tracks_at_one_drone_neither_is_it_until_one_fits_better(observer):
+    above, below = shifted(LEFT, down=-6), shifted(LEFT, down=6)
+    assert observer.sees(1.0, a=above, b=below, c=RIGHT) == {"a": None, "b": None, "c": 3}
+    assert observer.sees(3.0, a=LEFT, b=shifted(LEFT, down=150), c=RIGHT)["a"] == 2
+
+
+# --- kept ---
+
+
+def test_an_id_stays_with_its_track_wherever_it_flies(observer):
+    for step in range(30):
+        names = observer.sees(SCAN_S, a=shifted(LEFT, right=10.0 * step), b=RIGHT)
+    assert names == {"a": 2, "b": 3}
+
+
+def test_an_id_is_kept_through_occlusion_and_while_a_track_is_carried_on(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    for step in range(10):
+        hidden = observer.sees(SCAN_S, coasting="a", a=shifted(LEFT, right=10.0 * step), b=RIGHT)
+        assert hidden == {"a": 2, "b": 3}
+    assert observer.sees(1.0, a=shifted(LEFT, right=105.0), b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_a_drone_that_was_lost_is_found_where_it_was_last_seen_not_where_it_announced_itself(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    for step in range(15):
+        observer.sees(SCAN_S, a=shifted(LEFT, right=4.0 * step, down=-8.0 * step), b=RIGHT)
+    last = shifted(LEFT, right=56.0, down=-112.0)
+    observer.sees(0.5, b=RIGHT)  # its track ended
+    assert observer.sees(1.0, c=shifted(last, right=3.0), b=RIGHT) == {"c": 2, "b": 3}
+
+
+def test_two_that_are_lost_together_are_found_each_where_it_was(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    left, right = shifted(LEFT, right=60.0, down=40.0), shifted(RIGHT, right=-60.0, down=-40.0)
+    for step in range(1, 11):
+        observer.sees(
+            SCAN_S, a=shifted(LEFT, 6.0 * step, 4.0 * step), b=shifted(RIGHT, -6.0 * step, -4.0 * step)
+        )
+    observer.sees(0.3)
+    assert observer.sees(1.0, c=right, d=left) == {"c": 3, "d": 2}
+
+
+def test_who_departs_keeps_its_id_for_the_drone_still_flies(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.identities.departed(2)
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+# --- tried again ---
+
+
+def test_an_announcement_from_where_it_is_seen_confirms_an_id(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    for step in range(15):
+        observer.sees(SCAN_S, a=shifted(LEFT, right=5.0 * step), b=RIGHT)
+    here = shifted(LEFT, right=70.0)
+    observer.hears(2, here, sequence=2)
+    for _ in range(10):
+        assert observer.sees(SCAN_S, a=here, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_an_announcement_from_elsewhere_withdraws_it_and_names_who_is_there(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT, c=MIDDLE)
+    observer.hears(2, MIDDLE, sequence=2)
+    names = observer.sees(1.5, a=LEFT, b=RIGHT, c=MIDDLE)
+    assert (names["a"], names["c"]) == (None, 2)
+
+
+def test_a_new_boot_elsewhere_withdraws_an_id(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.hears(2, (320.0, 20.0), boot="0000000b")
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}
+
+
+def test_two_ids_that_both_drones_contradict_change_places(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.hears(2, RIGHT, sequence=2)
+    observer.hears(3, LEFT, sequence=2)
+    assert observer.sees(2.0, a=LEFT, b=RIGHT) == {"a": 3, "b": 2}
+
+
+def test_who_met_unseen_are_both_asked_and_change_places_if_they_say_so(observer):
+    """Drones 2 and 3 meet, there is one box for both, they part: nobody could see which of them went where."""
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    for step in range(15):
+        observer.sees(SCAN_S, a=shifted(LEFT, right=10.0 * step), b=shifted(RIGHT, right=-10.0 * step))
+    observer.sees(0.6, coasting="a", a=MIDDLE, b=MIDDLE)
+    observer.wanted.clear()
+    names = observer.sees(SCAN_S, a=shifted(MIDDLE, right=-12.0), b=shifted(MIDDLE, right=12.0))
+    assert names["a"] is None
+    assert {drone for _, drone in observer.wanted} == {2, 3}
+    crossed = {"a": shifted(MIDDLE, right=-30.0), "b": shifted(MIDDLE, right=30.0)}
+    observer.hears(2, crossed["b"], sequence=2)
+    observer.hears(3, crossed["a"], sequence=2)
+    assert observer.sees(2.0, **crossed) == {"a": 3, "b": 2}
+
+
+# --- withheld while two speak as one ---
+
+
+def test_while_two_processes_speak_as_one_drone_nobody_is_it(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.identities.suspend(2)
+    assert not observer.hears(2, LEFT, sequence=5)
+    assert observer.sees(5.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # and no stranger: it may be drone 2
+    observer.identities.resume(2)
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # where it is has to be heard anew
+    assert observer.hears(2, LEFT, sequence=1)
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+# --- strangers ---
+
+
+def test_a_track_that_no_drone_explains_is_foreign_after_the_stated_time_and_no_sooner(observer):
+    away = (320.0, 40.0)
+    assert observer.sees(2.9, a=LEFT, b=RIGHT, c=away) == {"a": 2, "b": 3, "c": None}
+    assert observer.sees(0.5, a=LEFT, b=RIGHT, c=away) == {"a": 2, "b": 3, "c": FOREIGN}
+
+
+def test_nobody_is_foreign_while_a_teammate_is_alive_whose_pose_is_not_known(observer):
+    away = (320.0, 40.0)
+    observer.identities.arrived(4)
+    assert observer.sees(6.0, a=LEFT, b=RIGHT, c=away)["c"] is None
+    observer.hears(4, MIDDLE)
+    assert observer.sees(4.0, a=LEFT, b=RIGHT, c=away, d=MIDDLE)["c"] == FOREIGN
+
+
+def test_nobody_is_foreign_who_may_be_a_teammate_that_is_not_where_it_said(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.hears(4, MIDDLE)
+    assert observer.sees(6.0, a=LEFT, b=RIGHT, c=shifted(MIDDLE, down=-120.0))["c"] is None
+
+
+def test_a_foreign_track_that_a_teammate_turns_out_to_be_is_named(observer):
+    assert observer.sees(4.0, a=LEFT, b=RIGHT, c=MIDDLE)["c"] == FOREIGN
+    observer.hears(4, MIDDLE)
+    assert observer.sees(1.0, a=LEFT, b=RIGHT, c=MIDDLE)["c"] == 4
+
+
+def test_strangers_alone_are_foreign_where_nobody_has_announced_itself():
+    alone = Observer()
+    assert alone.sees(4.0, a=MIDDLE) == {"a": FOREIGN}
+
+
+# --- asked ---
+
+
+def test_drones_that_cannot_be_told_apart_are_asked_to_announce_themselves_more_and_more_rarely():
+    observer = Observer()
+    observer.hears(2, LEFT)
+    observer.hears(3, shifted(LEFT, right=2.0))
+    assert set(observer.sees(30.0, a=LEFT, b=shifted(LEFT, right=3.0)).values()) == {None}
+    for drone in (2, 3):
+        asked = [t for t, wanted in observer.wanted if wanted == drone]
+        assert asked[0] < 3.0
+        pauses = np.diff(asked)
+        assert len(pauses) >= 2
+        assert pauses == pytest.approx([3.0 * 2.0**k for k in range(len(pauses))], abs=2.0 * SCAN_S)
+
+
+def test_whoever_answers_is_named_and_not_asked_again():
+    observer = Observer()
+    observer.hears(2, LEFT)
+    observer.hears(3, shifted(LEFT, right=2.0))
+    observer.sees(2.0, a=LEFT, b=shifted(LEFT, right=60.0))
+    observer.hears(2, LEFT, sequence=2)
+    observer.hears(3, shifted(LEFT, right=60.0), sequence=2)
+    assert observer.sees(1.0, a=LEFT, b=shifted(LEFT, right=60.0)) == {"a": 2, "b": 3}
+    observer.wanted.clear()
+    observer.sees(20.0, a=LEFT, b=shifted(LEFT, right=60.0))
+    assert observer.wanted == []
+
+
+def test_where_all_is_clear_nobody_is_asked(observer):
+    observer.sees(20.0, a=LEFT, b=RIGHT)
+    assert observer.wanted == []
+
+
+def test_each_question_is_told_once(observer):
+    observer.identities.ask_for(2)
+    assert observer.identities.take_wanted() == (2,)
+    assert observer.identities.take_wanted() == ()
+
+
+# --- whatever happens ---
+
+PLACES = st.tuples(st.floats(20.0, 620.0), st.floats(20.0, 460.0))
+STEPS = st.one_of(
+    st.tuples(st.just("hears"), st.integers(1, 5), PLACES, st.booleans()),
+    st.tuples(st.sampled_from(["arrived", "departed", "suspend", "resume", "withdraw"]), st.integers(2, 5)),
+    st.tuples(st.just("goes"), st.sampled_from("abcdef"), PLACES),
+    st.tuples(st.just("ends"), st.sampled_from("abcdef")),
+    st.tuples(st.just("hides"), st.sampled_from("abcdef")),
+    st.tuples(st.just("sees"), st.floats(0.1, 1.5)),
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(STEPS, max_size=40))
+def test_whatever_happens_nobody_holds_an_id_twice_nor_one_that_is_suspended(steps):
+    observer, places, hidden, suspended = Observer(), {}, set(), set()
+    sequence = 0
+    for step in [("hears", 2, LEFT, False), ("hears", 3, RIGHT, False), *steps, ("sees", 1.0)]:
+        match step:
+            case ("hears", drone, place, reboots):
+                sequence += 1
+                observer.hears(drone, place, sequence, boot=f"{sequence if reboots else 0:08x}")
+            case ("goes", name, place):
+                places[name] = place
+                hidden.discard(name)
+            case ("ends", name):
+                places.pop(name, None)
+                hidden.discard(name)
+            case ("hides", name):
+                hidden.add(name)
+            case ("sees", seconds):
+                names = observer.sees(seconds, coasting=hidden & set(places), **places)
+                given_ids = [name for name in names.values() if isinstance(name, int)]
+                assert len(set(given_ids)) == len(given_ids)
+                assert set(given_ids) <= set(observer.identities.announced) - suspended - {1}
+            case (what, drone):
+                getattr(observer.identities, what)(drone)
+                suspended |= {drone} if what == "suspend" else set()
+                suspended -= {drone} if what == "resume" else set()
