@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
@@ -306,6 +308,14 @@ def test_an_agent_complains_of_its_keys_at_the_line_of_its_config(
     (ca / "drone-1" / "drone-1.sign.key").chmod(0o600)
     assert agent(["--config", str(drone), "--check"]) == 2
     assert "team.toml:2: network.team: found 'blue', expected 'red'" in capsys.readouterr().err
+
+
+def test_an_agent_without_keys_loads_no_cryptography() -> None:
+    program = "import sys, swarmtrack.runtime.agent; sys.exit('cryptography' in sys.modules)"
+    assert (
+        subprocess.run([sys.executable, "-c", program], cwd=Path(__file__).parents[1], check=False).returncode
+        == 0
+    )
 
 
 # --- the roster's text ------------------------------------------------------------------

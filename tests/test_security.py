@@ -244,7 +244,7 @@ async def test_a_certificate_that_is_not_in_our_roster_is_counted_and_not_heard(
 
 async def test_a_link_ends_with_the_certificate(tmp_path: Path) -> None:
     team = Team(tmp_path / "keys", "1")
-    soon = timedelta(seconds=8)
+    soon = timedelta(seconds=10)
     team.authority.issue(["drone-2"], now() - timedelta(days=1) + soon, days=1)
     field = Field(team)
     try:

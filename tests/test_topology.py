@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -25,6 +27,7 @@ from swarmtrack.transport.access_control import access_control
 from swarmtrack.transport.link_watch import LinksUp, LinkWatch
 from swarmtrack.transport.ports import wait_for_ports
 from swarmtrack.transport.settings import Mode, NetworkSettings, check
+from swarmtrack.transport.zenoh_session import close_session, open_session
 
 PEERS = {"1": "10.0.0.11", "2": "10.0.0.12:7500", "3": "[fd00::3]:7500"}
 ROUTERS = ("10.0.0.1", "10.0.0.2:7500", "10.0.0.3")
@@ -227,7 +230,65 @@ async def test_an_interface_that_is_not_up_yet_is_waited_for(
     await drone.stop()
 
 
-# --- routers as processes ---------------------------------------------------------------
+# --- as processes -----------------------------------------------------------------------
+
+
+def program(*arguments: str) -> subprocess.Popen[str]:
+    """`swarmtrack` as a user starts it."""
+    root = Path(__file__).parents[1]
+    return subprocess.Popen(
+        [sys.executable, "-m", "swarmtrack.agents.main", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+    )
+
+
+async def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Exit code, what it printed, and its complaint."""
+    out, err = await asyncio.to_thread(process.communicate, timeout=PATIENCE)
+    return process.returncode, out, err
+
+
+async def test_echo_hears_a_team_with_keys_by_the_certificate_of_a_monitor(
+    team: Team, tmp_path: Path
+) -> None:
+    addresses = free_addresses(2)
+    path = tmp_path / "team.toml"
+    path.write_text(
+        f'[network]\nteam = "red"\nkeys = "{team.folder}/drone-{{id}}"\n'
+        f'peers = {{ 1 = "{addresses[0]}", 2 = "{addresses[1]}" }}\n'
+    )
+    section = load_team_config(path).network
+    drones = [await Drone(topology.of_drone(section, i, team.credentials(str(i))), i).start() for i in (1, 2)]
+    hear = ("echo", "pose/2", "--config", str(path), "--count", "1", "--seconds", str(PATIENCE))
+    code, said, _ = await ended(program(*hear, "--keys", str(team.folder / "monitor")))
+    assert code == 0
+    assert json.loads(said)["boot"] == drones[1].boot
+    for drone in drones:
+        await drone.stop()
+
+    code, _, complaint = await ended(program(*hear))
+    assert code == 2
+    assert "this team has keys, expected --keys with those of a monitor" in complaint
+    code, _, complaint = await ended(program(*hear, "--keys", str(team.folder / "drone-1")))
+    assert code == 2
+    assert "holds keys of drone-1, expected those of one monitor" in complaint
+
+
+async def test_without_keys_a_router_relays_on_loopback() -> None:
+    section = NetworkSection(
+        team=f"test-{secrets.token_hex(4)}", topology="routers", routers=tuple(free_addresses(1))
+    )
+    session = await open_session(topology.of_router(section, section.routers[0], None))
+    one, two = [await Drone(topology.of_drone(section, i, None), i).start() for i in (1, 2)]
+    await one.knows(two)
+    await two.knows(one)
+    for drone in (one, two):
+        await drone.stop()
+    await close_session(session, [])
 
 
 async def test_two_router_processes_join_drones_and_one_may_die(team: Team, tmp_path: Path) -> None:
@@ -239,17 +300,10 @@ async def test_two_router_processes_join_drones_and_one_may_die(team: Team, tmp_
     )
     section = load_team_config(path).network
 
-    def start(name: str, address: str) -> subprocess.Popen[str]:
-        command = ["router", "--config", str(path), "--listen", address, "--keys", str(team.folder / name)]
-        return subprocess.Popen(
-            [sys.executable, "-m", "swarmtrack.agents.main", *command],
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=Path(__file__).parents[1],
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
-        )
-
-    a, b = start("router-a", addresses[0]), start("router-b", addresses[1])
+    a, b = (
+        program("router", "--config", str(path), "--listen", address, "--keys", str(team.folder / name))
+        for name, address in zip(("router-a", "router-b"), addresses, strict=True)
+    )
     try:
         # One through each: they meet only if the routers do.
         via_a, via_b = (section.model_copy(update={"routers": (address,)}) for address in addresses)
@@ -267,14 +321,11 @@ async def test_two_router_processes_join_drones_and_one_may_die(team: Team, tmp_
         for drone in (one, two, three):
             await drone.stop()
         b.send_signal(signal.SIGTERM)
-        assert await asyncio.to_thread(b.wait, PATIENCE) == 0
-        assert b.stdout is not None
-        said = b.stdout.read()
+        code, said, _ = await ended(b)
+        assert code == 0
         assert f"relaying for team red on quic/{addresses[1]}" in said
         assert "router-a" in said
     finally:
         for router in (a, b):
             router.kill()
-            router.wait()
-            assert router.stdout is not None
-            router.stdout.close()
+            await ended(router)

@@ -23,28 +23,36 @@ async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
 
     An address that this machine does not have is worth a warning only: its interface may come up later.
     """
+    absent: dict[str, str] = {}
     for text in endpoints:
         endpoint = parse_endpoint(text, "network.listen")
-        for left in reversed(range(TRIES)):
-            error = await asyncio.to_thread(_try_to_bind, endpoint)
-            if error is None:
-                break
-            if error.errno == errno.EADDRINUSE and left:
-                await asyncio.sleep(PERIOD_S)
-            elif error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-                log.warning(
-                    "network: %s is no address of this machine now (%s); we listen there as soon as it is",
-                    endpoint.host,
-                    error.strerror,
-                )
-                break
-            else:
-                hint = "; does another agent run here?" if error.errno == errno.EADDRINUSE else ""
-                raise TransportError(f"network: cannot open: {text}: {error.strerror}{hint}")
+        error = await _obstacle(endpoint)
+        if error is None:
+            continue
+        if error.errno != errno.EADDRNOTAVAIL and not isinstance(error, socket.gaierror):
+            hint = "; does another agent run here?" if error.errno == errno.EADDRINUSE else ""
+            raise TransportError(f"network: cannot open: {text}: {error.strerror}{hint}")
+        absent[endpoint.host] = str(error.strerror)
+    for host, reason in absent.items():
+        log.warning(
+            "network: %s is no address of this machine now (%s); we listen there as soon as it is",
+            host,
+            reason,
+        )
+
+
+async def _obstacle(endpoint: Endpoint) -> OSError | None:
+    """What is against listening at an endpoint, for good; None: nothing."""
+    for _ in range(TRIES):
+        error = await asyncio.to_thread(_try_to_bind, endpoint)
+        if error is None or error.errno != errno.EADDRINUSE:
+            break
+        await asyncio.sleep(PERIOD_S)
+    return error
 
 
 def _try_to_bind(endpoint: Endpoint) -> OSError | None:
-    """What is against listening at an endpoint; None: nothing."""
+    """What is against it now."""
     if endpoint.port is None:
         return None
     kind = socket.SOCK_DGRAM if endpoint.protocol in DATAGRAMS else socket.SOCK_STREAM
