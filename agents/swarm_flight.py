@@ -37,6 +37,7 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 # s of lead before world time 0, generous: hovering a little longer costs nothing.
 SIMULATOR_START_S = 3.0
 AGENT_START_CPU_S = {"onnx": 1.6, "oracle": 1.2}
+MAX_SLOWDOWN = 4.0  # of the agents' start, by what else the machine is doing
 RECOGNISE_S = 2.5
 RADIO_LINKS_S = 6.0  # through a bad radio, a connection takes several attempts
 SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
@@ -102,7 +103,8 @@ class _Flight:
         self._seconds = plan.seconds or scenario.seconds
         self._cores = len(os.sched_getaffinity(0))
         starters = [drone_id for drone_id in scenario.members if scenario.starts_s.get(drone_id, 0.0) <= 0.0]
-        starting = len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
+        busy = min(1.0 + os.getloadavg()[0] / self._cores, MAX_SLOWDOWN)
+        starting = busy * len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
         lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if air is not None else 0.0)
         self._epoch = self._clock.now() + lead
         self._watch = Watch(scenario, self._clock, epoch=self._epoch, seconds=self._seconds)

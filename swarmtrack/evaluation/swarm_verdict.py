@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,26 +91,21 @@ class SwarmReport:
                 "identity: nothing to judge, expected a teammate in view of another for more than a second"
             ]
         short = []
-        # Written so that NaN fails.
+        # Written so that NaN fails, where not said otherwise.
         if not score.wrong <= limits.wrong:
             short.append(f"identity.wrong: {score.wrong:.4f}, expected {limits.wrong:g} at most")
         if not score.correct >= limits.correct:
             short.append(f"identity.correct: {score.correct:.4f}, expected {limits.correct:g} at least")
         if score.agreement < limits.agreement:  # NaN: nobody shared a view, which is no disagreement
             short.append(f"identity.agreement: {score.agreement:.4f}, expected {limits.agreement:g} at least")
-        for observer, seconds in score.time_to_identify_s.items():
-            if not seconds <= limits.time_to_identify_s:
-                short.append(
-                    f"identity.time_to_identify_s of drone {observer}: {seconds:.1f}, "
-                    f"expected {limits.time_to_identify_s:g} at most"
-                )
         rmse_px = limits.rmse_px * self.image_width / REFERENCE_WIDTH
-        for observer, rmse in score.rmse_px.items():
-            if not rmse <= rmse_px:
-                short.append(
-                    f"tracking.rmse_px of drone {observer}: {rmse:.2f}, expected {rmse_px:g} at most"
-                )
-        return short
+        return [
+            *short,
+            *_above(
+                "identity.time_to_identify_s", score.time_to_identify_s, limits.time_to_identify_s, digits=1
+            ),
+            *_above("tracking.rmse_px", score.rmse_px, rmse_px, digits=2),
+        ]
 
     def _agent_shortfalls(self) -> list[str]:
         limits = self.limits
@@ -119,31 +115,27 @@ class SwarmReport:
             short.append(
                 f"announcements: known by all {took}, expected {limits.all_known_s:g} s after the last start at most"
             )
-        for agent in self.agents:
-            who = f"drone {agent.drone_id}"
-            if math.isnan(agent.first_tracks_s):
-                short.append(f"{who}: no tracks were ever heard of it")
-                continue
-            late = agent.first_tracks_s - agent.start_s
-            if late > limits.first_tracks_s:
-                short.append(
-                    f"{who}: its first tracks came {late:.1f} s late, expected {limits.first_tracks_s:g} at most"
-                )
-            for name, found, asked in (
-                ("track_rate_hz", agent.track_rate_hz, self.asked_tracks_hz),
-                ("imu_rate_hz", agent.imu_rate_hz, self.asked_imu_hz),
-            ):
-                if not found >= limits.rate * asked:
-                    expected = f"{limits.rate * asked:g} of {asked:g} at least"
-                    short.append(f"{name} of {who}: {found:.1f}, expected {expected}")
-            if agent.announcement_bytes is None:
-                short.append(f"{who}: it never announced itself")
-            elif agent.announcement_bytes >= limits.announcement_bytes:
-                short.append(
-                    f"announcement_bytes of {who}: {agent.announcement_bytes}, "
-                    f"expected less than {limits.announcement_bytes}"
-                )
-        return short
+        unheard = [agent.drone_id for agent in self.agents if math.isnan(agent.first_tracks_s)]
+        if unheard:
+            short.append(f"{_drones(unheard)}: no tracks were ever heard")
+        heard = [agent for agent in self.agents if agent.drone_id not in unheard]
+        silent = [agent.drone_id for agent in heard if agent.announcement_bytes is None]
+        if silent:
+            short.append(f"{_drones(silent)}: never announced")
+
+        def of_each(figure: Callable[[AgentFigures], float | None]) -> dict[int, float]:
+            return {a.drone_id: value for a in heard if (value := figure(a)) is not None}
+
+        late = of_each(lambda agent: agent.first_tracks_s - agent.start_s)
+        tracks, imu = of_each(lambda agent: agent.track_rate_hz), of_each(lambda agent: agent.imu_rate_hz)
+        size = of_each(lambda agent: agent.announcement_bytes)
+        return [
+            *short,
+            *_above("delay of the first tracks, s,", late, limits.first_tracks_s, digits=1),
+            *_below("track_rate_hz", tracks, limits.rate * self.asked_tracks_hz, digits=1),
+            *_below("imu_rate_hz", imu, limits.rate * self.asked_imu_hz, digits=1),
+            *_above("announcement_bytes", size, limits.announcement_bytes - 1, digits=0),
+        ]
 
     def as_record(self) -> dict[str, Any]:
         """For JSON. What cannot be said (NaN) is null."""
@@ -188,6 +180,31 @@ class SwarmReport:
             ],
             "passed": self.passed,
         }  # fmt: skip
+
+
+def _above(name: str, values: Mapping[int, float], most: float, *, digits: int) -> list[str]:
+    """A sentence on the drones whose value is above `most`, if any; NaN is."""
+    over = {drone_id: value for drone_id, value in values.items() if not value <= most}
+    return _sentence(name, over, f"{most:g} at most", digits, worst=lambda value: value)
+
+
+def _below(name: str, values: Mapping[int, float], least: float, *, digits: int) -> list[str]:
+    under = {drone_id: value for drone_id, value in values.items() if not value >= least}
+    return _sentence(name, under, f"{least:g} at least", digits, worst=lambda value: -value)
+
+
+def _sentence(
+    name: str, values: Mapping[int, float], expected: str, digits: int, worst: Callable[[float], float]
+) -> list[str]:
+    if not values:
+        return []
+    drone_id = max(values, key=lambda d: math.inf if math.isnan(values[d]) else worst(values[d]))
+    who = f"drone {drone_id}" if len(values) == 1 else f"{len(values)} drones, worst of drone {drone_id}"
+    return [f"{name} of {who}: {values[drone_id]:.{digits}f}, expected {expected}"]
+
+
+def _drones(ids: Sequence[int]) -> str:
+    return f"drone{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids))}"
 
 
 def _rounded(value: float, digits: int = 6) -> float | None:
