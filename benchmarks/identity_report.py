@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +26,6 @@ from swarmtrack.benchmarks.identity_experiment import (
 )
 from swarmtrack.evaluation.calibration import Agreement, Calibration
 from swarmtrack.evaluation.intervals import Interval
-from swarmtrack.messages import Array
 from swarmtrack.tracking.marginals import WIDEST
 
 FEWEST = 100  # statements in a bin that is drawn
@@ -277,7 +276,7 @@ def _thinned(entries: Iterable[Thinned]) -> str:
 def plot_cells(path: Path, result: Result) -> None:
     """Heat maps over drones and error; in each cell the figure and its interval."""
     pyplot = report.pyplot()
-    figure, axes = pyplot.subplots(2, 3, figsize=(16.0, 11.0), layout="constrained")
+    figure, axes = pyplot.subplots(2, 3, figsize=(18.0, 10.0), layout="constrained")
     panels = [
         ("argmin (Algorithm 1): wrong", "argmin", "wrong"),
         ("Hungarian: wrong", "Hungarian", "wrong"),
@@ -309,61 +308,67 @@ def _heat_map(axis: Any, cells: dict[tuple[int, float], Interval]) -> Any:
     for row, e in enumerate(errors):
         for column, n in enumerate(drones):
             found = cells[n, e]
-            text = f"{_short(found.value)}\n{_short(found.low)}–{_short(found.high)}"
             colour = "black" if percent[row, column] > 3.0 else "white"
-            axis.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
+            place = {"ha": "center", "va": "center", "color": colour}
+            axis.text(column, row + 0.15, _short(found.value), fontsize=10, **place)
+            axis.text(column, row - 0.2, f"{_short(found.low)}–{_short(found.high)}", fontsize=7, **place)
     return image
 
 
 def _short(fraction: float) -> str:
     """In percent."""
     percent = 100.0 * fraction
-    return "0" if percent < 0.005 else f"{percent:.2f}" if percent < 1.0 else f"{percent:.3g}"
+    return "0" if percent < 0.005 else f"{percent:.2f}" if percent < 1.0 else f"{percent:.1f}"
 
 
 def plot_calibration(path: Path, result: Result) -> None:
     """The share that is wrong over the share that should be, pooled and for every error."""
     pyplot = report.pyplot()
     panels = list(dict.fromkeys((pool.sky, pool.method) for pool in result.calibrations))
-    figure, axes = pyplot.subplots(
-        1, len(panels), figsize=(4.2 * len(panels), 4.8), layout="constrained", sharex=True, sharey=True
-    )
+    figure, axes = pyplot.subplots(2, 3, figsize=(14.0, 9.5), layout="constrained", sharex=True, sharey=True)
     errors = sorted({pool.error_px for pool in result.calibrations if pool.error_px is not None})
     colours = dict(zip(errors, pyplot.get_cmap("viridis")(np.linspace(0.0, 0.9, len(errors))), strict=True))
-    for axis, (sky, method) in zip(axes, panels, strict=True):
+    for axis, (sky, method) in zip(axes.flat, panels, strict=False):
         axis.plot([FLOOR, 0.5], [FLOOR, 0.5], color="0.6", linestyle="--", label="stated = found")
         for error in errors:
             found = result.calibrations.get(Pool(sky, method, error))
             if found:
-                _draw_bins(axis, found, colours[error], f"{error:g} px", width=1.0)
-        _draw_bins(axis, result.calibrations[Pool(sky, method, None)], "black", "all", width=2.0)
-        axis.set(title=f"{sky}: {method}", xlabel="stated: 1 − p", xscale="log", yscale="log")
-        axis.set(xlim=(FLOOR, 0.6), ylim=(FLOOR, 0.6))
-    axes[0].set_ylabel("found: share that is wrong")
-    axes[0].legend(fontsize=8)
-    figure.savefig(path, dpi=130)
+                _draw_bins(axis, found, colours[error], f"{error:g} px", size=4.0)
+        _draw_bins(axis, result.calibrations[Pool(sky, method, None)], "black", "all", size=7.0)
+        axis.set(title=f"{sky}: {method}", xlabel="stated: 1 − p", ylabel="found: share that is wrong")
+        axis.set(xscale="log", yscale="log", xlim=(FLOOR, 0.6), ylim=(FLOOR, 0.6))
+    for axis in axes.flat[len(panels) :]:
+        axis.set_axis_off()
+    axes.flat[len(panels)].legend(*axes.flat[0].get_legend_handles_labels(), loc="center")
+    axes.flat[len(panels)].text(
+        0.5, 0.1, "▽: none wrong; the interval ends there", ha="center", transform=axes.flat[-1].transAxes
+    )
+    figure.savefig(path, dpi=120)
     pyplot.close(figure)
 
 
-def _draw_bins(axis: Any, found: Calibration, colour: Any, label: str, *, width: float) -> None:
+def _draw_bins(axis: Any, found: Calibration, colour: Any, label: str, *, size: float) -> None:
+    """Bins with their intervals; of one in which nothing was wrong only the upper end has a place on this axis."""
     drawn = [entry for entry in found.bins if entry.statements >= FEWEST]
-    stated, wrong, low, high = np.array(list(_wrong(drawn))).reshape(-1, 4).T
-    # Where nothing was wrong only the upper end of the interval has a place on this axis.
-    below = np.where(wrong > 0.0, wrong - low, 0.0)
-    shown: Array = np.maximum(wrong, FLOOR)
+    stated, wrong, low, high = np.array([_wrong(entry) for entry in drawn]).reshape(-1, 4).T
+    some = wrong > 0.0
     axis.errorbar(
-        np.maximum(stated, FLOOR),
-        shown,
-        yerr=[below, np.maximum(high - shown, 0.0)],
+        stated[some],
+        wrong[some],
+        yerr=[wrong[some] - low[some], high[some] - wrong[some]],
         color=colour,
         marker="o",
-        markersize=2.5 * width,
-        linewidth=width,
-        elinewidth=0.6 * width,
+        markersize=size,
+        linewidth=0.3 * size,
+        elinewidth=0.2 * size,
         label=label,
+    )
+    axis.plot(
+        stated[~some], high[~some], color=colour, marker="v", markersize=size, fillstyle="none", linestyle=""
     )
 
 
-def _wrong(entries: Iterable[Agreement]) -> Iterator[tuple[float, float, float, float]]:
-    for entry in entries:
-        yield 1.0 - entry.stated, 1.0 - entry.right.value, 1.0 - entry.right.high, 1.0 - entry.right.low
+def _wrong(entry: Agreement) -> tuple[float, float, float, float]:
+    """1 − p, the share that is wrong, and its interval."""
+    right = entry.right
+    return max(1.0 - entry.stated, FLOOR), 1.0 - right.value, 1.0 - right.high, 1.0 - right.low
