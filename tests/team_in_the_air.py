@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
 import re
 import secrets
@@ -26,9 +27,7 @@ from swarmtrack import codec
 from swarmtrack.agents.air import Air
 from swarmtrack.agents.swarm_configs import Sources, write_configs
 from swarmtrack.config import NetworkSection
-from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.messages import Identity
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.security import names
 from swarmtrack.security.authority import create_authority
@@ -87,21 +86,31 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What one observer published, beside the truth. names: by the true drone; ghosts: on tracks that are nobody."""
+    """What one observer published, beside the truth of the instant that it speaks of.
+
+    t: of its arrival; named: the ID on each confirmed track that has one, and which drone is the nearest to that track.
+    The nearest and not "within so many pixels": an agent that gets no CPU extrapolates badly, and confuses nobody.
+    """
 
     t: float
     in_view: frozenset[int]
-    names: Mapping[int, Identity]
-    ghosts: frozenset[Identity]
+    named: frozenset[tuple[int, int]]
+
+    def knows(self, drone: int) -> bool:
+        """Whether it calls this drone by its name."""
+        return (drone, drone) in self.named
+
+    def calls_somebody(self, drone: int) -> bool:
+        """Whether it calls anybody by this name."""
+        return drone in {name for name, _ in self.named}
 
     def is_right(self) -> bool:
         """Everybody in view has the right name."""
-        return all(self.names.get(drone) == drone for drone in self.in_view)
+        return all(map(self.knows, self.in_view))
 
     def is_wrong(self) -> bool:
         """Somebody has another's name; unknown is not wrong."""
-        swapped = any(name not in (None, drone) for drone, name in self.names.items())
-        return swapped or not self.ghosts.isdisjoint(self.in_view)
+        return any(name != nearest for name, nearest in self.named)
 
 
 class Team:
@@ -114,10 +123,10 @@ class Team:
         self._scenario_file = scenario_file
         self._scenario = load_scenario(scenario_file, seed=SEED)
         self._truth = SwarmTruth(self._scenario.world, self._scenario.camera, self._scenario.body_from_camera)
-        self._matching = SwarmScorer(self._scenario.members, start=0.0, end=0.0)
         self._name = f"test-{secrets.token_hex(4)}"
         self._processes: list[Lines] = []
         self._sources: Mapping[int, Sources] = {}
+        self._clock_off_s: dict[int, float] = {}
         self._looked = asyncio.Condition()
         self._watching: asyncio.Task[None] | None = None
         self._keys = self._make_keys(folder / "keys") if secured else None
@@ -165,7 +174,9 @@ class Team:
 
     async def start(self, drone: int, *, name: int | None = None, clock_off_s: float = 0.0) -> Lines:
         """Start the drone's agent. name: the ID that it is given, its own if None; clock_off_s: of its wall clock."""
-        path = self._write_config(drone, drone if name is None else name)
+        name = drone if name is None else name
+        path = self._write_config(drone, name)
+        self._clock_off_s[name] = clock_off_s
         module = ["swarmtrack.agents.vehicle", "--config", str(path), "--quiet", "--log", "info"]
         if clock_off_s:
             module = ["swarmtrack.agents.skewed_clock", repr(clock_off_s), *module]
@@ -183,7 +194,12 @@ class Team:
         folder = self._folder / f"{drone}-as-{name}"
         folder.mkdir(exist_ok=True)
         path = write_configs(
-            folder, self._scenario, team=self._name, tracker="kalman", sources=self._sources
+            folder,
+            self._scenario,
+            team=self._name,
+            tracker="kalman",
+            sources=self._sources,
+            simulator="(of the test)",
         )[drone]
         text = path.read_text().replace(f"id = {drone}\n", f"id = {name}\n", 1)
         path.write_text(f"{text}\n[network]\n{self._network(drone, name)}")
@@ -224,26 +240,24 @@ class Team:
             assert address is not None
             message = codec.decode_tracks(sample.payload)
             async with self._looked:
-                look = self._look(address.drone_id, message, time.monotonic())
+                look = self._look(address.drone_id, message)
                 self.looks.setdefault(address.drone_id, []).append(look)
                 self._looked.notify_all()
 
-    def _look(self, observer: int, message: codec.TracksMessage, now: float) -> Look:
-        """Of the time of arrival: at these speeds a message's way is worth no pixel."""
-        view = self._truth.view(observer, now - self.epoch)
-        tracks = tuple(
-            NamedTrack(track.id, track.identity, track.identity_probability, track.u_px, track.v_px)
+    def _look(self, observer: int, message: codec.TracksMessage) -> Look:
+        off = self._clock_off_s.get(observer, 0.0)
+        t = message.t_utc_s - off - self.epoch - (time.time() - time.monotonic())  # world time
+        view = self._truth.view(observer, t)
+        boxes = {**view.in_view, **view.hidden}
+        named = {
+            (
+                track.identity,
+                min(boxes, key=lambda drone: math.dist((track.u_px, track.v_px), boxes[drone][:2])),
+            )
             for track in message.tracks
-            if track.status == "confirmed"
-        )
-        glance = Glance(observer, "", 0, now - self.epoch, view.in_view, view.hidden, tracks)
-        seen = self._matching.add(glance)
-        return Look(
-            t=now,
-            in_view=frozenset(view.in_view),
-            names={one.drone_id: one.track.identity for one in seen if one.drone_id is not None},
-            ghosts=frozenset(one.track.identity for one in seen if one.drone_id is None),
-        )
+            if track.status == "confirmed" and isinstance(track.identity, int) and boxes
+        }
+        return Look(time.monotonic(), frozenset(view.in_view), frozenset(named))
 
     async def until(
         self, wanted: Callable[[Look], bool], observers: Sequence[int], since: float, what: str
@@ -259,18 +273,21 @@ class Team:
                 await self._looked.wait_for(so)
         except TimeoutError:
             last = {observer: self.looks.get(observer, [])[-1:] for observer in observers}
-            raise AssertionError(f"not in {PATIENCE:g} s: {what}; {last}; {self._deaths()}") from None
+            raise AssertionError(f"not in {PATIENCE:g} s: {what}; {last}; {self._last_lines()}") from None
         return time.monotonic()
 
-    def _deaths(self) -> str:
-        """The last words of processes that have ended."""
-        dead = [lines for lines in self._processes if lines.process.returncode is not None]
-        return "\n".join(f"{one.name} has ended: {one.said[-3:]}" for one in dead)
+    def _last_lines(self) -> str:
+        """Of every process."""
+        return "".join(
+            f"\n--- {one.name}, exit code {one.process.returncode}:\n"
+            + "\n".join(line for _, line in one.said[-8:])
+            for one in self._processes
+        )
 
     async def until_known(self, drones: Sequence[int], since: float) -> float:
         """When each of these drones calls each other one of them that it sees by its name."""
         return await self.until(
-            lambda look: all(look.names.get(d) == d for d in look.in_view.intersection(drones)),
+            lambda look: all(map(look.knows, look.in_view.intersection(drones))),
             drones,
             since,
             f"each of {drones} names the others",
