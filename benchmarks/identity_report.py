@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -165,6 +166,8 @@ def markdown(result: Result) -> str:
 
 def _percent(value: Interval) -> str:
     """With two decimals near none and near all."""
+    if math.isnan(value.value):
+        return "–"
     digits = 2 if value.high < 0.1 or value.low > 0.9 else 1
     low, high = (report.number(100.0 * limit, digits) for limit in (value.low, value.high))
     return f"{report.number(100.0 * value.value, digits)} ({low} … {high})"
@@ -337,6 +340,7 @@ def plot_calibration(path: Path, result: Result) -> None:
         _draw_bins(axis, result.calibrations[Pool(sky, method, None)], "black", "all", size=7.0)
         axis.set(title=f"{sky}: {method}", xlabel="stated: 1 − p", ylabel="found: share that is wrong")
         axis.set(xscale="log", yscale="log", xlim=(FLOOR, 0.6), ylim=(FLOOR, 0.6))
+        axis.tick_params(labelbottom=True, labelleft=True)
     for axis in axes.flat[len(panels) :]:
         axis.set_axis_off()
     axes.flat[len(panels)].legend(*axes.flat[0].get_legend_handles_labels(), loc="center")
