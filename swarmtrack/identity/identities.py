@@ -81,7 +81,6 @@ class Given:
 
     def settle(self, probability: float) -> None:
         self.standing, self.held, self.probability = Standing.SETTLED, HELD_LOG_ODDS, probability
-        self.met.clear()
 
     def reopen(self, standing: Standing, held: float) -> None:
         self.standing, self.scans, self.held = standing, 0, min(held, self.held)
@@ -235,28 +234,32 @@ class Identities:
         }
 
     def _watch_for_hiding(self, alive: Mapping[int, Track], t: float) -> None:
-        """Who is not detected is hidden, and may be taken for whoever is near; who is detected again is doubted."""
+        """Who is not detected may be taken for whoever is near; who was not for a while is doubted when it comes back."""
         for id, given in self._given.items():
             since = alive[id].coasting_since
-            if since is not None and t - since >= HIDDEN_S:
-                given.standing = Standing.HIDDEN
-                given.met |= {
-                    self._given[other].drone_id
-                    for other in self._given
-                    if other != id and _meet(alive[id], alive[other])
-                }
-            elif since is None and given.standing is Standing.HIDDEN:
+            near = {
+                self._given[other].drone_id
+                for other in self._given
+                if other != id and _meet(alive[id], alive[other])
+            }
+            if since is not None:
+                given.met |= near
+                if t - since >= HIDDEN_S:
+                    given.standing = Standing.HIDDEN
+            elif given.standing is Standing.HIDDEN:
                 given.reopen(Standing.DOUBTED, HIDDEN_LOG_ODDS)
                 self._verify(given)
+            elif given.met and not given.met & near:
+                self._verify(given)
+                given.met.clear()
 
-    def _verify(self, came_back: Given) -> None:
-        """Ask who met while one of them was hidden: their tracks may have changed places."""
-        for drone in came_back.met:
+    def _verify(self, given: Given) -> None:
+        """Ask it and those it met while one of them was not seen: their tracks may have changed places."""
+        for drone in {*given.met, given.drone_id} if given.met else ():
             self._questions.put(drone)
-            self._questions.put(came_back.drone_id)
-            other = self._holder(drone)
-            if other is not None:
-                other.held = min(other.held, HIDDEN_LOG_ODDS)
+            holder = self._holder(drone)
+            if holder is not None:
+                holder.held = min(holder.held, HIDDEN_LOG_ODDS)
 
     def _remember_rays(self, alive: Mapping[int, Track], view: View) -> None:
         seen = [id for id, given in self._given.items() if given.stated and alive[id].coasting_since is None]
