@@ -40,6 +40,7 @@ MEETING_PX = 10.0  # between two boxes, so near that one of them may take the ot
 OFF_CENTRE = (
     0.15  # of a box's side: between its middle and the drone's, one sigma; half hidden drones count, too
 )
+VERIFY_S = 1.0  # s between two questions to drones that keep hiding each other
 LIKELY = 0.01  # of a candidate that is worth a question
 FORGET_S = 30.0  # s after which it does not matter where somebody was last seen
 NAMELESS_S = 1.0  # s that a track is nameless before its candidates are asked for their poses
@@ -61,7 +62,8 @@ UNSEEN = (Standing.HIDDEN, Standing.DOUBTED)
 @dataclass(slots=True)
 class Given:
     """An ID that a track holds. scans: since it is tried or doubted; held: log odds in its favour; seen: where the
-    drone was when it was last detected beyond doubt; met: the teammates that may have been taken for it meanwhile."""
+    drone was when it was last detected beyond doubt; met: the teammates that may have been taken for it meanwhile,
+    last asked at verified_t."""
 
     drone_id: int
     probability: float
@@ -70,6 +72,7 @@ class Given:
     held: float = HELD_LOG_ODDS
     seen: LastSeen | None = None
     met: set[int] = field(default_factory=set)
+    verified_t: float = -math.inf
 
     @property
     def stated(self) -> bool:
@@ -234,7 +237,8 @@ class Identities:
         }
 
     def _watch_for_hiding(self, alive: Mapping[int, Track], t: float) -> None:
-        """Who is not detected may be taken for whoever is near; who was not for a while is doubted when it comes back."""
+        """Who is not detected may be taken for whoever is near; who was not for a while is doubted when it comes
+        back."""
         for id, given in self._given.items():
             since = alive[id].coasting_since
             near = {
@@ -248,13 +252,14 @@ class Identities:
                     given.standing = Standing.HIDDEN
             elif given.standing is Standing.HIDDEN:
                 given.reopen(Standing.DOUBTED, HIDDEN_LOG_ODDS)
-                self._verify(given)
-            elif given.met and not given.met & near:
-                self._verify(given)
-                given.met.clear()
+                self._verify(given, t)
+            elif given.met and (t - given.verified_t >= VERIFY_S or not given.met & near):
+                self._verify(given, t)
+                given.met &= near
 
-    def _verify(self, given: Given) -> None:
+    def _verify(self, given: Given, t: float) -> None:
         """Ask it and those it met while one of them was not seen: their tracks may have changed places."""
+        given.verified_t = t
         for drone in {*given.met, given.drone_id} if given.met else ():
             self._questions.put(drone)
             holder = self._holder(drone)
@@ -303,7 +308,7 @@ class Identities:
             if given is not None and self._try(track.id, given, candidates, t):
                 continue
             if self._evidence.seen_in(i) >= self._parameters.scans:
-                self._name_likeliest(track.id, candidates)
+                self._name_likeliest(track.id, candidates, t)
             if track.id not in self._given:
                 self._wonder(track.id, candidates, 1.0 - float(probability[i].sum()), t)
 
@@ -338,7 +343,7 @@ class Identities:
         self._ask(candidates, t)
         return True
 
-    def _name_likeliest(self, track_id: int, candidates: Mapping[int, float]) -> None:
+    def _name_likeliest(self, track_id: int, candidates: Mapping[int, float], t: float) -> None:
         """Whoever had this ID loses it: of two tracks of one drone the likelier one is it."""
         drone = max(candidates, key=candidates.__getitem__, default=None)
         if drone is None or candidates[drone] < self._parameters.probability:
@@ -349,7 +354,7 @@ class Identities:
         self._strangers.pop(track_id, None)
         self._questions.answered(drone)
         if before is not None:
-            self._verify(before)
+            self._verify(before, t)
 
     def _wonder(self, track_id: int, candidates: Mapping[int, float], p_none: float, t: float) -> None:
         """A track stays nameless: ask those that it may be; if it is nobody, whether all names are where they

@@ -262,9 +262,11 @@ class KalmanTracker:
 
 
 def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Array:
-    """(n, m) of boxes (m, 2) px, known to have the sizes (n, 2) px up to a relative sigma per side, over a typical one.
+    """(n, m) of boxes (m, 2) px, known to have the sizes (n, 2) px up to a relative sigma per side, over a typical
+    one.
 
-    A side that differs by more than `SIZE_GATE` sigma is that of a box around two drones: it speaks against, but no louder.
+    A side that differs by more than `SIZE_GATE` sigma is that of a box around two drones: it speaks against, but no
+    louder.
     """
     deviation = np.abs(np.log(measured[None] / tracks[:, None])) / sigma
     likelihood = 0.5 * (1.0 - np.minimum(deviation, SIZE_GATE) ** 2)
