@@ -15,6 +15,7 @@ import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
+from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents.swarm_configs import RadioEnds, Sources, write_configs
 from swarmtrack.agents.swarm_processes import Children
 from swarmtrack.config import load_config, mount_camera
@@ -245,6 +246,18 @@ def test_wrong_usage_says_what_was_expected_and_starts_nothing(tmp_path, argumen
     assert code == 2
     assert named in complained
     assert said == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scripted_radio_that_cannot_be_made_here_is_said_before_anything_starts(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("swarmtrack.agents.air.PROGRAMS", ("no-such-program",))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert swarmtrack.main(["sim", "--scenario", "lossy-radio", "--detector", "oracle"]) == 1
+    said = capsys.readouterr()
+    assert "no no-such-program here" in said.err
+    assert said.out.splitlines()[-1] == "FAILED"
     assert not list(tmp_path.iterdir())
 
 
