@@ -38,7 +38,8 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.topology import of_monitor
 from swarmtrack.transport.zenoh_listener import ZenohListener
 
-PATIENCE = 30.0  # s: far beyond every promise, for a machine that is busy
+PATIENCE = 60.0  # s: far beyond every promise, for a machine that is busy
+MAX_FRAME_AGE_S = 1.0  # where processes wait for each other, a late frame is better than none
 SEED = 1
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
 
@@ -202,6 +203,7 @@ class Team:
             simulator="(of the test)",
         )[drone]
         text = path.read_text().replace(f"id = {drone}\n", f"id = {name}\n", 1)
+        text = re.sub(r"max_age_s = .*", f"max_age_s = {MAX_FRAME_AGE_S}", text)
         path.write_text(f"{text}\n[network]\n{self._network(drone, name)}")
         return path
 

@@ -35,9 +35,12 @@ drones = 3
 ring = { radius_m = 2.9, heights_m = [3.0, 3.5] }
 sway = { amplitude_m = [0.25, 0.25, 0.2], period_s = [6.0, 12.0] }
 
+[camera]
+fps = 10.0
+
 [agents]
 tracks_hz = 25.0
-imu_rate_hz = 100.0
+imu_rate_hz = 50.0
 """
 RHOMBUS = TRIANGLE.replace("drones = 3", "drones = 4")
 REBOOT = f"""
