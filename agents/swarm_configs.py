@@ -72,6 +72,7 @@ team = {_text(team)}
 name = {_text(tracker)}
 p_detection = 0.9                   # that a teammate in view is detected in one frame
 clutter_per_scan = 1.0              # false detections expected in one frame
+acceleration_psd = 3000.0           # px²/s³: these drones fly gently
 
 [autopilot]
 imu_rate_hz = {scenario.imu_rate_hz:g}

@@ -206,7 +206,7 @@ class Agent:
             now = self._wall.now()
             if not self._fresh.is_set():
                 self.health.loop_lag.add(now - due)
-            due = max(due, now) + period if self._fresh.is_set() else max(due + period, now)
+            due = now + period if self._fresh.is_set() else max(due + period, now)
             self._fresh.clear()
             self._publish_once()
 

@@ -25,12 +25,12 @@ class Airframe:
 
     span: float = 0.5
     rotor_radius: float = 0.11
-    rotor_z: float = -0.035
+    rotor_z: float = -0.05
     body_length: float = 0.19
     body_width: float = 0.12
-    body_top: float = -0.035
-    body_bottom: float = 0.04
-    legs_z: float = 0.10
+    body_top: float = -0.055
+    body_bottom: float = 0.055
+    legs_z: float = 0.075
 
     @property
     def motors(self) -> Array:
