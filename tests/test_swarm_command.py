@@ -111,7 +111,10 @@ def test_the_configs_say_what_the_scenario_says(tmp_path):
     mounted = mount_camera(config.camera)
     assert (config.drone.id, config.network.team, config.tracker.name) == (17, "blue", "kalman")
     assert (config.camera.source, config.autopilot.link) == (sources[17].camera, sources[17].autopilot)
-    assert (config.autopilot.imu_rate_hz, config.output.tracks_hz) == (50.0, 10.0)
+    assert (config.autopilot.imu_rate_hz, config.output.tracks_hz) == (
+        scenario.imu_rate_hz,
+        scenario.tracks_hz,
+    )
     assert config.camera.max_age_s == 0.15
     assert config.drone.start.source == "local"
     assert config.drone.start.offset_m == pytest.approx(scenario.announced[17].position_m, abs=1e-3)
