@@ -4,7 +4,7 @@
 
 On standard input, a line each: `+PID`, the leader of a process group that was started, and `-PID`, one that has ended.
 At its end, every group that is left is killed, and the folder removed. Imports nothing of ours, so that it is small
-and soon there; it runs in a session of its own, which Ctrl-C does not reach.
+and soon there; it runs in a process group of its own, which Ctrl-C does not reach.
 """
 
 from __future__ import annotations
