@@ -26,6 +26,7 @@ from swarmtrack.agents.swarm_configs import RadioEnds, Sources, write_configs
 from swarmtrack.agents.swarm_processes import Child, Children, ProcessDied
 from swarmtrack.agents.swarm_table import Spectator
 from swarmtrack.agents.swarm_watch import Watch
+from swarmtrack.errors import first_of
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.scenario_file import load_limits, load_scenario
@@ -141,7 +142,7 @@ class _Flight:
                         task.cancel()
                     await listener.close()
         except* ProcessDied as group:
-            raise group.exceptions[0] from None
+            raise first_of(group) from None
         if listener.dropped:
             self._spectator.note(
                 f"{listener.dropped} messages came too fast to be judged: this machine is too busy"

@@ -16,7 +16,7 @@ from pathlib import Path
 from swarmtrack import __version__
 from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.agents.ending import end_at_once_if_stuck
-from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError
+from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 LAST_WORD = (
@@ -150,7 +150,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         asyncio.run(fly())
     except* SwarmtrackError as group:
         # A source that can never work says so only when it is opened; the rest of the group are its cancelled siblings.
-        raise _first(group) from None
+        raise first_of(group) from None
     return DONE
 
 
@@ -160,14 +160,6 @@ def _end_soon() -> None:
     last_word = threading.Timer(LAST_WORD, os._exit, [DONE])
     last_word.daemon = True
     last_word.start()
-
-
-def _first(group: BaseExceptionGroup[SwarmtrackError]) -> SwarmtrackError:
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, SwarmtrackError)
-    return error
 
 
 if __name__ == "__main__":

@@ -31,3 +31,12 @@ class TransportError(SwarmtrackError):
 
 class KeysError(SwarmtrackError):
     """Keys, certificates or a roster that are missing, unsafe, out of date, or another's."""
+
+
+def first_of(group: BaseExceptionGroup[SwarmtrackError]) -> SwarmtrackError:
+    """The first error of what `except*` caught, however deep: groups of tasks lie in groups of tasks."""
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, SwarmtrackError)
+    return error
