@@ -14,3 +14,10 @@ def positive_seconds(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
     return value
+
+
+def seed(text: str) -> int:
+    """For `type=`: what generators of random numbers take."""
+    if not (text.isascii() and text.isdigit()):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 0 or more")
+    return int(text)

@@ -22,6 +22,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from swarmtrack.agents.arguments import seed
 from swarmtrack.errors import SwarmtrackError
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME|FILE",
         help="one of configs/scenarios, or a file (default: hover-triangle)",
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="K", help="of everything left to chance")
+    parser.add_argument("--seed", type=seed, default=1, metavar="K", help="of everything left to chance")
     parser.add_argument("--drones", type=int, metavar="N", help="how many, where the scenario leaves it open")
     parser.add_argument(
         "--epoch",
@@ -84,9 +85,12 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _finite(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not math.isfinite(value):
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds")
     return value
 
 

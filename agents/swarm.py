@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.agents.arguments import positive_seconds, seed
 from swarmtrack.errors import SourceError
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seed",
-        type=_seed,
+        type=seed,
         default=1,
         metavar="K",
         help="decides all that is left to chance (default: %(default)s)",
@@ -76,12 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _drones(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) > 1):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 2 or more")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not (text.isascii() and text.isdigit()):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 0 or more")
     return int(text)
 
 
