@@ -27,6 +27,7 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.transport.zenoh_bridge import Sample
 
 JUDGING_SHARE = 0.15  # of one core, in flight
+MAX_JUDGED_IN_FLIGHT = 10  # drones: of more the judge would be behind anyway
 SETTLED_S = 3.0  # s of an agent's life: the second that its health message looks back upon is an ordinary one
 NEW_SCAN_S = 1e-3  # s: exposures nearer to each other than this are one
 
@@ -71,6 +72,8 @@ class Watch:
         self._clock = clock
         self._epoch = epoch
         self._seconds = seconds
+        self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
+        """Tenths of a second that an agent may pass over, publishing at its rate."""
         self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
         self._last_start = math.nan
         self._known: dict[int, dict[int, float]] = {drone_id: {} for drone_id in scenario.members}
@@ -183,7 +186,7 @@ class Watch:
     def _fill(self, drone_id: int, agent: AgentView, index: int) -> None:
         """Tenths of a second before `index` in which the agent should have spoken and did not."""
         if agent.last_index is not None:
-            for missed in range(agent.last_index + 1, index):
+            for missed in range(agent.last_index + 1 + self._pause, index):
                 self._say(drone_id, agent, missed, (missed + 0.5) / RATE_HZ, None)
 
     def _say(
@@ -203,7 +206,7 @@ class Watch:
 
     async def judge(self) -> None:
         """In flight, until cancelled: as statements come, in a share of one core."""
-        while True:
+        while len(self.agents) <= MAX_JUDGED_IN_FLIGHT:
             while self._waiting:
                 began = self._clock.now()
                 self._judge_next()
@@ -245,7 +248,8 @@ class Watch:
         team = self.agents.keys()
         if any(team - known.keys() - {drone_id} for drone_id, known in self._known.items()):
             return math.nan
-        return max(t for known in self._known.values() for t in known.values()) - self._last_start
+        times = (t for known in self._known.values() for t in known.values())
+        return max(times, default=self._last_start) - self._last_start
 
     def figures(self) -> tuple[AgentFigures, ...]:
         """Of every agent, over the flight so far."""
