@@ -23,9 +23,8 @@ from swarmtrack.simulation.scenarios import Fault, FaultKind, Scenario
 from swarmtrack.simulation.sensors import ImuParameters, Instant, detect
 
 TICK = 0.002  # s: autopilots that have something to say within it are served together
-SHUTTER_GROUPS = (
-    3  # cameras expose in so many groups: one after another for the processor, together for the world
-)
+# Cameras expose in so many groups: one after another for the processor, together for the world.
+SHUTTER_GROUPS = 3
 DETECTION_TIME = 0.03  # s from exposure to the oracle's detections, as a small computer's detector needs
 JPEG_QUALITY = 90
 SEND_BUFFER = 1 << 16  # bytes: two frames; the kernel's own megabytes would be a backlog of seconds
@@ -208,7 +207,8 @@ class AutopilotSocket(asyncio.DatagramProtocol):
         self._transport: asyncio.DatagramTransport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)  # not one by inheritance, in asyncio itself
+        # Not one by inheritance, in asyncio itself.
+        self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         now = self._clock.now()
@@ -261,9 +261,7 @@ def make_autopilot(scenario: Scenario, drone_id: int, epoch: float, now: float) 
     return SimulatedArduPilot(
         DroneSenses(scenario.world, drone_id, epoch, imu=ImuParameters(rate_hz=scenario.imu_rate_hz)),
         system=(drone_id - 1) % 255 + 1,
-        boot_at=min(
-            switched_on, now
-        ),  # one that would come later is on already: agents start before world time 0
+        boot_at=min(switched_on, now),  # agents start before world time 0: by then it is on
         skew=skew,
     )
 

@@ -16,7 +16,7 @@ LAYERS: list[set[str]] = [
     {"motion", "tracking", "identity"},
     {"onboard"},
     {"simulation", "evaluation"},
-    {"config", "toml_layers", "toml_sections", "scenario_file", "calibration", "codec", "recording", "security"},
+    {"toml_layers", "toml_sections", "config", "scenario_file", "calibration", "codec", "recording", "security"},  # fmt: skip
     {"detection", "sensors", "transport"},
     {"training"},
     {"runtime"},
@@ -112,7 +112,7 @@ def test_the_core_imports_only_numpy_scipy_and_what_is_pure(name):
 # Benchmarks are no part of an agent: from outside they hold a stopwatch to it. Training may say how long it took.
 @pytest.mark.parametrize("name", sorted(name for name in MODULES if not name.startswith("benchmarks")))
 def test_only_one_module_reads_a_clock(name):
-    if name in ("runtime.clock", "agents.skewed_clock"):  # the second sets the clock wrong that the first reads
+    if name in ("runtime.clock", "agents.skewed_clock"):  # the second sets wrong what the first reads
         return
     clocks = CLOCKS - STOPWATCHES if name.startswith("training") else CLOCKS
     reads = set()
