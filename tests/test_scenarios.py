@@ -212,12 +212,7 @@ def test_the_lossy_radio_loses_delays_and_parts():
 
 def test_thirty_all_see_several_others_whose_boxes_hardly_ever_overlap():
     scenario = load_scenario("thirty")
-    assert (len(scenario.members), scenario.fps, scenario.imu_rate_hz, scenario.tracks_hz) == (
-        30,
-        7.0,
-        50.0,
-        10.0,
-    )
+    assert (len(scenario.members), scenario.imu_rate_hz) == (30, 50.0)
     overlapping = total = 0
     for t in np.arange(0.0, 30.0, 3.0):
         for member in scenario.members:
