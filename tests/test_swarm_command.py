@@ -264,15 +264,21 @@ def test_a_scripted_radio_that_cannot_be_made_here_is_said_before_anything_start
     assert not list(tmp_path.iterdir())
 
 
-def test_an_agent_that_dies_is_reported_with_its_last_words(tmp_path):
-    process = start(tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "60")
+def test_an_agent_that_dies_is_reported_with_its_last_words_also_while_another_is_still_to_start(tmp_path):
+    scenario = tmp_path / "waiting.toml"
+    text = PAIR.replace("drones = 2", "drones = 3").replace(
+        "[agents]", "[agents]\nlate = 1\nlate_by_s = 50.0"
+    )
+    scenario.write_text(text, encoding="utf-8")
+    process = start(tmp_path, "--scenario", str(scenario), "--detector", "oracle", "--seconds", "60")
     agent = until(lambda: pid_of(tmp_path, "drone-2.toml"), "drone 2 is started")
     os.kill(agent, signal.SIGABRT)
     code, said, complained = finish(process)
     assert code == 1
     assert "drone 2 ended by itself, signal SIGABRT. Its last lines:" in complained
+    assert "Traceback" not in complained
     assert said.splitlines()[-1] == "FAILED"
-    assert not list(tmp_path.iterdir())
+    assert list(tmp_path.iterdir()) == [scenario]
     assert not living(tmp_path)
 
 
