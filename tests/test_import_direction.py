@@ -16,7 +16,16 @@ LAYERS: list[set[str]] = [
     {"motion", "tracking", "identity"},
     {"onboard"},
     {"simulation", "evaluation"},
-    {"toml_layers", "toml_sections", "config", "scenario_file", "calibration", "codec", "recording", "security"},  # fmt: skip
+    {
+        "toml_layers",
+        "toml_sections",
+        "config",
+        "scenario_file",
+        "calibration",
+        "codec",
+        "recording",
+        "security",
+    },
     {"detection", "sensors", "transport"},
     {"training"},
     {"runtime"},
