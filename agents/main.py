@@ -25,7 +25,7 @@ def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     parser = argparse.ArgumentParser(
         prog="swarmtrack",
-        description="Relative perception for drone swarms. The agent of a drone is `swarmtrack-agent`.",
+        description="Relative perception for drone swarms. One drone's agent: swarmtrack-agent.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
