@@ -281,7 +281,11 @@ class FaultSection(Section):
         description="how long it lasts; of a kill: until the agent is restarted",
         validate_default=True,
     )
-    drones: tuple[DroneId, ...] = Field(default=(), description="those concerned; none: all")
+    drones: tuple[DroneId, ...] = Field(
+        default=(),
+        description="those concerned; none: all; of a partition: one of its sides",
+        validate_default=True,
+    )
     value: Number | None = Field(
         default=None, description="of loss, latency and clutter: how much", validate_default=True
     )
@@ -293,6 +297,13 @@ class FaultSection(Section):
         if seconds == 0.0 and "kind" in info.data and info.data["kind"] not in momentary:
             raise ValueError(f"{seconds:g}, expected how long the {info.data['kind']} lasts, more than 0 s")
         return seconds
+
+    @field_validator("drones")
+    @classmethod
+    def _with_a_side(cls, drones: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
+        if not drones and info.data.get("kind") is FaultKind.PARTITION:
+            raise ValueError("none, expected the drones on one side of the partition")
+        return drones
 
     @field_validator("value")
     @classmethod

@@ -345,6 +345,8 @@ def test_every_mistake_is_named_with_its_file_and_line(write, text, complaint):
         ("kind = 'imu-gap'", "seconds: 0, expected how long the imu-gap lasts, more than 0 s"),
         ("kind = 'imu-gap'\nseconds = -1", "seconds: -1, expected greater than or equal to 0"),
         ("kind = 'imu-gap'\nseconds = 1\nvalue = 3", "value: 3, expected none: imu-gap has no strength"),
+        ("kind = 'partition'\nseconds = 2", "drones: none, expected the drones on one side of the partition"),
+        ("kind = 'partition'\nseconds = 2\ndrones = [2]", None),
         ("kind = 'loss'\nseconds = 1\nvalue = 0.5", None),
         ("kind = 'loss'\nseconds = 1\nvalue = 20", "value: 20, expected the share of frames that are lost, 0 to 1"),
         ("kind = 'latency'\nseconds = 1", "value: missing, expected a delay of 0 to 60 s"),
