@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.identity.posterior import IN_VIEW, PRIOR, Prior, nearest, posterior
+from swarmtrack.identity.posterior import IN_VIEW, PRIOR, Prior, log_ratios, nearest, posterior, residuals
 from swarmtrack.identity.reprojection import Predictions
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -55,6 +55,17 @@ def test_outside_the_gate_nobody_is_anybody():
     gate = math.sqrt(-2.0 * math.log(1e-4))  # sigma
     assert posterior(mean, cov, drones((320 + 9.99 * gate, 240)), CAMERA) > 0.0
     assert posterior(mean, cov, drones((320 + 10.01 * gate, 240)), CAMERA) == 0.0
+
+
+def test_a_covariance_like_a_needle_is_no_nonsense():
+    """As a hostile drone may announce: valid, and so long that rounding leaves nothing of its determinant."""
+    exact = log_ratios(residuals(*tracks((300, 230)), drones((300, 230), sigmas=(2.1,))), CAMERA)
+    for angle in np.linspace(0.0, math.pi, 200):
+        along = np.array([math.cos(angle), math.sin(angle)])
+        needle = drones((300, 230))._replace(cov=1e19 * np.outer(along, along)[None, None])
+        ratios = log_ratios(residuals(*tracks((320, 240), (100, 100)), needle), CAMERA)
+        assert not np.isnan(ratios).any()
+        assert ratios.max() < exact
 
 
 def test_two_drones_that_cross_may_be_either():

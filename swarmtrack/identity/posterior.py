@@ -16,6 +16,7 @@ from swarmtrack.tracking.marginals import matching_marginals
 
 IN_VIEW = 0.2  # prior: that a drone which may be anywhere is before this camera
 GATE_PROBABILITY = 0.9999
+FLATTEST = 1e-12  # of a covariance: its determinant over that without correlation; beyond it rounding is all there is
 
 
 class Prior(NamedTuple):
@@ -65,8 +66,9 @@ def log_ratios(found: Residuals, camera: PinholeCamera, prior: Prior = PRIOR) ->
     log_area = math.log(camera.width * camera.height)
     u, v = found.mean[..., 0], found.mean[..., 1]
     a, b, c = found.cov[..., 0, 0], found.cov[..., 0, 1], found.cov[..., 1, 1]
-    determinant = a * c - b * b
-    distance = (c * u * u - 2.0 * b * u * v + a * v * v) / determinant
+    # Whoever announces a covariance like a needle must not make the determinant zero or negative, and all of this NaN.
+    determinant = np.maximum(a * c - b * b, FLATTEST * a * c)
+    distance = np.maximum(c * u * u - 2.0 * b * u * v + a * v * v, 0.0) / determinant
     log_extent = LOG_TWO_PI + 0.5 * np.log(determinant)  # of the Gaussian, px²
     with np.errstate(divide="ignore"):  # of a pose that is no second old nothing has flown off
         log_share = np.log(found.share)[:, None]
