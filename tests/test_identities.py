@@ -9,6 +9,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import Identities, IdentityParameters
+from swarmtrack.identity.questions import Questions
 from swarmtrack.messages import FOREIGN, Announcement, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 
@@ -267,6 +268,15 @@ def test_drones_that_cannot_be_told_apart_are_asked_to_announce_themselves_more_
         pauses = np.diff(asked)
         assert len(pauses) >= 2
         assert pauses == pytest.approx([3.0 * 2.0**k for k in range(len(pauses))], abs=2.0 * SCAN_S)
+
+
+def test_whoever_is_asked_in_vain_is_asked_again_within_a_minute_however_long_it_takes():
+    questions, asked = Questions(), []
+    for second in range(3600):
+        questions.ask(2, float(second))
+        asked += [second for _ in questions.take()]
+    assert 60 < len(asked) < 120
+    assert np.diff(asked).max() < 60
 
 
 def test_whoever_answers_is_named_and_not_asked_again():

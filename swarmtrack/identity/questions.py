@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 FIRST_WAIT_S = 3.0  # s between two questions to one drone that did not settle the matter, doubled with each
+LAST_WAIT_S = 48.0  # s: no longer, since what could not be told apart may have flown apart meanwhile
 
 
 @dataclass(slots=True)
@@ -14,7 +15,7 @@ class _Asked:
 
 
 class Questions:
-    """Collects questions until they are taken; a question asked in vain is repeated more and more rarely."""
+    """Collects questions until they are taken; one asked in vain is repeated, more and more rarely but for ever."""
 
     def __init__(self) -> None:
         self._waiting: set[int] = set()
@@ -28,7 +29,8 @@ class Questions:
         """Ask unless it was asked not long ago."""
         before = self._asked.get(drone_id)
         if before is None or t - before.t >= before.wait_s:
-            self._asked[drone_id] = _Asked(t, 2.0 * before.wait_s if before else FIRST_WAIT_S)
+            wait_s = min(2.0 * before.wait_s, LAST_WAIT_S) if before else FIRST_WAIT_S
+            self._asked[drone_id] = _Asked(t, wait_s)
             self._waiting.add(drone_id)
 
     def answered(self, drone_id: int) -> None:
