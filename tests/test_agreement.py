@@ -1,14 +1,17 @@
 """Do two observers mean the same drone? Rays that meet or miss, and who of the two yields."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from swarmtrack.identity.agreement import MEMORY_S, SIMULTANEOUS, VOTE_S, Agreement, OwnView
+from swarmtrack.identity.agreement import HEARING_S, MEMORY_S, SIMULTANEOUS, VOTE_S, Agreement, OwnView
 from swarmtrack.messages import Sighting, SightingReport
 
 NORTH, EAST, DOWN = np.eye(3)
 HERE = np.zeros(3)  # of observer 1, who looks north
 THERE = 4.0 * EAST  # of observer 2, four metres east of it
+ABOVE = np.array([0.0, 2.0, -3.0])  # of observer 4
 TARGET = np.array([8.0, 2.0, -1.0])  # of drone 3
 ELSEWHERE = np.array([8.0, 5.0, 1.0])
 
@@ -32,6 +35,15 @@ def judge(ours, theirs):
     agreement = Agreement()
     agreement.remember(ours)
     return agreement, agreement.compare(theirs)
+
+
+def hear(ours, *theirs, agreement=None):
+    """What is found of each report when all are repeated once everybody had time to speak."""
+    agreement = agreement or Agreement()
+    for late in (0.0, HEARING_S):
+        agreement.remember(replace(ours, t=ours.t + late))
+        found = [agreement.compare(replace(one, t=one.t + late)) for one in theirs]
+    return found
 
 
 def test_rays_that_meet_agree():
@@ -99,56 +111,87 @@ def test_whoever_stands_elsewhere_than_where_it_is_seen_is_not_it():
 def test_of_two_observers_the_less_certain_one_yields_and_only_it():
     """Both hear of the other: 1 is nearly sure that drone 3 is there, 2 only rather."""
     sure, rather = 0.9995, 0.97
-    (of_1,) = judge(
+    ((of_1,),) = hear(
         own_view(sighting(3, HERE, TARGET, sure)),
         report(sighting(3, THERE, ELSEWHERE, rather)),
-    )[1]
-    (of_2,) = judge(
+    )
+    ((of_2,),) = hear(
         own_view(sighting(3, THERE, ELSEWHERE, rather), position=THERE),
         report(sighting(3, HERE, TARGET, sure), observer=1, position=HERE),
-    )[1]
+    )
     assert (of_1.overruled, of_2.overruled) == (False, True)
 
 
 def test_of_two_that_are_equally_certain_both_yield():
-    (of_1,) = judge(own_view(sighting(3, HERE, TARGET)), report(sighting(3, THERE, ELSEWHERE)))[1]
+    ((of_1,),) = hear(own_view(sighting(3, HERE, TARGET)), report(sighting(3, THERE, ELSEWHERE)))
     assert of_1.overruled
 
 
 def test_whoever_is_outvoted_yields_and_whoever_is_supported_keeps():
     ours = own_view(sighting(3, HERE, TARGET, 0.995))
     against = report(sighting(3, THERE, ELSEWHERE, 0.99), observer=2)
-    above = np.array([0.0, 2.0, -3.0])
-    agreement = Agreement()
-    agreement.remember(ours)
-    assert not agreement.compare(against)[0].overruled  # one against one, and ours is the surer
-    (outvoting,) = agreement.compare(report(sighting(3, above, ELSEWHERE, 0.9), observer=4, position=above))
+    ((alone,),) = hear(ours, against)
+    assert not alone.overruled  # one against one, and ours is the surer
+    _, (outvoting,) = hear(
+        ours, against, report(sighting(3, ABOVE, ELSEWHERE, 0.9), observer=4, position=ABOVE)
+    )
     assert outvoting.overruled
 
+    ours = own_view(sighting(3, HERE, TARGET, 0.97))
+    supporting = report(sighting(3, ABOVE, TARGET, 0.97), observer=4, position=ABOVE)
+    agreed, (kept,) = hear(ours, supporting, against)
+    assert agreed == []
+    assert not kept.overruled
+    ((alone,),) = hear(ours, against)
+    assert alone.overruled
+
+
+def test_who_supported_another_hypothesis_says_nothing_of_a_new_one():
+    ours = own_view(sighting(3, HERE, TARGET, 0.97))
+    against = report(sighting(3, THERE, ELSEWHERE, 0.99))
     agreement = Agreement()
-    agreement.remember(own_view(sighting(3, HERE, TARGET, 0.97)))
-    assert agreement.compare(report(sighting(3, above, TARGET, 0.97), observer=4, position=above)) == []
-    assert not agreement.compare(against)[0].overruled  # alone it would have yielded
-    agreement.forget(3)  # it is another track now: whoever supported the old one has said nothing of it
-    assert agreement.compare(against)[0].overruled
+    hear(ours, report(sighting(3, ABOVE, TARGET, 0.97), observer=4, position=ABOVE), agreement=agreement)
+    agreement.forget(3)
+    ((found,),) = hear(ours, against, agreement=agreement)
+    assert found.overruled
 
 
 def test_an_observer_has_one_vote_however_often_it_speaks():
     agreement = Agreement()
-    agreement.remember(own_view(sighting(3, HERE, TARGET, 0.995)))
-    for _ in range(20):
-        (found,) = agreement.compare(report(sighting(3, THERE, ELSEWHERE, 0.97)))
+    for t in np.arange(10.0, 14.0, 0.2):
+        agreement.remember(own_view(sighting(3, HERE, TARGET, 0.995), t=t))
+        (found,) = agreement.compare(report(sighting(3, THERE, ELSEWHERE, 0.97), t=t))
         assert not found.overruled
 
 
 def test_a_vote_of_long_ago_no_longer_counts():
-    above = np.array([0.0, 2.0, -3.0])
     agreement = Agreement()
-    agreement.remember(own_view(sighting(3, HERE, TARGET, 0.97), t=10.0))
-    agreement.compare(report(sighting(3, above, TARGET, 0.99), observer=4, position=above, t=10.0))
-    later = 10.0 + VOTE_S + 0.1
-    agreement.remember(own_view(sighting(3, HERE, TARGET, 0.97), t=later))
-    assert agreement.compare(report(sighting(3, THERE, ELSEWHERE, 0.99), t=later))[0].overruled
+    ours = own_view(sighting(3, HERE, TARGET, 0.97))
+    hear(ours, report(sighting(3, ABOVE, TARGET, 0.99), observer=4, position=ABOVE), agreement=agreement)
+    later = 10.0 + HEARING_S + VOTE_S + 0.1
+    against = report(sighting(3, THERE, ELSEWHERE, 0.99), t=later)
+    ((found,),) = hear(own_view(sighting(3, HERE, TARGET, 0.97), t=later), against, agreement=agreement)
+    assert found.overruled
+
+
+@pytest.mark.parametrize(("ahead", "t_sigma"), [(0.0, 0.0), (0.7, 0.45), (4.0, 4.0)])
+def test_one_liar_that_speaks_first_and_often_takes_nobody_s_name(ahead, t_sigma):
+    """Ten times a second, whatever time it states; drone 3 tells where it is only once a second, and later."""
+    agreement = Agreement()
+    for k in range(100):
+        t = 10.0 + 0.1 * k
+        agreement.remember(own_view(sighting(3, HERE, TARGET), t=t))
+        lie = report(sighting(3, THERE, ELSEWHERE, 1.0), t=t + ahead, t_sigma=t_sigma)
+        assert not any(found.overruled for found in agreement.compare(lie))
+        if k % 10 == 9:
+            assert agreement.compare(report(t=t, observer=3, position=TARGET)) == []
+
+
+@pytest.mark.parametrize("vague", [{"t_sigma": 1e9}, {"position_sigma": 1e7}, {"sigma": 3.0}])
+def test_a_report_that_agrees_with_everything_supports_nothing(vague):
+    theirs = sighting(3, THERE, ELSEWHERE, sigma=vague.pop("sigma", 0.005))
+    agreement, found = judge(own_view(sighting(3, HERE, TARGET)), replace(report(theirs), **vague))
+    assert (found, agreement.agreed, agreement.disagreed) == ([], 0, 0)
 
 
 def test_only_views_of_nearly_the_same_instant_are_compared():

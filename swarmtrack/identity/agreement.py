@@ -5,6 +5,10 @@ meet ahead of both observers; a ray to the reporter itself must pass through whe
 one vote of its sender on each drone that both see, as heavy as the log odds of the sender's own belief. Whoever is
 outvoted gives its hypothesis up, whoever is not keeps it: since both compare the same two numbers, one of them
 yields, without a master.
+
+Whoever lies may speak first and often, the rest once a second. So the votes on a third drone are counted only once all
+had time to speak, that drone among them, whose word on its own place outweighs any single other. Votes age by our
+clock, not by what a report says of the time, and a report too vague to be wrong is none.
 """
 
 from __future__ import annotations
@@ -26,7 +30,10 @@ GATE = 16.0  # squared: 4 σ
 NEAREST, FARTHEST = 0.3, 300.0  # m along a ray
 SURE = math.log(1e3)  # the log odds that no single vote exceeds
 OWN_WORD = math.log(1e4)  # of a drone on where it stands itself
-VOTE_S = 3.0  # s that a vote counts
+VOTE_S = 3.0  # s that a vote counts, on our clock
+HEARING_S = 1.5  # s from the first vote against to the verdict: everybody reports once a second
+# Vaguer than this a report agrees with everything:
+VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 10.0, 0.3  # s, m, rad
 
 
 class Disagreement(NamedTuple):
@@ -48,10 +55,31 @@ class OwnView:
     sightings: dict[int, Sighting]
 
 
-@dataclass(frozen=True, slots=True)
-class _Vote:
+class _Vote(NamedTuple):
     t: float
     weight: float  # log odds, negative against
+
+
+class _Case:
+    """The votes on one hypothesis of ours."""
+
+    def __init__(self) -> None:
+        self._votes: dict[int, _Vote] = {}
+        self._disputed_since = math.inf
+
+    def vote(self, observer: int, t: float, weight: float) -> None:
+        self._votes = {i: vote for i, vote in self._votes.items() if t - vote.t < VOTE_S}
+        if weight < 0.0 and all(vote.weight >= 0.0 for vote in self._votes.values()):
+            self._disputed_since = t
+        self._votes[observer] = _Vote(t, weight)
+
+    def is_heard(self, t: float) -> bool:
+        """Whether all had time to speak since somebody spoke against it."""
+        return t - self._disputed_since >= HEARING_S
+
+    @property
+    def balance(self) -> float:
+        return sum(vote.weight for vote in self._votes.values())
 
 
 class Agreement:
@@ -59,7 +87,7 @@ class Agreement:
 
     def __init__(self) -> None:
         self._views: deque[OwnView] = deque()
-        self._votes: dict[int, dict[int, _Vote]] = {}
+        self._cases: dict[int, _Case] = {}
         self.agreed = 0
         self.disagreed = 0
 
@@ -71,15 +99,18 @@ class Agreement:
 
     def forget(self, drone_id: int) -> None:
         """Our hypothesis on this drone is a new one: the votes were on the old."""
-        self._votes.pop(drone_id, None)
+        self._cases.pop(drone_id, None)
 
     def compare(self, report: SightingReport) -> list[Disagreement]:
         """What the report says against our own hypotheses."""
         view = min(self._views, key=lambda view: abs(view.t - report.t), default=None)
         if view is None or abs(view.t - report.t) > SIMULTANEOUS + report.t_sigma:
             return []
+        if report.t_sigma > VAGUE_T or report.position_sigma > VAGUE_PLACE:
+            return []
+        now = self._views[-1].t
         moved = SPEED * (abs(view.t - report.t) + report.t_sigma)
-        reported = {sighting.drone_id: sighting for sighting in report.sightings}
+        reported = {seen.drone_id: seen for seen in report.sightings if seen.sigma <= VAGUE_RAY}
         found = []
         for drone_id, ours in view.sightings.items():
             if drone_id == report.observer:
@@ -91,23 +122,18 @@ class Agreement:
                 weight = _log_odds(theirs.probability)
             else:
                 continue
+            case = self._cases.setdefault(drone_id, _Case())
             if distance <= GATE:
                 self.agreed += 1
-                self._vote(drone_id, report, weight)
+                case.vote(report.observer, now, weight)
                 continue
             self.disagreed += 1
-            self._vote(drone_id, report, -weight)
-            overruled = self._is_overruled(drone_id, ours.probability, report.t)
+            case.vote(report.observer, now, -weight)
+            # Ties go against us as against them: then both ask again.
+            outvoted = _log_odds(ours.probability) + case.balance <= 0.0
+            overruled = outvoted and (drone_id == report.observer or case.is_heard(now))
             found.append(Disagreement(report.observer, drone_id, miss, overruled))
         return found
-
-    def _vote(self, drone_id: int, report: SightingReport, weight: float) -> None:
-        self._votes.setdefault(drone_id, {})[report.observer] = _Vote(report.t, weight)
-
-    def _is_overruled(self, drone_id: int, probability: float, t: float) -> bool:
-        """Ties go against us as against them: then both ask again."""
-        votes = [vote.weight for vote in self._votes[drone_id].values() if t - vote.t < VOTE_S]
-        return _log_odds(probability) + sum(votes) <= 0.0
 
 
 def _log_odds(probability: float) -> float:
