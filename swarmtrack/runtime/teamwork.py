@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+from collections import Counter
 
 import numpy as np
 
@@ -28,6 +29,10 @@ log = logging.getLogger(__name__)
 
 REPORT_PERIOD = 1.0  # s between two reports of who is seen as whom
 CHANGE_PERIOD = 0.1  # s: a change is told at once, but no more often than that
+LINES, LINES_PERIOD = (
+    16,
+    10.0,
+)  # lines about one teammate, in so many s: nobody may fill our log, or hide others in it
 
 
 class Teamwork:
@@ -42,6 +47,8 @@ class Teamwork:
         self._reported: tuple[object, ...] = ()
         self._reported_at = -math.inf
         self._disputed: set[tuple[int, int]] = set()
+        self._lines: Counter[int] = Counter()  # by the teammate they are about
+        self._lines_since = -math.inf
 
     def on_position(self) -> None:
         """The autopilot knows where the drone is."""
@@ -62,7 +69,9 @@ class Teamwork:
                     continue  # one a second from everybody: no news
                 case AnnouncementRequested():
                     await self._announce_again()
-            self._note(_describe(event), logging.WARNING if isinstance(event, IdClash) else logging.INFO)
+            about = 0 if isinstance(event, AnnouncementRequested) else event.drone_id  # who asks is not told
+            level = logging.WARNING if isinstance(event, IdClash) else logging.INFO
+            self._note(about, _describe(event), level)
 
     async def announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is; then those of simulated teammates."""
@@ -128,12 +137,20 @@ class Teamwork:
         for found in self._parts.onboard.take_disagreements():
             pair = (found.observer, found.drone_id)
             if found.overruled or pair not in self._disputed:
-                self._note(_describe_disagreement(found), logging.WARNING)
+                self._note(found.observer, _describe_disagreement(found), logging.WARNING)
             self._disputed.add(pair)
             if found.overruled:
                 self._disputed.clear()
 
-    def _note(self, line: str, level: int) -> None:
+    def _note(self, about: int, line: str, level: int) -> None:
+        now = self._parts.clock.now()
+        if now - self._lines_since >= LINES_PERIOD:
+            self._lines.clear()
+            self._lines_since = now
+        self._lines[about] += 1
+        if self._lines[about] > LINES:
+            self._health.drops["events_untold"] += 1
+            return
         self._health.events.append(line)
         log.log(level, line)
 

@@ -1,0 +1,79 @@
+"""What an agent makes of what its transport tells, event by event: no network, no tasks but one."""
+
+import asyncio
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmtrack.config import load_config
+from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.health import EVENTS_KEPT, Health
+from swarmtrack.runtime.teamwork import LINES, Teamwork
+
+CONFIG = """
+drone.id = 1
+network.transport = "memory"
+autopilot.link = "none"
+[camera]
+source = "http://127.0.0.1:9/"
+intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }
+"""
+
+
+class Told:
+    """In place of a transport: one whose events are known."""
+
+    def __init__(self, events):
+        self._events = events
+
+    async def events(self):
+        for event in self._events:
+            yield event
+
+
+@pytest.fixture
+def parts(tmp_path):
+    config = tmp_path / "drone.toml"
+    config.write_text(CONFIG, encoding="utf-8")
+    return assemble(load_config(config))
+
+
+def listen(parts, events):
+    told = replace(parts, transport=Told(events))
+    health = Health(parts)
+    asyncio.run(Teamwork(told, health).listen())
+    return health
+
+
+def announced(drone_id, sequence):
+    return Announcement(drone_id, "0000000a", sequence, 0.0, 0.0, np.zeros(3), np.eye(3), np.eye(3))
+
+
+def test_each_event_is_a_line_for_people(parts):
+    story = [PeerArrived(2, "0000000a"), announced(2, 1), PeerDeparted(2, "0000000a")]
+    assert [line.split(" (")[0] for line in listen(parts, story).events] == [
+        "drone 2 is alive",
+        "drone 2 announced itself",
+        "drone 2 is gone",
+    ]
+
+
+@pytest.mark.parametrize(
+    "flood",
+    [
+        [announced(2, k) for k in range(1, 1001)],
+        [IdClash(2, ("0000000a", f"{k:08x}"), ours=False) for k in range(1000)],
+        [event for k in range(500) for event in (PeerArrived(2, f"{k:08x}"), PeerDeparted(2, f"{k:08x}"))],
+    ],
+    ids=["announcements", "clashes", "tokens"],
+)
+def test_a_teammate_that_floods_fills_no_log_and_what_the_others_do_is_still_told(parts, flood, caplog):
+    caplog.set_level(logging.INFO, "swarmtrack.runtime.teamwork")
+    health = listen(parts, [*flood, PeerArrived(3, "0000000b")])
+    assert LINES < len(caplog.messages) <= 2 * LINES + 1  # as if ten seconds began anew meanwhile
+    assert health.drops["events_untold"] >= len(flood) - 2 * LINES
+    assert health.events[-1] == "drone 3 is alive (boot 0000000b)"
+    assert len(health.events) == EVENTS_KEPT
