@@ -43,6 +43,7 @@ RECOGNISE_S = 2.5
 RADIO_LINKS_S = 6.0  # through a bad radio, a connection takes several attempts
 SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
 START_PATIENCE_S = 8.0  # that one agent may hold up the next ones' start
+AGENT_NICENESS = 5  # the simulator stands for hardware, which waits for no computer that is connected to it
 SHOW_HZ = 4.0
 AGENT_PORT = 7447  # in namespaces each has all ports to itself
 LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
@@ -224,6 +225,7 @@ class _Flight:
         if skew:
             program = [sys.executable, "-m", "swarmtrack.agents.skewed_clock", str(skew)]
             argv = [*program, "swarmtrack.agents.vehicle", *arguments]
+        argv = ["nice", "-n", str(AGENT_NICENESS), *argv]
         if self._air is not None:
             argv = self._air.wrap(drone_id, argv)
         self._watch.started(drone_id)

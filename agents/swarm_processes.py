@@ -1,8 +1,9 @@
 """Child processes that end with us, whatever ends us, each with a log in one folder that goes with them.
 
 A keeper (`agents/keeper.py`) waits at the other end of a pipe. When that closes, because we are done or because we were
-killed, it kills what is left and removes the folder. Children run in sessions of their own: Ctrl-C reaches us alone,
-and we end them in order.
+killed, it kills what is left and removes the folder. Children run in process groups of their own: Ctrl-C reaches us
+alone, and we end them in order. They stay in our session, because to Linux each session is as good as any other when
+they compete (autogroup): in sessions of their own a simulator would get no more than each of thirty agents.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Children:
         self._keeper = await asyncio.create_subprocess_exec(
             *(sys.executable, "-I", "-S", keeper.__file__, *folders),
             stdin=asyncio.subprocess.PIPE,
-            start_new_session=True,
+            process_group=0,
         )
         return self
 
@@ -92,7 +93,7 @@ class Children:
                 stdin=pipe if talks else asyncio.subprocess.DEVNULL,
                 stdout=pipe if talks else file,
                 stderr=file,
-                start_new_session=True,
+                process_group=0,
             )
         self._tell_keeper(f"+{process.pid}")
         child = Child(name, process, log)

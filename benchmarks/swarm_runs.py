@@ -15,16 +15,15 @@ import argparse
 import asyncio
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from swarmtrack.agents.swarm_flight import FlightPlan, fly
-from swarmtrack.agents.swarm_processes import ProcessDied
 from swarmtrack.agents.swarm_table import Silent
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 
 NAME = "swarm"
@@ -53,20 +52,24 @@ def run(out: Path, *, tracker: str = "kalman", programme: Programme | None = Non
     p = programme or Programme()
     flights = len(p.scenarios) * p.seeds + len(p.sizes)
     with report.progress("swarms", flights) as advance:
+        lost: list[str] = []
+
+        def fly_all(plans: Iterable[FlightPlan]) -> list[SwarmReport]:
+            return [one for plan in plans if (one := _fly(plan, advance, lost)) is not None]
+
         recognition = {
-            name: [
-                _fly(FlightPlan(name, p.drones, p.seconds, seed, tracker, "oracle"), advance)
+            name: fly_all(
+                FlightPlan(name, p.drones, p.seconds, seed, tracker, "oracle")
                 for seed in range(1, p.seeds + 1)
-            ]
+            )
             for name in p.scenarios
         }
-        sizes = {
-            n: _fly(FlightPlan(p.size_scenario, n, p.size_seconds, 1, tracker, "oracle"), advance)
-            for n in p.sizes
-        }
+        sized = fly_all(FlightPlan(p.size_scenario, n, p.size_seconds, 1, tracker, "oracle") for n in p.sizes)
+        sizes = {one.drones: one for one in sized}
     result = {
         "tracker": tracker,
         "seconds": p.seconds,
+        "lost": lost,
         "recognition": {name: _recognition(runs) for name, runs in recognition.items()},
         "sizes": {str(n): _size(one) for n, one in sizes.items()},
         "runs": [one.as_record() for runs in recognition.values() for one in runs]
@@ -76,11 +79,13 @@ def run(out: Path, *, tracker: str = "kalman", programme: Programme | None = Non
     return result
 
 
-def _fly(plan: FlightPlan, advance: Callable[[str], None]) -> SwarmReport:
+def _fly(plan: FlightPlan, advance: Callable[[str], None], lost: list[str]) -> SwarmReport | None:
+    """None, and a line in `lost`, where a process died: the other flights are not lost with it."""
+    flight = None
     try:
         flight = asyncio.run(fly(plan, Silent()))
-    except ProcessDied as error:
-        raise BenchmarkError(f"{plan.scenario}, seed {plan.seed}: {error}") from error
+    except SwarmtrackError as error:
+        lost.append(f"{plan.scenario}, {plan.drones} drones, seed {plan.seed}: {error}")
     advance(f"{plan.scenario}, seed {plan.seed}")
     return flight
 
@@ -108,7 +113,7 @@ def _recognition(runs: Sequence[SwarmReport]) -> dict[str, Any]:
         "worst_run_agreement": min(agreements, default=math.nan),
         "slowest_to_identify_s": max(times, default=math.nan),
         "worst_rmse_px": max(errors, default=math.nan),
-        "switches_per_run": sum(score.switches for score in scores) / len(scores),
+        "switches_per_run": sum(score.switches for score in scores) / max(len(scores), 1),
         "ok": pooled("wrong") <= MAX_WRONG,
     }
 
@@ -184,6 +189,7 @@ def _markdown(p: Programme, result: dict[str, Any]) -> str:
                 ],
                 sizes,
             ),
+            *(f"\nLost: {line}" for line in result["lost"]),
         ]
     )  # fmt: skip
 

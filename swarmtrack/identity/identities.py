@@ -42,6 +42,7 @@ OFF_CENTRE = (
 )
 VERIFY_S = 1.0  # s between two questions to drones that keep hiding each other
 LIKELY = 0.01  # of a candidate that is worth a question
+ASKED = 2  # drones because of one track at a time
 FORGET_S = 30.0  # s after which it does not matter where somebody was last seen
 NAMELESS_S = 1.0  # s that a track is nameless before its candidates are asked for their poses
 AHEAD_S = 0.1  # s: over which a track's velocity becomes a turn of its ray
@@ -118,6 +119,7 @@ class Identities:
         self._strangers: dict[int, _Stranger] = {}
         self._lost: dict[int, Given] = {}
         """By drone: what its track held when it ended."""
+        self._alive: dict[int, Track] = {}
         self._evidence = Evidence(parameters.window_s)
         self._questions = Questions()
 
@@ -174,7 +176,7 @@ class Identities:
 
     def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
         """Look at the tracks of a scan, with this drone's own pose at its exposure."""
-        alive = {track.id: track for track in tracks}
+        alive = self._alive = {track.id: track for track in tracks}
         view = View.of(observer, self._camera, self._body_from_camera)
         self._end(alive, observer.t)
         self._watch_for_hiding(alive, observer.t)
@@ -310,7 +312,7 @@ class Identities:
             if self._evidence.seen_in(i) >= self._parameters.scans:
                 self._name_likeliest(track.id, candidates, t)
             if track.id not in self._given:
-                self._wonder(track.id, candidates, 1.0 - float(probability[i].sum()), t)
+                self._wonder(track, candidates, 1.0 - float(probability[i].sum()), t)
 
     def _log_ratios(self, tracks: Sequence[Track], predicted: Predictions) -> Array:
         """(n, k + u): of the predicted drones, then of those that may be anywhere."""
@@ -356,10 +358,10 @@ class Identities:
         if before is not None:
             self._verify(before, t)
 
-    def _wonder(self, track_id: int, candidates: Mapping[int, float], p_none: float, t: float) -> None:
+    def _wonder(self, track: Track, candidates: Mapping[int, float], p_none: float, t: float) -> None:
         """A track stays nameless: ask those that it may be; if it is nobody, whether all names are where they
         belong."""
-        stranger = self._strangers.setdefault(track_id, _Stranger(t))
+        stranger = self._strangers.setdefault(track.id, _Stranger(t))
         stranger.p_none = p_none
         if p_none < self._parameters.probability:
             stranger.unexplained_since, stranger.foreign = None, False
@@ -371,12 +373,21 @@ class Identities:
         stranger.foreign = t - stranger.unexplained_since >= self._parameters.foreign_s
         if not stranger.asked:
             stranger.asked = True
-            for given in self._given.values():
-                self._questions.put(given.drone_id)
+            for drone in self._named_near(track):
+                self._questions.ask(drone, t)
+
+    def _named_near(self, track: Track) -> list[int]:
+        """The teammates whose tracks are nearest to it in the image."""
+
+        def distance(id: int) -> float:
+            return float(np.linalg.norm(self._alive[id].mean[::2] - track.mean[::2]))
+
+        return [self._given[id].drone_id for id in sorted(self._given, key=distance)[:ASKED]]
 
     def _ask(self, candidates: Mapping[int, float], t: float) -> None:
-        for drone, p in candidates.items():
-            if p > LIKELY and t - self._announced[drone].t > NAMELESS_S:
+        """Ask the likeliest; in a large swarm nearly everybody is possible."""
+        for drone in sorted(candidates, key=candidates.__getitem__)[-ASKED:]:
+            if candidates[drone] > LIKELY and t - self._announced[drone].t > NAMELESS_S:
                 self._questions.ask(drone, t)
 
 

@@ -14,7 +14,7 @@ from swarmtrack.transport.settings import ENCRYPTED, Mode, NetworkSettings
 MAX_ZENOH_BYTES: Final = 1024 * 1024  # of a fragmented message: Zenoh drops larger ones before we see them
 MAX_LINKS: Final = 2  # between two with keys (`links.Links.PAIR`)
 # In one lease. With 4, a link of idle datagrams was lost twice a minute where a fifth of all frames is.
-KEEP_ALIVES: Final = 8
+KEEP_ALIVES, DATAGRAM_KEEP_ALIVES = 4, 8
 HANDSHAKE_MS: Final = 3000
 CLIENT_HANDSHAKE_MS: Final = 1500  # then the next router is tried
 CLIENT_CONNECT_MS: Final = 6000  # a client's `open` blocks until a router answers, but not for ever
@@ -66,7 +66,10 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
             },
             "shared_memory": {"enabled": False},  # nothing to gain at our sizes, and it hides lost links
             "link": {
-                "tx": {"lease": round(network.lease_s * 1000), "keep_alive": KEEP_ALIVES},
+                "tx": {
+                    "lease": round(network.lease_s * 1000),
+                    "keep_alive": DATAGRAM_KEEP_ALIVES if network.credentials else KEEP_ALIVES,
+                },
                 "rx": {"max_message_size": MAX_ZENOH_BYTES},
             },
         },
