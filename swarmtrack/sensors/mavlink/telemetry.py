@@ -35,6 +35,7 @@ STALE_AFTER = 0.5  # s without an IMU sample, or three of its periods where it c
 FORGOTTEN_AFTER = 3.0  # s without an IMU sample: its rate is counted anew
 PREFER = 2.0  # s a better source of angular velocity must be silent before a lesser one is used
 FASTEST_GYRO = 100.0  # rad/s: no sensor measures more; what claims it is corrupt
+FARTHEST = 1e6  # m from where the local frame began, and m/s: an estimator that says so has diverged
 LOCAL_SIGMA = 0.1  # m per axis, against where the local frame began
 POSITION_AGE = 0.5  # s that a position is carried on by its velocity
 POSE_MISMATCH = 5.0  # s between a pose's mapped time and its arrival: it is stamped by another clock
@@ -191,7 +192,7 @@ class Telemetry:
 
     def _on_local_position(self, t: float, m: Any) -> None:
         position, velocity = np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz))
-        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+        if not (np.abs((position, velocity)) < FARTHEST).all():  # NaN compares as False
             self._invalid += 1
             return
         self._position = (m.time_boot_ms * 1e-3, position, velocity)
