@@ -238,7 +238,10 @@ def test_the_schema_knows_every_key_of_the_examples():
 
 
 def test_lines_are_found_through_comments_strings_and_arrays_of_many_lines():
-    text = '# [x]\n[a.b]\n"c.d" = """\n[e]\n"""\nf = [\n  1, # ]\n]\ng.h = { i = 1 }\n[[j]]\nk = 1\r\n[[j]]\nk = 2\n[j.l]\nm = 3\n'
+    text = (
+        '# [x]\n[a.b]\n"c.d" = """\n[e]\n"""\nf = [\n  1, # ]\n]\n'
+        "g.h = { i = 1 }\n[[j]]\nk = 1\r\n[[j]]\nk = 2\n[j.l]\nm = 3\n"
+    )
     assert tomllib.loads(text)
     lines = key_lines(text)
     assert lines["a",] == lines["a", "b"] == 2
