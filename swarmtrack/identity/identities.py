@@ -243,21 +243,23 @@ class Identities:
         back."""
         for id, given in self._given.items():
             since = alive[id].coasting_since
-            near = {
-                self._given[other].drone_id
-                for other in self._given
-                if other != id and _meet(alive[id], alive[other])
-            }
             if since is not None:
-                given.met |= near
+                given.met |= self._near(id, alive)
                 if t - since >= HIDDEN_S:
                     given.standing = Standing.HIDDEN
             elif given.standing is Standing.HIDDEN:
                 given.reopen(Standing.DOUBTED, HIDDEN_LOG_ODDS)
                 self._verify(given, t)
-            elif given.met and (t - given.verified_t >= VERIFY_S or not given.met & near):
-                self._verify(given, t)
-                given.met &= near
+            elif given.met:
+                still_near = given.met & self._near(id, alive)
+                if t - given.verified_t >= VERIFY_S or not still_near:
+                    self._verify(given, t)
+                    given.met = still_near
+
+    def _near(self, id: int, alive: Mapping[int, Track]) -> set[int]:
+        """The drones whose tracks nearly touch this one."""
+        others = (other for other in self._given if other != id)
+        return {self._given[other].drone_id for other in others if _meet(alive[id], alive[other])}
 
     def _verify(self, given: Given, t: float) -> None:
         """Ask it and those it met while one of them was not seen: their tracks may have changed places."""
