@@ -21,8 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     clients = names.add_parser("clients", help="how long until everybody knows everybody, to 100 drones")
     flood = names.add_parser("flood", help="a member that floods, and the others")
     identity = names.add_parser("identity", help="who is who from one look: the paper's rule and ours")
+    recognition = names.add_parser("recognition", help="who is who over a hundred flights, in one process")
     swarm = names.add_parser("swarm", help="whole local swarms: who knows whom, and at what cost")
-    for name in (agent, clips, rotation, clients, flood, identity, swarm):
+    for name in (agent, clips, rotation, clients, flood, identity, recognition, swarm):
         name.add_argument(
             "--out",
             type=Path,
@@ -111,6 +112,13 @@ def _identity(args: argparse.Namespace) -> None:
     identity_layouts.run(args.out, layouts=layouts)
 
 
+def _recognition(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import recognition
+
+    programme = recognition.QUICK if args.quick else None
+    recognition.run(args.out, tracker=args.tracker, programme=programme)
+
+
 def _swarm(args: argparse.Namespace) -> None:
     from swarmtrack.benchmarks import swarm_runs
 
@@ -123,6 +131,7 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "clips": _clips,
     "flood": _flood,
     "identity": _identity,
+    "recognition": _recognition,
     "rotation": _rotation,
     "swarm": _swarm,
 }

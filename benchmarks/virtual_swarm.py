@@ -26,6 +26,7 @@ from swarmtrack.tracking import create_tracker
 
 RADIO_S = 0.05  # s from a question to the announcement it asked for
 REPORT_S = 1.0  # s between two reports of sightings
+CLOCK_SIGMA = 0.01  # s: what a drone knows of its teammates' clocks
 LATENCY_S = 0.08  # s from exposure to detections
 LEAD_S = 1.0  # s that the sensors run before world time 0
 
@@ -57,7 +58,8 @@ class VirtualSwarm:
     ) -> None:
         self.scenario = scenario
         self.announcements = 0
-        self.disagreements = 0
+        self.announced_at: dict[int, float] = {}
+        """World time of each drone's first announcement [s]."""
         self._identity = identity or IdentityParameters()
         self._tracker = tracker
         self._ego = EgoParameters()
@@ -135,6 +137,7 @@ class VirtualSwarm:
             return
         drone.announced += 1
         self.announcements += 1
+        self.announced_at.setdefault(drone_id, now)
         announcement = Announcement(
             drone_id=drone_id,
             boot=f"{drone_id:08x}",
@@ -165,8 +168,8 @@ class VirtualSwarm:
         drone.reports += 1
         for other_id, other in self._drones.items():
             if other_id != drone_id:
-                other.onboard.on_sightings(dataclasses.replace(report, t_sigma=0.01))
-                self.disagreements += len(other.onboard.take_disagreements())
+                other.onboard.on_sightings(dataclasses.replace(report, t_sigma=CLOCK_SIGMA))
+                other.onboard.take_disagreements()
 
 
 def _due(what: str, index: int, rate: float) -> float:

@@ -40,6 +40,7 @@ from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
 from swarmtrack.tracking.base import Tracker
 
 MAX_WAIT = 0.05  # s: a gyro that is silent for longer is not waited for
+LOST_ATTITUDE = 0.3  # rad: whose autopilot is silent for so long does not know where it looks
 MAX_SILENCE = 1.0  # s that a scan may stay away beyond the history: by then a target may be anywhere
 
 
@@ -163,8 +164,7 @@ class Onboard:
                 drone = disagreement.drone_id
                 self.counters.identities_overruled += 1
                 self._agreement.forget(drone)
-                self._identities.withdraw(drone)
-                self._identities.ask_for(drone)
+                self._identities.overrule(drone)
 
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None:
         """Whom this drone saw in its last scan; None where it does not know where it stands."""
@@ -278,6 +278,7 @@ class Onboard:
                 seen.drone_id, p, seen.direction, math.hypot(seen.sigma, observer.attitude_sigma)
             )
             for seen, p in self._identities.sightings(observer.t)
+            if observer.attitude_sigma < LOST_ATTITUDE
         }
         self._view = OwnView(observer.t, position, observer.position_sigma, sightings)
         self._agreement.remember(self._view)

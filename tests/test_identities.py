@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import Identities, IdentityParameters
+from swarmtrack.identity.identities import DEPARTED_S, Identities
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.questions import Questions
 from swarmtrack.messages import FOREIGN, Announcement, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
@@ -298,9 +299,26 @@ def test_where_all_is_clear_nobody_is_asked(observer):
 
 
 def test_each_question_is_told_once(observer):
-    observer.identities.ask_for(2)
+    observer.identities.overrule(2)
     assert observer.identities.take_wanted() == (2,)
     assert observer.identities.take_wanted() == ()
+
+
+def test_whom_others_overruled_is_not_named_again_before_it_is_heard(observer):
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+    observer.identities.overrule(2)
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}
+    observer.hears(2, LEFT, sequence=2)
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_a_drone_long_gone_is_no_excuse_for_a_stranger(observer):
+    stranger = shifted(LEFT, right=60.0)
+    observer.sees(20.0, b=RIGHT)
+    assert observer.sees(6.0, b=RIGHT, c=stranger)["c"] is None  # it may be drone 2, which flew off
+    observer.identities.departed(2)
+    observer.sees(DEPARTED_S, b=RIGHT)
+    assert observer.sees(6.0, b=RIGHT, c=stranger)["c"] == FOREIGN
 
 
 # --- whatever happens ---

@@ -6,8 +6,8 @@ one vote of its sender on each drone that both see, as heavy as the log odds of 
 outvoted gives its hypothesis up, whoever is not keeps it: since both compare the same two numbers, one of them
 yields, without a master.
 
-Whoever lies may speak first and often, the rest once a second. So the votes on a third drone are counted only once all
-had time to speak, that drone among them, whose word on its own place outweighs any single other. Votes age by our
+Whoever lies may speak first and often, the rest once a second. So the votes on a third drone are counted only once
+all had time to speak, that drone among them, whose word on its own place outweighs any single other. Votes age by our
 clock, not by what a report says of the time, and a report too vague to be wrong is none.
 """
 
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -98,8 +98,9 @@ class Agreement:
             self._views.popleft()
 
     def forget(self, drone_id: int) -> None:
-        """Our hypothesis on this drone is a new one: the votes were on the old."""
+        """Our hypothesis on this drone is given up: votes on it count no more, and it is not compared again."""
         self._cases.pop(drone_id, None)
+        self._views = deque(_without(view, drone_id) for view in self._views)
 
     def compare(self, report: SightingReport) -> list[Disagreement]:
         """What the report says against our own hypotheses."""
@@ -134,6 +135,10 @@ class Agreement:
             overruled = outvoted and (drone_id == report.observer or case.is_heard(now))
             found.append(Disagreement(report.observer, drone_id, miss, overruled))
         return found
+
+
+def _without(view: OwnView, drone_id: int) -> OwnView:
+    return replace(view, sightings={i: seen for i, seen in view.sightings.items() if i != drone_id})
 
 
 def _log_odds(probability: float) -> float:

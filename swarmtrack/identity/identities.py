@@ -43,6 +43,8 @@ OFF_CENTRE = (
 VERIFY_S = 1.0  # s between two questions to drones that keep hiding each other
 LIKELY = 0.01  # of a candidate that is worth a question
 ASKED = 2  # drones because of one track at a time
+DEPARTED_S = 60.0  # s after which a drone whose process is gone is no candidate any more
+DISPUTE_S = 5.0  # s that an overruled drone stays unnamed, unless it is heard
 FORGET_S = 30.0  # s after which it does not matter where somebody was last seen
 NAMELESS_S = 1.0  # s that a track is nameless before its candidates are asked for their poses
 AHEAD_S = 0.1  # s: over which a track's velocity becomes a turn of its ray
@@ -114,7 +116,10 @@ class Identities:
         self._parameters = parameters
         self._announced: dict[int, Announcement] = {}
         self._unannounced: set[int] = set()
+        self._departed: set[int] = set()
         self._suspended: set[int] = set()
+        self._overruled: dict[int, float | None] = {}
+        """By drone: since which scan it is; None: since now."""
         self._given: dict[int, Given] = {}
         self._strangers: dict[int, _Stranger] = {}
         self._lost: dict[int, Given] = {}
@@ -137,6 +142,7 @@ class Identities:
             return False
         self._announced[drone] = announcement
         self._unannounced.discard(drone)
+        self._overruled.pop(drone, None)
         given = self._holder(drone)
         if given is not None and known is not None and given.standing is not Standing.HIDDEN:
             given.reopen(
@@ -147,12 +153,14 @@ class Identities:
 
     def arrived(self, drone_id: int) -> None:
         """A teammate is alive; until it announces itself it may be any track."""
+        self._departed.discard(drone_id)
         if drone_id != self._drone_id and drone_id not in self._announced:
             self._unannounced.add(drone_id)
 
     def departed(self, drone_id: int) -> None:
-        """A teammate's process is gone; the drone is still where it is, and so is its pose."""
+        """A teammate's process is gone; the drone is still where it is, and so, for a while, is its pose."""
         self._unannounced.discard(drone_id)
+        self._departed.add(drone_id)
 
     def suspend(self, drone_id: int) -> None:
         """Two processes speak as this drone: nobody can tell which pose is its own."""
@@ -165,21 +173,25 @@ class Identities:
         self._suspended.discard(drone_id)
         self._unannounced.add(drone_id)
 
+    def overrule(self, drone_id: int) -> None:
+        """Others see it elsewhere: no track is this drone until it says anew where it is, or the dispute is old."""
+        self.withdraw(drone_id)
+        self._overruled[drone_id] = None
+        self._questions.put(drone_id)
+
     def withdraw(self, drone_id: int) -> None:
         """No track is this drone any more, nor is it where it was last seen."""
         self._lost.pop(drone_id, None)
         self._given = {track: given for track, given in self._given.items() if given.drone_id != drone_id}
-
-    def ask_for(self, drone_id: int) -> None:
-        """Its pose is wanted anew."""
-        self._questions.put(drone_id)
 
     def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
         """Look at the tracks of a scan, with this drone's own pose at its exposure."""
         alive = self._alive = {track.id: track for track in tracks}
         view = View.of(observer, self._camera, self._body_from_camera)
         self._end(alive, observer.t)
-        self._watch_for_hiding(alive, observer.t)
+        self._forget(observer.t)
+        if self._parameters.profile != "paper":
+            self._watch_for_hiding(alive, observer.t)
         self._remember_rays(alive, view)
         undecided = [track for track in alive.values() if self._is_undecided(track)]
         self._strangers = {
@@ -237,6 +249,16 @@ class Identities:
             for drone, given in self._lost.items()
             if given.seen is not None and t - given.seen.t < FORGET_S
         }
+
+    def _forget(self, t: float) -> None:
+        """Drop the poses of drones that are long gone, and disputes that nobody settled."""
+        held = {given.drone_id for given in self._given.values()}
+        for drone in self._departed - held:
+            if drone in self._announced and t - self._announced[drone].t > DEPARTED_S:
+                del self._announced[drone]
+        self._departed &= self._announced.keys()
+        since = {drone: t if began is None else began for drone, began in self._overruled.items()}
+        self._overruled = {drone: began for drone, began in since.items() if t - began < DISPUTE_S}
 
     def _watch_for_hiding(self, alive: Mapping[int, Track], t: float) -> None:
         """Who is not detected may be taken for whoever is near; who was not for a while is doubted when it comes
@@ -350,7 +372,7 @@ class Identities:
     def _name_likeliest(self, track_id: int, candidates: Mapping[int, float], t: float) -> None:
         """Whoever had this ID loses it: of two tracks of one drone the likelier one is it."""
         drone = max(candidates, key=candidates.__getitem__, default=None)
-        if drone is None or candidates[drone] < self._parameters.probability:
+        if drone is None or drone in self._overruled or candidates[drone] < self._parameters.probability:
             return
         before = self._lost.get(drone) or self._holder(drone)
         self.withdraw(drone)
@@ -374,9 +396,8 @@ class Identities:
             stranger.unexplained_since = t
         stranger.foreign = t - stranger.unexplained_since >= self._parameters.foreign_s
         if not stranger.asked:
-            stranger.asked = True
-            for drone in self._named_near(track):
-                self._questions.ask(drone, t)
+            asked = [self._questions.ask(drone, t) for drone in self._named_near(track)]
+            stranger.asked = all(asked)
 
     def _named_near(self, track: Track) -> list[int]:
         """The teammates whose tracks are nearest to it in the image."""

@@ -25,13 +25,15 @@ class Questions:
         """Ask now."""
         self._waiting.add(drone_id)
 
-    def ask(self, drone_id: int, t: float) -> None:
-        """Ask unless it was asked not long ago."""
+    def ask(self, drone_id: int, t: float) -> bool:
+        """Ask unless it was asked not long ago; whether it is."""
         before = self._asked.get(drone_id)
-        if before is None or t - before.t >= before.wait_s:
-            wait_s = min(2.0 * before.wait_s, LAST_WAIT_S) if before else FIRST_WAIT_S
-            self._asked[drone_id] = _Asked(t, wait_s)
-            self._waiting.add(drone_id)
+        if before is not None and t - before.t < before.wait_s:
+            return False
+        wait_s = min(2.0 * before.wait_s, LAST_WAIT_S) if before else FIRST_WAIT_S
+        self._asked[drone_id] = _Asked(t, wait_s)
+        self._waiting.add(drone_id)
+        return True
 
     def answered(self, drone_id: int) -> None:
         """The matter is settled."""

@@ -42,6 +42,7 @@ class Teamwork:
         self._parts = parts
         self._health = health
         self._posed = asyncio.Event()
+        self._asked = asyncio.Event()
         self._announced = 0
         self._reports = 0
         self._reported: tuple[object, ...] = ()
@@ -68,19 +69,24 @@ class Teamwork:
                     self._tell_of_disagreements()
                     continue  # one a second from everybody: no news
                 case AnnouncementRequested():
-                    await self._announce_again()
+                    self._asked.set()
             about = 0 if isinstance(event, AnnouncementRequested) else event.drone_id  # who asks is not told
             level = logging.WARNING if isinstance(event, IdClash) else logging.INFO
             self._note(about, _describe(event), level)
 
     async def announce(self) -> None:
-        """The one broadcast, as soon as this drone knows where it is; then those of simulated teammates."""
+        """The one broadcast, as soon as this drone knows where it is, and those of simulated teammates; then again
+        when somebody asks, until cancelled."""
         parts = self._parts
         if parts.start is None:
             await self._posed.wait()
         await self._announce(first=True)
         for transport, announcement in parts.simulated_teammates:
             await _speak_for(transport, announcement)
+        while True:  # again whenever somebody asks; those who ask meanwhile get the same answer
+            await self._asked.wait()
+            self._asked.clear()
+            await self._announce(first=False)
 
     async def report(self) -> None:
         """Until cancelled: whom this drone sees as whom, once a second and when it changed; and ask who is in
@@ -107,10 +113,6 @@ class Teamwork:
             self._health.drops["unsendable_identities"] += 1
             return
         parts.transport.publish(Kind.IDENTITIES, payload)
-
-    async def _announce_again(self) -> None:
-        if self._announced:
-            await self._announce(first=False)
 
     async def _announce(self, *, first: bool) -> None:
         """first: from where the config says that it starts; else from where the autopilot says it is."""

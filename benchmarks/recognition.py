@@ -1,0 +1,159 @@
+"""Who is who over many flights: the Monte Carlo of `virtual_swarm`, judged as `swarmtrack sim` judges.
+
+Crossing, hiding and swinging drones, each seed a flight of its own; shares with 95 % intervals over flights. What only
+processes, clocks and radios can spoil is not in it: that is `swarmtrack bench swarm`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
+from swarmtrack.evaluation.intervals import Interval, mean_interval
+from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScore, SwarmScorer
+from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.messages import TrackStatus
+from swarmtrack.scenario_file import load_scenario
+
+NAME = "recognition"
+SHARES = ("correct", "wrong", "unknown", "agreement")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Programme:
+    """Which flights."""
+
+    scenarios: Sequence[str] = (
+        "hover-triangle",
+        "crossing",
+        "occlusion",
+        "fast-yaw",
+        "late-joiner",
+        "intruder",
+    )
+    drones: int = 4
+    seeds: int = 100
+    seconds: float = 20.0
+
+
+QUICK = Programme(seeds=4, seconds=12.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What came of one: the score, and how many announcements a drone made."""
+
+    score: SwarmScore
+    announcements_per_drone: float
+
+
+def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> Flight:
+    """One flight, as fast as it computes; the same arguments give the same flight."""
+    flown = load_scenario(scenario, seed=seed, drones=drones)
+    swarm = VirtualSwarm(flown, tracker=tracker)
+    truth = SwarmTruth(flown.world, flown.camera, flown.body_from_camera)
+    scorer = SwarmScorer(flown.members, start=0.0, end=seconds)
+    judged: dict[int, int] = {}
+    for look in swarm.fly(seconds):
+        for drone_id, t in swarm.announced_at.items():
+            scorer.announced(drone_id, t)
+            scorer.knows(look.observer, "virtual", drone_id, t)
+        index = int(np.floor(look.t * RATE_HZ))
+        if judged.get(look.observer) == index:
+            continue
+        judged[look.observer] = index
+        view = truth.view(look.observer, look.t)
+        tracks = tuple(
+            NamedTrack(
+                named.track.id,
+                named.identity,
+                named.identity_probability,
+                float(named.track.mean[0]),
+                float(named.track.mean[2]),
+            )
+            for named in look.tracks.tracks
+            if named.track.status is TrackStatus.CONFIRMED
+        )
+        scorer.add(Glance(look.observer, "virtual", index, look.t, view.in_view, view.hidden, tracks))
+    return Flight(scorer.score(), swarm.announcements / len(flown.members))
+
+
+def run(out: Path, *, tracker: str = "kalman", programme: Programme | None = None) -> dict[str, Any]:
+    """Fly everything on all cores, write recognition.json and recognition.md into `out`."""
+    p = programme or Programme()
+    found: dict[str, list[Flight]] = {name: [] for name in p.scenarios}
+    total = len(p.scenarios) * p.seeds
+    with (
+        multiprocessing.get_context("spawn").Pool() as pool,
+        report.progress(NAME, total) as advance,
+    ):
+        for name in p.scenarios:
+            one = partial(fly, name, p.drones, p.seconds, tracker)
+            for flight in pool.imap(one, range(1, p.seeds + 1)):
+                found[name].append(flight)
+                advance(name)
+    result = {
+        "tracker": tracker,
+        "drones": p.drones,
+        "seeds": p.seeds,
+        "seconds": p.seconds,
+        "scenarios": {name: _summary(flights) for name, flights in found.items()},
+    }
+    report.write(out, NAME, result, _markdown(result))
+    return result
+
+
+def _summary(flights: Sequence[Flight]) -> dict[str, Any]:
+    shares = {name: _interval([getattr(flight.score, name) for flight in flights]) for name in SHARES}
+    return {
+        **{name: interval._asdict() for name, interval in shares.items()},
+        "flights_with_a_wrong_name": sum(flight.score.wrong > 0.0 for flight in flights),
+        "slowest_to_identify_s": max(
+            seconds for flight in flights for seconds in flight.score.time_to_identify_s.values()
+        ),
+        "announcements_per_drone": float(np.mean([flight.announcements_per_drone for flight in flights])),
+    }
+
+
+def _interval(samples: Sequence[float]) -> Interval:
+    return mean_interval(np.array([sample for sample in samples if np.isfinite(sample)]))
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    def percent(interval: dict[str, float]) -> str:
+        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
+        return f"{value:.2f} ({max(low, 0.0):.2f} … {min(high, 100.0):.2f})"
+
+    rows = [
+        [
+            name,
+            *(percent(found[share]) for share in SHARES),
+            str(found["flights_with_a_wrong_name"]),
+            f"{found['slowest_to_identify_s']:.1f}",
+            f"{found['announcements_per_drone']:.1f}",
+        ]
+        for name, found in result["scenarios"].items()
+    ]
+    header = [
+        "scenario", *(f"{share}, %" for share in SHARES), "flights with a wrong name", "slowest to identify, s",
+        "announcements of a drone",
+    ]  # fmt: skip
+    return "\n".join(
+        [
+            "# Who is who over many flights",
+            "",
+            f"{result['drones']} drones (and strangers), {result['seconds']:g} s, {result['seeds']} seeds a scenario, "
+            f"synthetic detections, tracker `{result['tracker']}`, no processes; shares of (observer, drone in view, "
+            "tenth of a second) with 95 % intervals over flights.",
+            "",
+            report.table(header, rows),
+        ]
+    )
