@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmtrack.agents.swarm_processes import ProcessDied
 from swarmtrack.benchmarks import swarm_runs
 from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScore, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
@@ -423,12 +424,19 @@ def test_the_benchmark_pools_views_and_names_the_worst_run(tmp_path, monkeypatch
     async def fly(plan, spectator):
         """Every second run is bad, and whatever is large takes long."""
         score = bad if plan.seed % 2 == 0 else GOOD_SCORE
+        if plan.seed == 3:
+            raise ProcessDied("drone 2 ended by itself")
         return replace(
-            GOOD, scenario=plan.scenario, seed=plan.seed, score=score, all_known_s=0.3 * plan.drones
+            GOOD,
+            scenario=plan.scenario,
+            drones=plan.drones,
+            seed=plan.seed,
+            score=score,
+            all_known_s=0.3 * plan.drones,
         )
 
     monkeypatch.setattr(swarm_runs, "fly", fly)
-    programme = swarm_runs.Programme(scenarios=("crossing",), seeds=2, sizes=(3, 30))
+    programme = swarm_runs.Programme(scenarios=("crossing",), seeds=3, sizes=(3, 30))
     result = swarm_runs.run(tmp_path, programme=programme)
     crossing = result["recognition"]["crossing"]
     assert (crossing["runs"], crossing["passed"], crossing["samples"]) == (2, 1, 500)
@@ -437,6 +445,7 @@ def test_the_benchmark_pools_views_and_names_the_worst_run(tmp_path, monkeypatch
     assert crossing["slowest_to_identify_s"] == 3.0
     assert crossing["worst_run_agreement"] == 0.9
     assert not crossing["ok"]
+    assert result["lost"] == ["crossing, 4 drones, seed 3: drone 2 ended by itself"]
     assert result["sizes"]["3"]["ok"]
     assert not result["sizes"]["30"]["ok"]
     assert result["sizes"]["3"]["announced_bytes_per_drone"] == 161.0
