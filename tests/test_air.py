@@ -98,7 +98,8 @@ def test_jitter_delays_each_frame_within_its_bounds_and_keeps_the_order_of_a_lin
     heard = switch.deliver(1.0)
     assert [delivery.frame for delivery in heard] == sent
     delays = [delivery.due - 0.001 * number for number, delivery in enumerate(heard)]
-    assert 0.02 <= min(delays) < 0.05 < max(delays) <= 0.08
+    # Who is kept in order waits for the slowest before it, so the shortest delays are rare.
+    assert 0.02 <= min(delays) < max(delays) <= 0.08
     assert switch.next_due is None
 
 
