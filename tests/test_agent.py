@@ -195,6 +195,15 @@ def test_sigterm_ends_it_though_the_detector_hangs(tmp_path):
             process.kill()
 
 
+@pytest.fixture
+def hangup_ends_programs():
+    """Whoever started the tests may have said nohup, which programs inherit."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup_ends_programs")
 def test_a_terminal_that_goes_ends_it_cleanly_and_nohup_keeps_it_flying(tmp_path):
     config = write(tmp_path, f'extends = "{ROOT}/configs/sim.toml"\noutput.video = "{tmp_path}/seen.mp4"\n')
     for prefix in ([], ["nohup"]):
