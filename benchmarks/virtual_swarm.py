@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement, EgoPose, PeerArrived, TrackList
 from swarmtrack.motion.ego import EgoHistory
@@ -67,15 +66,15 @@ class VirtualSwarm:
 
     def _make(self, drone_id: int) -> _Drone:
         scenario = self.scenario
-        # The autopilot's frame begins where its drone hovers; its config says where that is.
-        origin: Pose = scenario.world.pose(drone_id, 0.0)
+        # The autopilot's frame begins where its drone hovers: there, as well as its config was measured.
+        start = scenario.announced[drone_id]
         onboard = Onboard(
             drone_id,
             camera=scenario.camera,
             mounting=Mounting(scenario.body_from_camera),
             tracker=create_tracker(self._tracker, camera=scenario.camera),
             gyro=GyroHistory(),
-            ego=EgoHistory(origin=origin.position),
+            ego=EgoHistory(origin=start.position_m),
             identity=self._identity,
         )
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
@@ -135,6 +134,7 @@ class VirtualSwarm:
         if pose is None:
             drone.announce_at = now + 0.1
             return
+        start_sigma = self.scenario.announced[drone_id].position_sigma_m
         drone.announced += 1
         self.announcements += 1
         self.announced_at.setdefault(drone_id, now)
@@ -146,7 +146,7 @@ class VirtualSwarm:
             t_sigma=0.05,
             position=pose.position,
             world_from_body=pose.world_from_body,
-            position_cov=pose.position_sigma**2 * np.eye(3),
+            position_cov=(start_sigma**2 + pose.position_sigma**2) * np.eye(3),
         )
         for other_id, other in self._drones.items():
             if other_id != drone_id:

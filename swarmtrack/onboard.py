@@ -164,7 +164,7 @@ class Onboard:
                 drone = disagreement.drone_id
                 self.counters.identities_overruled += 1
                 self._agreement.forget(drone)
-                self._identities.overrule(drone)
+                self._identities.overrule(drone, report.t)
 
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None:
         """Whom this drone saw in its last scan; None where it does not know where it stands."""

@@ -299,14 +299,14 @@ def test_where_all_is_clear_nobody_is_asked(observer):
 
 
 def test_each_question_is_told_once(observer):
-    observer.identities.overrule(2)
+    observer.identities.overrule(2, observer.t)
     assert observer.identities.take_wanted() == (2,)
     assert observer.identities.take_wanted() == ()
 
 
 def test_whom_others_overruled_is_not_named_again_before_it_is_heard(observer):
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
-    observer.identities.overrule(2)
+    observer.identities.overrule(2, observer.t)
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}
     observer.hears(2, LEFT, sequence=2)
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}

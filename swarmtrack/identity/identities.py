@@ -37,9 +37,8 @@ HELD_LOG_ODDS = math.log(1e3)  # of an ID that was given: how rarely a track jum
 HIDDEN_LOG_ODDS = math.log(3.0)  # of one whose track met another, or came back from where it was not seen
 HIDDEN_S = 0.25  # s without a detection: no longer a miss
 MEETING_PX = 10.0  # between two boxes, so near that one of them may take the other's detections
-OFF_CENTRE = (
-    0.15  # of a box's side: between its middle and the drone's, one sigma; half hidden drones count, too
-)
+# Of a box's side, one sigma: between its middle and the drone's. Half hidden drones count, too.
+OFF_CENTRE = 0.15
 VERIFY_S = 1.0  # s between two questions to drones that keep hiding each other
 LIKELY = 0.01  # of a candidate that is worth a question
 ASKED = 2  # drones because of one track at a time
@@ -118,8 +117,8 @@ class Identities:
         self._unannounced: set[int] = set()
         self._departed: set[int] = set()
         self._suspended: set[int] = set()
-        self._overruled: dict[int, float | None] = {}
-        """By drone: since which scan it is; None: since now."""
+        self._overruled: dict[int, float] = {}
+        """By drone: since when."""
         self._given: dict[int, Given] = {}
         self._strangers: dict[int, _Stranger] = {}
         self._lost: dict[int, Given] = {}
@@ -173,10 +172,10 @@ class Identities:
         self._suspended.discard(drone_id)
         self._unannounced.add(drone_id)
 
-    def overrule(self, drone_id: int) -> None:
+    def overrule(self, drone_id: int, t: float) -> None:
         """Others see it elsewhere: no track is this drone until it says anew where it is, or the dispute is old."""
         self.withdraw(drone_id)
-        self._overruled[drone_id] = None
+        self._overruled[drone_id] = t
         self._questions.put(drone_id)
 
     def withdraw(self, drone_id: int) -> None:
@@ -257,8 +256,7 @@ class Identities:
             if drone in self._announced and t - self._announced[drone].t > DEPARTED_S:
                 del self._announced[drone]
         self._departed &= self._announced.keys()
-        since = {drone: t if began is None else began for drone, began in self._overruled.items()}
-        self._overruled = {drone: began for drone, began in since.items() if t - began < DISPUTE_S}
+        self._overruled = {drone: since for drone, since in self._overruled.items() if t - since < DISPUTE_S}
 
     def _watch_for_hiding(self, alive: Mapping[int, Track], t: float) -> None:
         """Who is not detected may be taken for whoever is near; who was not for a while is doubted when it comes

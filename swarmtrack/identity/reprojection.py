@@ -25,9 +25,7 @@ FAST = 10.0  # times drift_speed
 COURSE_S = 1.0  # s: how long a drone that went out of sight keeps its velocity
 LOST_SHARE = 0.1  # of the drones that went out of sight, those that may be nearly anywhere
 TURNED_AWAY = 0.3  # rad: how far these are at once
-NEAREST = (
-    2.0  # m: no teammate is closer, so no motion of the observer moves a bearing by more than the angle at it
-)
+NEAREST = 2.0  # m: no teammate is closer, so the observer's motion turns no bearing by more than one at it
 
 
 class Predictions(NamedTuple):

@@ -29,10 +29,8 @@ log = logging.getLogger(__name__)
 
 REPORT_PERIOD = 1.0  # s between two reports of who is seen as whom
 CHANGE_PERIOD = 0.1  # s: a change is told at once, but no more often than that
-LINES, LINES_PERIOD = (
-    16,
-    10.0,
-)  # lines about one teammate, in so many s: nobody may fill our log, or hide others in it
+# Lines about one teammate, in so many s: nobody may fill our log, or hide others in it.
+LINES, LINES_PERIOD = 16, 10.0
 
 
 class Teamwork:
