@@ -23,8 +23,8 @@ VELOCITY = slice(1, None, 2)  # vu, vv
 MIN_DEPTH = 0.05
 FAR = 100.0  # focal lengths off the axis, where the tangent of 89 degrees is 57
 
-Turn = Callable[[Array, Array, Array, PinholeCamera], tuple[Array, Array]]
-"""Turns means and covariances with the camera: (mean, cov, rotation (3, 3), camera) -> (mean, cov)."""
+Turn = Callable[[Array, Array, PinholeCamera], tuple[Array, Array]]
+"""Turns means with the camera: (mean (n, 4), rotation (3, 3), camera) -> (mean, and its Jacobian F (n, 4, 4))."""
 
 
 def drift(mean: Array, cov: Array, dt: float, psd: float) -> tuple[Array, Array]:
@@ -41,9 +41,7 @@ def drift(mean: Array, cov: Array, dt: float, psd: float) -> tuple[Array, Array]
     return mean, cov + _white_acceleration(dt, psd)
 
 
-def turn_exactly(
-    mean: Array, cov: Array, camera_from_before: Array, camera: PinholeCamera
-) -> tuple[Array, Array]:
+def turn_exactly(mean: Array, camera_from_before: Array, camera: PinholeCamera) -> tuple[Array, Array]:
     """A finite rotation of every bearing: the homography K R K⁻¹ for the position, its derivative for the velocity.
 
     With M = K R K⁻¹, h = M·[u v 1], w = M·[vu vv 0] and k = 1 / h₃: p' = k h₁₂, v' = k (w₁₂ − w₃ p') = J v,
@@ -63,15 +61,13 @@ def turn_exactly(
     J = (M[:2, :2] - p[:, :, None] * m3) * k[:, :, None]
     turned = np.empty_like(mean)
     turned[:, POSITION], turned[:, VELOCITY] = p, v
-    F = np.zeros_like(cov)
+    F = np.zeros((len(mean), 4, 4))
     F[:, POSITION, POSITION] = F[:, VELOCITY, VELOCITY] = J
     F[:, VELOCITY, POSITION] = (w[:, 2:, None] * J + v[:, :, None] * m3) * -k[:, :, None]
-    return turned, F @ cov @ F.swapaxes(1, 2)
+    return turned, F
 
 
-def turn_by_flow(
-    mean: Array, cov: Array, camera_from_before: Array, camera: PinholeCamera
-) -> tuple[Array, Array]:
+def turn_by_flow(mean: Array, camera_from_before: Array, camera: PinholeCamera) -> tuple[Array, Array]:
     """The paper's turn: optical flow times the angle, x' = x + B(x) u and F = I + ∂B/∂x u; the velocity stays."""
     u = -rotation.log(camera_from_before)  # the camera turned by u, so what it sees turned by −u
     p = (mean[:, POSITION] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
@@ -84,7 +80,7 @@ def turn_by_flow(
     F[:, 0, 2] += aspect * (x * u[0] + u[2])
     F[:, 2, 0] += (-y * u[1] - u[2]) / aspect
     F[:, 2, 2] += 2.0 * y * u[0] - x * u[1]
-    return turned, F @ cov @ F.swapaxes(1, 2)
+    return turned, F
 
 
 def optical_flow(points: Array, camera: PinholeCamera) -> Array:
@@ -117,7 +113,8 @@ def propagate(
     """
     mean, cov = drift(mean, cov, dt, psd)
     if rotation is not None and len(mean):
-        mean, cov = turn(mean, cov, rotation, camera)
+        mean, F = turn(mean, rotation, camera)
+        cov = F @ cov @ F.swapaxes(1, 2)
     if rotation_variance > 0.0 and len(mean):
         cov[:, POSITION, POSITION] += rotation_variance * _flow_squared(mean[:, POSITION], camera)
     return mean, cov
