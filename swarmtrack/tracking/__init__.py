@@ -8,13 +8,14 @@ from typing import Any
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Scan
-from swarmtrack.tracking.base import Tracker
-from swarmtrack.tracking.kalman import KalmanTracker
+from swarmtrack.tracking.base import Filter, Tracker
+from swarmtrack.tracking.kalman import Kalman
+from swarmtrack.tracking.sensor_model import SensorModel
 
 __all__ = ["TRACKERS", "Scan", "Tracker", "create_tracker"]
 
-TRACKERS: dict[str, type[Tracker]] = {  # a visible table: add a tracker by its module and one line here
-    "kalman": KalmanTracker,
+TRACKERS: dict[str, type[Filter]] = {  # a visible table: add a tracker by its module and one line here
+    "kalman": Kalman,
 }
 
 
@@ -31,4 +32,6 @@ def create_tracker(name: str, *, camera: PinholeCamera, **parameters: Any) -> Tr
         if key not in known:
             nearest = get_close_matches(key, known, n=1, cutoff=0.0)[0]
             raise ValueError(f"tracker.{key}: unknown parameter of {name}, did you mean {nearest}?")
-    return kind(camera, kind.Parameters(**parameters))
+    told = kind.Parameters(**parameters)
+    sensor = SensorModel(camera, told)
+    return Tracker(sensor, kind(sensor, told))

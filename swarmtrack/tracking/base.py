@@ -1,80 +1,145 @@
-"""What every tracker is, whatever its mathematics (DESIGN.md, contract 1)."""
+"""What every tracker is, whatever its mathematics (DESIGN.md, contract 1).
+
+A `Tracker` keeps the time, refuses what is late or unusable, and hands the rest to its `Filter`, which believes
+something about all targets at once: that is where the trackers differ.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from itertools import compress
+from typing import Any, ClassVar, NamedTuple, Protocol
 
-from swarmtrack.geometry.camera import PinholeCamera
+import numpy as np
+
 from swarmtrack.messages import Array, Scan, Track
+from swarmtrack.tracking import lifecycle
+from swarmtrack.tracking.consistency import Consistency, InnovationWindow
+from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.sensor_model import Measurements, SensorModel
+from swarmtrack.tracking.table import TrackTable
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CommonParameters:
-    """What every tracker needs to be told about the sensor and the targets."""
+class Explained(NamedTuple):
+    """What a filter makes of a scan.
 
-    measurement_sigma: float = 2.0
-    """px, per axis, where a scan brings no R of its own."""
-    acceleration_psd: float = 10_000.0
-    """px²/s³, continuous white noise: 3 m/s² for half a second at 10 m and f = 430 px."""
-    p_detection: float = 0.9
-    """That a target in view is detected in one scan."""
-    p_survival: float = 0.99
-    """That a target present now is still present in one second."""
-    clutter_per_scan: float = 1.0
-    """Expected false detections in one image."""
-    gate_probability: float = 0.999
-    """That a true detection falls inside its target's gate."""
+    nis (k,): squared Mahalanobis distances of detections from the confirmed tracks that surely made them, before the
+    update; clutter: the expected number of detections that no target made.
+    """
 
-    def __post_init__(self) -> None:
-        for name in ("measurement_sigma", "acceleration_psd", "clutter_per_scan"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a number above 0")
-        for name in ("p_detection", "p_survival", "gate_probability"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise ValueError(
-                    f"tracker.{name}: found {getattr(self, name)!r}, expected a probability between 0 and 1"
-                )
+    nis: Array
+    clutter: float
 
 
-class Tracker(Protocol):
-    """Multi-target tracking in the image plane, clocked by the exposures of the scans."""
+class Filter(Protocol):
+    """What one method believes of all targets, from exposure to exposure."""
 
     Parameters: ClassVar[type[CommonParameters]]
 
-    def __init__(self, camera: PinholeCamera, parameters: Any) -> None: ...
+    def __init__(self, sensor: SensorModel, parameters: Any) -> None: ...
 
     @property
-    def t(self) -> float | None:
-        """Time of the state: that of the last scan; None before the first."""
+    def table(self) -> TrackTable:
+        """Its estimates, a row a track."""
         ...
 
     @property
-    def tracks(self) -> tuple[Track, ...]: ...
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """What was refused or lost, by name, for health."""
-        ...
+    def counters(self) -> Mapping[str, int]: ...
 
     def initiate(self, t: float, points: Array) -> list[int]:
         """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
         ...
+
+    def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
+        """Carry the belief on by dt ≥ 0 s. rotation, rotation_variance: as in `Tracker.predict`."""
+        ...
+
+    def update(self, t: float, measured: Measurements) -> Explained:
+        """Fold in what a scan at t, the time of the belief, measured."""
+        ...
+
+    def extrapolated(
+        self, dt: float, rotation: Array | None, rotation_variance: float
+    ) -> tuple[Array, Array]:
+        """Means (n, 4) and covariances (n, 4, 4) of the table's rows, carried on by dt; nothing is changed."""
+        ...
+
+
+class Tracker:
+    """Multi-target tracking in the image plane, clocked by the exposures of the scans."""
+
+    def __init__(self, sensor: SensorModel, filter: Filter) -> None:
+        camera = sensor.camera
+        self._sensor = sensor
+        self._filter = filter
+        self._innovations = InnovationWindow()
+        self._surely_before = lifecycle.MAX_SLANT * min(camera.fx, camera.fy) / 2.0 - max(
+            camera.cx, camera.cy
+        )
+        self._t: float | None = None
+        self._last_scan: float | None = None
+        self._late_scans = 0
+
+    @property
+    def t(self) -> float | None:
+        """Time of the state: that of the last scan; None before the first."""
+        return self._t
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        if self._t is None:
+            return ()
+        table = self._filter.table
+        return table.tracks(self._t, table.mean, table.cov)
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What was refused or lost, by name, for health."""
+        return {"late_scans": self._late_scans, **self._sensor.counters, **self._filter.counters}
+
+    @property
+    def consistency(self) -> Consistency | None:
+        """Whether the filter is as good as it thinks; None while too little was detected."""
+        return self._innovations.consistency()
+
+    def initiate(self, t: float, points: Array) -> list[int]:
+        """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
+        self.predict(t)
+        return self._filter.initiate(t, np.asarray(points, dtype=float).reshape(-1, 2))
 
     def predict(self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0) -> None:
         """Carry the state to the next exposure. rotation (3, 3): camera axes now from camera axes then; None: still.
 
         rotation_variance rad² per axis: of the rotation's error.
         """
-        ...
+        if not np.isfinite(t) or (self._t is not None and t < self._t):
+            return  # to the time of a late scan, which `update` will refuse: the rotation leads away from our state
+        self._filter.predict(0.0 if self._t is None else t - self._t, rotation, rotation_variance)
+        self._t = t
 
     def update(self, scan: Scan) -> bool:
         """Fold in a scan. One that is older than the last, or the same again, is refused (False) and counted."""
-        ...
+        behind = self._t is not None and scan.t < self._t
+        if behind or scan.t == self._last_scan or not np.isfinite(scan.t):
+            self._late_scans += 1
+            return False
+        if scan.t != self._t:
+            self.predict(scan.t)
+        self._last_scan = scan.t
+        explained = self._filter.update(scan.t, self._sensor.usable(scan))
+        self._sensor.learn_clutter(explained.clutter)
+        self._innovations.add(explained.nis.tolist())
+        return True
 
     def at(
         self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0
     ) -> tuple[Track, ...]:
         """The tracks carried on to t, without those behind the camera then; the tracker itself is unchanged."""
-        ...
+        if self._t is None:
+            return ()
+        mean, cov = self._filter.extrapolated(t - self._t, rotation, rotation_variance)
+        tracks = self._filter.table.tracks(t, mean, cov)
+        if np.abs(mean[:, POSITION]).max(initial=0.0) < self._surely_before:
+            return tracks
+        return tuple(compress(tracks, lifecycle.within_reach(mean, self._sensor.camera)))

@@ -1,0 +1,88 @@
+"""Who is tracked: the rows of a table from their birth to their end, by the rules that all trackers share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.tracking import lifecycle
+from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
+from swarmtrack.tracking.table import TrackTable
+
+SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxes jitter, drones grow slowly
+UNKNOWN_BOX_SIGMAS = 6.0  # side of a box that no detector told, in sigmas of its centre
+FADED = 0.05  # share of its existence at birth, below which a tentative track ends
+
+
+class Population:
+    """A table, and the ids to come: never used twice."""
+
+    def __init__(self, sensor: SensorModel, parameters: CommonParameters) -> None:
+        self.table = TrackTable.empty()
+        self._sensor = sensor
+        self._parameters = parameters
+        self._next_id = 1
+
+    def initiate(self, t: float, points: Array) -> list[int]:
+        """Confirmed tracks at known places (n, 2) px. Returns their ids."""
+        n = len(points)
+        R, unknown = np.tile(self._sensor.R, (n, 1, 1)), np.full((n, 2), np.nan)
+        surely = np.full(n, lifecycle.MAX_EXISTENCE)
+        newcomers = self.born(t, Measurements(points, R, unknown, np.ones(n), np.ones(n, np.bool_)), surely)
+        newcomers.confirmed[:] = True
+        self.table.append(newcomers)
+        return [int(id) for id in newcomers.id]
+
+    def give_birth(self, t: float, measured: Measurements) -> None:
+        """A tentative track for each of these detections."""
+        self.table.append(self.born(t, measured, self._sensor.birth_existence(measured.odds)))
+
+    def born(self, t: float, measured: Measurements, existence: Array) -> TrackTable:
+        """New rows (k) at these detections, at rest give or take `birth_speed_sigma`; existence (k,)."""
+        n = len(measured.z)
+        mean, cov = np.zeros((n, 4)), np.zeros((n, 4, 4))
+        mean[:, POSITION] = measured.z
+        cov[:, POSITION, POSITION] = measured.R
+        cov[:, [1, 3], [1, 3]] = self._parameters.birth_speed_sigma**2
+        ids = np.arange(self._next_id, self._next_id + n)
+        self._next_id += n
+        no, seen, never = np.zeros(n, np.bool_), np.full(n, t), np.full(n, np.nan)
+        return TrackTable(ids, mean, cov, existence, measured.size.copy(), no, no.copy(), seen, never)
+
+    def survive(self, dt: float) -> None:
+        self.table.existence = lifecycle.survive(self.table.existence, dt, self._parameters.p_survival)
+
+    def judge(self, t: float, seen: NDArray[np.bool_], visibility: Visibility) -> None:
+        """After a scan at t that saw these rows (n,) and has reweighed existence: who is confirmed, who is lost."""
+        table = self.table
+        table.confirmed |= table.existence >= self._parameters.confirm_probability
+        floor = np.where(table.confirmed, lifecycle.MIN_CONFIRMED_EXISTENCE, 0.0)
+        table.existence = np.maximum(table.existence, floor)
+        table.last_seen[seen] = t
+        table.missed_since = np.where(seen, np.nan, np.fmin(table.missed_since, t))
+        table.lost = ~seen & ((table.existence < lifecycle.LOST_BELOW) | (visibility.in_view < 0.5))
+
+    def drop(self, t: float) -> None:
+        """End the tracks that were not seen for too long, that have faded, or that the camera turned away from."""
+        table = self.table
+        coasted = t - table.last_seen > self._parameters.max_coast_s
+        faded = table.existence < FADED * self._sensor.birth_existence(np.ones(1))
+        table.keep(~(coasted | faded) & lifecycle.within_reach(table.mean, self._sensor.camera))
+
+    def shadowed(self, z: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(m,) detections inside the box of a confirmed track that was seen elsewhere in it: doubles, not births."""
+        table = self.table
+        found = seen & table.confirmed
+        unknown = UNKNOWN_BOX_SIGMAS * self._parameters.measurement_sigma
+        half = 0.5 * np.where(np.isnan(table.size[found]), unknown, table.size[found])
+        inside = np.abs(z[None] - table.mean[found][:, None, POSITION]) < half[:, None]
+        return np.asarray(inside.all(axis=2).any(axis=0))
+
+
+def blend_sizes(old: Array, new: Array) -> Array:
+    """Box sizes (k, 2) px after new ones were seen; NaN is unknown."""
+    mixed = SIZE_MEMORY * old + (1.0 - SIZE_MEMORY) * new
+    return np.where(np.isnan(old), new, np.where(np.isnan(new), old, mixed))

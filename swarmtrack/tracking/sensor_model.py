@@ -1,0 +1,134 @@
+"""What the camera and its detector make of the targets: which are seen, how well, and what else looks like one."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Array, Scan
+from swarmtrack.tracking.association import gate_threshold
+from swarmtrack.tracking.gaussian import innovations
+from swarmtrack.tracking.lifecycle import probability_in_view
+from swarmtrack.tracking.parameters import CommonParameters
+
+SIZE_GATE = 3.0
+PRIOR_SCANS = 20.0  # how many scans the clutter rate that was told is worth
+CLUTTER_MEMORY_SCANS = 200.0
+CLUTTER_BOUND = 10.0  # at most so many times the rate that was told, or so many times less
+
+
+class Measurements(NamedTuple):
+    """What can be used of a scan: z (m, 2), R (m, 2, 2), size (m, 2), odds (m,) of being no clutter, fit (m,) to
+    start a track."""
+
+    z: Array
+    R: Array
+    size: Array
+    odds: Array
+    fit: NDArray[np.bool_]
+
+    def select(self, rows: NDArray[np.bool_]) -> Measurements:
+        return Measurements(self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.fit[rows])
+
+
+class Visibility(NamedTuple):
+    """Of n targets. p_detection (n,): that this scan detects it; in_view (n,): that it lies inside the image."""
+
+    p_detection: Array
+    in_view: Array
+
+
+class Likelihoods(NamedTuple):
+    """Of n targets × m measurements. distance (n, m): squared Mahalanobis; log_ratio (n, m): how much more likely the
+    measurement is as this target's than as clutter, log N(y; 0, S) − log κ and what the boxes say; −inf beyond the
+    gate."""
+
+    distance: Array
+    log_ratio: Array
+
+
+class SensorModel:
+    """One camera with one detector, as a tracker's parameters describe it."""
+
+    def __init__(self, camera: PinholeCamera, parameters: CommonParameters) -> None:
+        self.camera = camera
+        self.counters = {"unusable_detections": 0}
+        self.R = parameters.measurement_sigma**2 * np.eye(2)
+        self.clutter_per_scan = parameters.clutter_per_scan
+        """As learned until now."""
+        self._scans_learned = PRIOR_SCANS
+        self._learns = parameters.learn_clutter and parameters.profile != "paper"
+        self._parameters = parameters
+        self._gate = gate_threshold(parameters.gate_probability)
+        self._uses_boxes = parameters.profile != "paper"
+
+    def usable(self, scan: Scan) -> Measurements:
+        """The detections that are finite and near the image; the others are counted."""
+        m = len(scan.z)
+        R = np.tile(self.R, (m, 1, 1)) if scan.R is None else np.asarray(scan.R, dtype=float)
+        size, odds, fit = np.full((m, 2), np.nan), np.ones(m), np.ones(m, np.bool_)
+        if scan.size is not None and self._uses_boxes:
+            size = np.asarray(scan.size, dtype=float)
+        if scan.score is not None and self._uses_boxes:
+            score = np.clip(scan.score, 0.01, 0.99)
+            odds = (score / (1.0 - score)) ** self._parameters.score_weight
+            fit = scan.score >= self._parameters.birth_score
+        low, high = self.camera.ideal_bounds
+        near = (np.abs(scan.z - 0.5 * (low + high)) < high - low).all(axis=1)  # NaN compares as False
+        determinant = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
+        sound = np.isfinite(R).all(axis=(1, 2)) & (R[:, 0, 0] > 0.0) & (determinant > 0.0) & np.isfinite(odds)
+        good = near & sound
+        self.counters["unusable_detections"] += m - int(good.sum())
+        return Measurements(scan.z, R, size, odds, fit).select(good)
+
+    def visibility(self, mean: Array, cov: Array) -> Visibility:
+        """Of targets with means (n, 4) and covariances (n, 4, 4)."""
+        in_view = probability_in_view(mean, cov, self.camera)
+        return Visibility(self._parameters.p_detection * in_view, in_view)
+
+    def likelihoods(self, mean: Array, cov: Array, size: Array, measured: Measurements) -> Likelihoods:
+        """Of targets with means (n, 4), covariances (n, 4, 4) and box sizes (n, 2), NaN while unknown."""
+        distance, log_density = innovations(mean, cov, measured.z, measured.R)
+        log_ratio = log_density - self.log_clutter_intensity(measured.odds)
+        log_ratio += _log_likelihood_of_sizes(size, measured.size, self._parameters.size_sigma)
+        log_ratio[distance > self._gate] = -np.inf
+        return Likelihoods(distance, log_ratio)
+
+    def learn_clutter(self, found: float) -> None:
+        """A scan is expected to have held `found` false detections.
+
+        The mean of a Poisson rate's gamma posterior, whose memory fades; held within a factor of what was told, so
+        that neither a flock of strangers nor an empty sky makes the filter blind.
+        """
+        if not self._learns:
+            return
+        told = self._parameters.clutter_per_scan
+        self._scans_learned = min(self._scans_learned + 1.0, CLUTTER_MEMORY_SCANS)
+        learned = self.clutter_per_scan + (found - self.clutter_per_scan) / self._scans_learned
+        self.clutter_per_scan = min(max(learned, told / CLUTTER_BOUND), told * CLUTTER_BOUND)
+
+    def log_clutter_intensity(self, odds: Array) -> Array:
+        """log κ (m,) per px²: uniform over the image, less for what the detector is sure of."""
+        area = self.camera.width * self.camera.height
+        return np.asarray(math.log(self.clutter_per_scan / area) - np.log(odds))
+
+    def birth_existence(self, odds: Array) -> Array:
+        """(m,) that a detection which no track explains is of a new target."""
+        birth = self._parameters.birth_per_scan * odds
+        return np.minimum(birth / (birth + self.clutter_per_scan), self._parameters.confirm_probability)
+
+
+def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Array:
+    """(n, m) of boxes (m, 2) px, known to have the sizes (n, 2) px up to a relative sigma per side, over a typical
+    one.
+
+    A side that differs by more than `SIZE_GATE` sigma is that of a box around two drones: it speaks against, but no
+    louder.
+    """
+    deviation = np.abs(np.log(measured[None] / tracks[:, None])) / sigma
+    likelihood = 0.5 * (1.0 - np.minimum(deviation, SIZE_GATE) ** 2)
+    return np.asarray(np.nan_to_num(likelihood, nan=0.0).sum(axis=2))

@@ -1,0 +1,34 @@
+"""The motion model as a tracker's parameters set it, for one camera."""
+
+from __future__ import annotations
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Array
+from swarmtrack.tracking.motion_model import propagate, turn_by_flow, turn_exactly
+from swarmtrack.tracking.parameters import CommonParameters
+
+TURNS = {"default": turn_exactly, "paper": turn_by_flow}
+
+
+class TargetMotion:
+    """Constant velocity, disturbed by white acceleration; and the camera's turn."""
+
+    def __init__(self, camera: PinholeCamera, parameters: CommonParameters) -> None:
+        self._camera = camera
+        self._psd = parameters.acceleration_psd
+        self._turn = TURNS[parameters.profile]
+
+    def carried(
+        self, mean: Array, cov: Array, dt: float, rotation: Array | None, rotation_variance: float
+    ) -> tuple[Array, Array]:
+        """Means (n, 4) and covariances (n, 4, 4) dt seconds later; rotation, rotation_variance: see `propagate`."""
+        return propagate(
+            mean,
+            cov,
+            dt,
+            psd=self._psd,
+            camera=self._camera,
+            rotation=rotation,
+            rotation_variance=rotation_variance,
+            turn=self._turn,
+        )
