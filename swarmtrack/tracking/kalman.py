@@ -67,7 +67,7 @@ class Kalman:
     def _associate(self, t: float, measured: Measurements) -> tuple[NDArray[np.bool_], Explained]:
         """Give each track its detection or none, and update; returns which detections (m,) were taken or shadowed."""
         table, z, R = self.table, measured.z, measured.R
-        visibility = self._sensor.visibility(table.mean, table.cov)
+        visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         p_detection = visibility.p_detection
         distance, log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured)
         with np.errstate(divide="ignore"):

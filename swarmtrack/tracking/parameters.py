@@ -42,6 +42,11 @@ class CommonParameters:
     """How far a detection's score is believed: its clutter intensity is scaled by ((1 − s) / s) to this power."""
     size_sigma: float = 0.2
     """Relative, of a box's sides from scan to scan: of two drones in one place the size tells the nearer one."""
+    occlusion: bool = True
+    """Expect fewer detections of targets that overlap."""
+    resolution_px: float = 0.0
+    """Two points that are nearer may come back as one detection between them; boxes, also where they overlap by half.
+    """
 
     def __post_init__(self) -> None:
         if self.profile not in PROFILES:
@@ -60,5 +65,9 @@ class CommonParameters:
                 raise ValueError(
                     f"tracker.{name}: found {getattr(self, name)!r}, expected a probability between 0 and 1"
                 )
+        if not self.resolution_px >= 0.0:
+            raise ValueError(
+                f"tracker.resolution_px: found {self.resolution_px!r}, expected pixels, or 0 for points never merged"
+            )
         if not 0.0 <= self.birth_score <= 1.0:
             raise ValueError(f"tracker.birth_score: found {self.birth_score!r}, expected a score in 0…1")

@@ -13,6 +13,7 @@ from swarmtrack.messages import Array, Scan
 from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.lifecycle import probability_in_view
+from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 
 SIZE_GATE = 3.0
@@ -65,6 +66,7 @@ class SensorModel:
         self._parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
         self._uses_boxes = parameters.profile != "paper"
+        self._occludes = parameters.occlusion and self._uses_boxes
 
     def usable(self, scan: Scan) -> Measurements:
         """The detections that are finite and near the image; the others are counted."""
@@ -85,10 +87,29 @@ class SensorModel:
         self.counters["unusable_detections"] += m - int(good.sum())
         return Measurements(scan.z, R, size, odds, fit).select(good)
 
-    def visibility(self, mean: Array, cov: Array) -> Visibility:
-        """Of targets with means (n, 4) and covariances (n, 4, 4)."""
+    def visibility(
+        self, mean: Array, cov: Array, size: Array | None = None, existence: Array | None = None
+    ) -> Visibility:
+        """Of targets with means (n, 4), covariances (n, 4, 4), box sizes (n, 2) and existence (n,), both for who
+        hides whom."""
         in_view = probability_in_view(mean, cov, self.camera)
-        return Visibility(self._parameters.p_detection * in_view, in_view)
+        p_detection = self._parameters.p_detection * in_view
+        if size is None:
+            return Visibility(p_detection, in_view)
+        hidden = self.overlap(mean, cov, size)
+        if hidden.any():
+            hidden *= hidden_behind(size, self._parameters.size_sigma)
+            if existence is not None:
+                hidden *= existence
+            p_detection = p_detection * (1.0 - hidden).prod(axis=1)
+        return Visibility(p_detection, in_view)
+
+    def overlap(self, mean: Array, cov: Array, size: Array) -> Array:
+        """(n, n) that i and j are not resolved in this scan, but one detection; of means (n, 4), covariances (n, 4, 4)
+        and box sizes (n, 2) px, NaN while unknown."""
+        if not self._occludes:
+            return np.zeros((len(mean), len(mean)))
+        return unresolved(mean, cov, resolutions(size, self._parameters.resolution_px))
 
     def likelihoods(self, mean: Array, cov: Array, size: Array, measured: Measurements) -> Likelihoods:
         """Of targets with means (n, 4), covariances (n, 4, 4) and box sizes (n, 2), NaN while unknown."""

@@ -1,0 +1,113 @@
+"""What the trackers believe of camera and detector, against what simulated ones do."""
+
+import numpy as np
+import pytest
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
+from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.sensor_model import SensorModel
+
+CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
+UNKNOWN = np.nan
+
+
+def sensor(**parameters):
+    return SensorModel(CAMERA, CommonParameters(**parameters))
+
+
+def targets(*positions, sigma=1.0):
+    """Means (n, 4) and covariances (n, 4, 4) of targets at rest at these places."""
+    mean = np.zeros((len(positions), 4))
+    mean[:, ::2] = positions
+    return mean, np.tile(np.diag([sigma, 5.0, sigma, 5.0]) ** 2, (len(positions), 1, 1))
+
+
+def test_targets_far_apart_are_all_resolved():
+    mean, cov = targets((100, 100), (140, 100), (300, 200))
+    assert not sensor().overlap(mean, cov, np.full((3, 2), 20.0)).any()
+
+
+def test_whether_two_are_resolved_follows_how_well_their_places_are_known():
+    """The closed form is the mean over where the two may be."""
+    rng = np.random.default_rng(0)
+    mean, _ = targets((100.0, 100.0), (106.0, 103.0))
+    halves = rng.normal(size=(2, 4, 4)) * 2.0
+    cov = halves @ halves.swapaxes(1, 2)
+    resolution = np.array([[8.0, 5.0], [6.0, 9.0]])
+    drawn = [rng.multivariate_normal(m[::2], P[::2, ::2], 400_000) for m, P in zip(mean, cov, strict=True)]
+    half_axes = resolution.mean(axis=0)
+    merged = np.exp(-((((drawn[0] - drawn[1]) / half_axes) ** 2).sum(axis=1)))
+    found = unresolved(mean, cov, resolution)
+    assert found[0, 1] == pytest.approx(merged.mean(), abs=0.002)
+    assert found[0, 1] == found[1, 0]
+    assert found[0, 0] == found[1, 1] == 0.0
+
+
+def test_the_expected_number_of_merged_pairs_is_that_of_a_sharp_resolution():
+    """Exact places, drawn over a wide square: as often merged as if they did below the resolution, above not."""
+    rng = np.random.default_rng(1)
+    offsets = rng.uniform(-40.0, 40.0, (4000, 2))
+    none = np.full((2, 2), UNKNOWN)
+    points = sensor(resolution_px=8.0)
+    soft = [
+        points.overlap(*targets((300, 200), d + np.array([300.0, 200.0]), sigma=1e-3), none)[0, 1]
+        for d in offsets
+    ]
+    assert np.mean(soft) == pytest.approx(np.pi * 8.0**2 / 80.0**2, rel=0.1)
+
+
+def test_a_smaller_box_hides_behind_a_larger_one_and_equals_share():
+    mean, cov = targets((100, 100), (101, 100))
+    small_and_large = sensor().visibility(mean, cov, np.array([[20.0, 15.0], [40.0, 30.0]]))
+    assert small_and_large.p_detection[0] < 0.1
+    assert small_and_large.p_detection[1] > 0.89
+    equal = sensor().visibility(mean, cov, np.full((2, 2), 30.0)).p_detection
+    assert equal[0] == pytest.approx(equal[1])
+    assert 0.45 < equal[0] < 0.5
+
+
+def test_a_target_that_hardly_exists_hides_nobody():
+    mean, cov = targets((100, 100), (101, 100))
+    seen = sensor().visibility(mean, cov, np.full((2, 2), 30.0), np.array([1.0, 0.02]))
+    assert seen.p_detection[0] > 0.88
+    assert seen.p_detection[1] < 0.5
+
+
+def test_of_points_nothing_is_known_unless_their_resolution_is_told():
+    mean, cov = targets((100, 100), (101, 100))
+    unknown = np.full((2, 2), UNKNOWN)
+    assert sensor().visibility(mean, cov, unknown).p_detection == pytest.approx([0.9, 0.9], abs=1e-9)
+    told = sensor(resolution_px=8.0).visibility(mean, cov, unknown).p_detection
+    assert told == pytest.approx([told[0]] * 2)
+    assert told[0] < 0.5
+
+
+@pytest.mark.parametrize("off", [{"occlusion": False}, {"profile": "paper"}])
+def test_occlusion_can_be_switched_off(off):
+    mean, cov = targets((100, 100), (101, 100))
+    seen = sensor(**off, resolution_px=8.0).visibility(mean, cov, np.full((2, 2), 30.0))
+    assert seen.p_detection == pytest.approx([0.9, 0.9], abs=1e-9)
+
+
+def test_what_leaves_the_image_is_less_and_less_expected():
+    mean, cov = targets((630, 100), (639.5, 200), (648, 300), sigma=3.0)
+    seen = sensor().visibility(mean, cov, np.full((3, 2), 10.0))
+    assert seen.in_view == pytest.approx([0.999, 0.5, 0.002], abs=0.01)
+    assert seen.p_detection == pytest.approx(0.9 * seen.in_view, abs=1e-6)
+
+
+def test_resolution_is_the_boxes_half_or_the_points_whichever_is_larger():
+    size = np.array([[40.0, 10.0], [UNKNOWN, UNKNOWN]])
+    assert resolutions(size, 8.0) == pytest.approx(np.array([[20.0, 8.0], [8.0, 8.0]]))
+    assert resolutions(size, 0.0) == pytest.approx(np.array([[20.0, 5.0], [0.0, 0.0]]))
+
+
+def test_unknown_sizes_hide_either():
+    size = np.array([[40.0, 10.0], [UNKNOWN, UNKNOWN]])
+    assert hidden_behind(size, 0.2) == pytest.approx(np.full((2, 2), 0.5))
+
+
+def test_a_negative_resolution_is_refused():
+    with pytest.raises(ValueError, match=r"resolution_px: found -1\.0, expected pixels"):
+        sensor(resolution_px=-1.0)
