@@ -10,12 +10,14 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Scan
 from swarmtrack.tracking.base import Filter, Tracker
 from swarmtrack.tracking.kalman import Kalman
+from swarmtrack.tracking.mbm import Mbm
 from swarmtrack.tracking.sensor_model import SensorModel
 
 __all__ = ["TRACKERS", "Scan", "Tracker", "create_tracker"]
 
 TRACKERS: dict[str, type[Filter]] = {  # a visible table: add a tracker by its module and one line here
     "kalman": Kalman,
+    "mbm": Mbm,
 }
 
 

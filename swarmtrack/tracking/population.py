@@ -65,12 +65,16 @@ class Population:
         table.missed_since = np.where(seen, np.nan, np.fmin(table.missed_since, t))
         table.lost = ~seen & ((table.existence < lifecycle.LOST_BELOW) | (visibility.in_view < 0.5))
 
-    def drop(self, t: float) -> None:
-        """End the tracks that were not seen for too long, that have faded, or that the camera turned away from."""
+    def drop(self, t: float) -> NDArray[np.bool_]:
+        """End the tracks that were not seen for too long, that have faded, or that the camera turned away from; returns
+        which (n,) stay."""
         table = self.table
         coasted = t - table.last_seen > self._parameters.max_coast_s
         faded = table.existence < FADED * self._sensor.birth_existence(np.ones(1))
-        table.keep(~(coasted | faded) & lifecycle.within_reach(table.mean, self._sensor.camera))
+        stay = ~(coasted | faded) & lifecycle.within_reach(table.mean, self._sensor.camera)
+        if not stay.all():
+            table.keep(stay)
+        return stay
 
     def shadowed(self, z: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(m,) detections inside the box of a confirmed track that was seen elsewhere in it: doubles, not births."""

@@ -1,0 +1,476 @@
+"""Several explanations at once: a mixture of multi-Bernoullis, the K best global hypotheses over all tracks.
+
+Theory of operation. Where two drones cross, nobody can say from one scan who is who; a few scans later anybody can.
+So a decision is put off: each scan continues every global hypothesis (what each track has made until now) in the most
+likely ways, the K best of all are kept, and what is published is the best one. A target exists with a probability
+of its own under each hypothesis (Bernoulli), new ones appear anywhere (Poisson): the filter of Williams, "Marginal
+multi-Bernoulli filters" (IEEE T-AES 51(3), 2015) and García-Fernández et al. (2018), with three economies:
+
+* Hypotheses are kept for *clusters* of tracks in dispute. A track whose detection nobody else wants, and of which there
+  is no doubt, is settled: it has one leaf, and all of these are updated in one stroke.
+* Tentative tracks have one leaf each. They choose after the confirmed ones among what those left, so a false start
+  neither multiplies the hypotheses nor takes a drone's detection away.
+* Leaves of one track that have come to say the same are one.
+
+Each leaf moves by an interacting mix of a calm and an agile model (manoeuvre.py).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.tracking import clusters, lifecycle, manoeuvre
+from swarmtrack.tracking.association import most_likely_matching
+from swarmtrack.tracking.base import Explained
+from swarmtrack.tracking.clusters import Cluster
+from swarmtrack.tracking.hypotheses import NONE, best_matchings
+from swarmtrack.tracking.manoeuvre import Manoeuvres, ModeMixture
+from swarmtrack.tracking.motion_model import POSITION, VELOCITY, propagate
+from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.population import Population, blend_sizes
+from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
+from swarmtrack.tracking.table import TrackTable
+from swarmtrack.tracking.target_motion import TURNS
+
+Indices = NDArray[np.intp]
+
+SURE = 0.9  # weight of a leaf whose innovation tells about the filter
+LEAST_AVAILABLE = 1e-3  # a detection that the confirmed tracks take more surely than that is nobody else's
+SAME = 0.25  # standard deviations within which two leaves of a track say the same
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MbmParameters(CommonParameters):
+    """Beside the common ones: how many hypotheses, and how targets manoeuvre."""
+
+    hypotheses: int = 20
+    """Kept for each cluster of tracks in dispute; 1: the most likely one only."""
+    least_weight: float = 1e-4
+    """A hypothesis so much less likely than the best is dropped."""
+    calm_share: float = 1e-3
+    """Of `acceleration_psd`: what is left of it while a target keeps its velocity. 1: one model, as the others have."""
+    lasting_s: float = 1.0
+    """s: how long an acceleration lasts."""
+    calm_s: float = 4.0
+    """s: how long a target keeps its velocity, on average."""
+    agile_s: float = 1.0
+    """s: how long it manoeuvres, on average."""
+
+    def __post_init__(self) -> None:
+        # Not super(): dataclass(slots=True) makes a new class, and zero-argument super() would look for the old one.
+        CommonParameters.__post_init__(self)
+        if self.profile == "paper":
+            raise ValueError("tracker.profile: found 'paper', expected 'default': the paper has no mbm")
+        if not (isinstance(self.hypotheses, int) and self.hypotheses >= 1):
+            raise ValueError(
+                f"tracker.hypotheses: found {self.hypotheses!r}, expected a whole number from 1 on"
+            )
+        for name in ("least_weight", "calm_share"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(
+                    f"tracker.{name}: found {getattr(self, name)!r}, expected a number in 0…1, not 0"
+                )
+        for name in ("lasting_s", "calm_s", "agile_s"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a number above 0")
+
+    @property
+    def manoeuvres(self) -> Manoeuvres:
+        return Manoeuvres(
+            agile_psd=self.acceleration_psd,
+            calm_psd=self.calm_share * self.acceleration_psd,
+            lasting_s=self.lasting_s,
+            calm_s=self.calm_s,
+            agile_s=self.agile_s if self.calm_share < 1.0 else 1e-9,
+        )
+
+
+class Leaves(NamedTuple):
+    """Single-target hypotheses, a row each, those of a track together. owner (n,): row of its track in the table;
+    existence (n,); size (n, 2) px."""
+
+    owner: Indices
+    motion: ModeMixture
+    existence: Array
+    size: Array
+
+    def take(self, rows: Indices) -> Leaves:
+        return Leaves(self.owner[rows], self.motion.take(rows), self.existence[rows], self.size[rows])
+
+
+class Weighed(NamedTuple):
+    """A scan of m detections as L leaves of n tracks see it.
+
+    visibility: of the tracks; shift (n, 2, 2) px²: how far a detection may lie off because it is of two targets; ratio
+    (L, m): log-likelihood of a detection as the leaf's over its being clutter; gain (L, m): of having made it, over
+    having made none; missed (L,): log-probability of having made none.
+    """
+
+    visibility: Visibility
+    shift: Array
+    ratio: Array
+    gain: Array
+    missed: Array
+
+
+class Story(NamedTuple):
+    """What leaves made of a scan: row (k,) of each leaf, and column (k,) of its detection or `NONE`."""
+
+    leaf: Indices
+    column: Indices
+
+
+class Mbm:
+    """K best global hypotheses over confirmed tracks, in clusters; one for tentative ones."""
+
+    Parameters: ClassVar[type[CommonParameters]] = MbmParameters
+
+    def __init__(self, sensor: SensorModel, parameters: MbmParameters) -> None:
+        self._sensor = sensor
+        self._parameters = parameters
+        self._manoeuvres = parameters.manoeuvres
+        self._turn = TURNS[parameters.profile]
+        self._depth = -math.log(parameters.least_weight)
+        self._population = Population(sensor, parameters)
+        self._leaves = Leaves(np.empty(0, np.intp), manoeuvre.NOBODY, np.empty(0), np.empty((0, 2)))
+        self._best: Indices = np.empty(0, np.intp)  # of each track, its leaf in the best hypothesis
+        self._clusters: list[Cluster] = []
+        self.counters = {"hypotheses_cut": 0}
+
+    @property
+    def table(self) -> TrackTable:
+        return self._population.table
+
+    def initiate(self, t: float, points: Array) -> list[int]:
+        ids = self._population.initiate(t, points)
+        self._grow_leaves()
+        return ids
+
+    def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
+        leaves = self._leaves
+        motion = manoeuvre.predict(
+            leaves.motion,
+            dt,
+            self._manoeuvres,
+            camera=self._sensor.camera,
+            rotation=rotation,
+            rotation_variance=rotation_variance,
+            turn=self._turn,
+        )
+        existence = lifecycle.survive(leaves.existence, dt, self._parameters.p_survival)
+        self._leaves = leaves._replace(motion=motion, existence=existence)
+        self._population.survive(dt)
+        self._show_best()
+
+    def extrapolated(
+        self, dt: float, rotation: Array | None, rotation_variance: float
+    ) -> tuple[Array, Array]:
+        best = self._leaves.motion.take(self._best)
+        acceleration = manoeuvre.mean_acceleration(best)
+        position, velocity = manoeuvre.acceleration_reach(dt, self._manoeuvres)
+        mean = self.table.mean.copy()  # such that constant velocity brings it where the acceleration does
+        mean[:, VELOCITY] += velocity * acceleration
+        mean[:, POSITION] += (position - dt * velocity) * acceleration
+        return propagate(
+            mean,
+            self.table.cov,
+            dt,
+            psd=best.mode @ [self._manoeuvres.calm_psd, self._manoeuvres.agile_psd],
+            camera=self._sensor.camera,
+            rotation=rotation,
+            rotation_variance=rotation_variance,
+            turn=self._turn,
+        )
+
+    def update(self, t: float, measured: Measurements) -> Explained:
+        self._drop(t)
+        weighed = self._weigh(measured)
+        settled, disputed, taken = self._explain_confirmed(weighed)
+        started = self._explain_tentative(weighed, taken)
+        explained = self._go_on(t, measured, weighed, [settled, started], disputed, taken)
+        self._drop(t)
+        return explained
+
+    # --- what the scan says -------------------------------------------------------------------------
+
+    def _weigh(self, measured: Measurements) -> Weighed:
+        table, leaves = self.table, self._leaves
+        visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
+        shift = self._shift_of_merged()
+        mean, cov, mode = leaves.motion
+        cov = cov[:, :, manoeuvre.KINEMATIC, manoeuvre.KINEMATIC].copy()
+        cov[:, :, POSITION, POSITION] += shift[leaves.owner][:, None]
+        mean = mean[:, :, manoeuvre.KINEMATIC].reshape(-1, 4)
+        size = np.repeat(leaves.size, 2, axis=0)
+        by_mode = self._sensor.likelihoods(mean, cov.reshape(-1, 4, 4), size, measured).log_ratio
+        by_mode = by_mode.reshape(len(leaves.owner), 2, len(measured.z)) + np.log(mode)[:, :, None]
+        ratio = np.logaddexp(by_mode[:, manoeuvre.CALM], by_mode[:, manoeuvre.AGILE])
+        p_detected = leaves.existence * visibility.p_detection[leaves.owner]
+        missed = np.log1p(-p_detected)
+        with np.errstate(divide="ignore"):
+            gain = ratio + (np.log(p_detected) - missed)[:, None]
+        gain[
+            gain < -self._depth
+        ] = -np.inf  # to have made none is so much likelier that this is left out anyway
+        return Weighed(visibility, shift, ratio, gain, missed)
+
+    def _shift_of_merged(self) -> Array:
+        """(n, 2, 2) px²: where two targets may give one detection it lies between them, half their distance off."""
+        table = self.table
+        overlap = self._sensor.overlap(table.mean, table.cov, table.size)
+        if not overlap.any():
+            return np.zeros((len(table), 2, 2))
+        position = table.mean[:, POSITION]
+        half = 0.5 * (position[None] - position[:, None])
+        return np.einsum("ij,ijk,ijl->ikl", overlap, half, half)
+
+    # --- who made what ------------------------------------------------------------------------------
+
+    def _explain_confirmed(self, weighed: Weighed) -> tuple[Story, list[tuple[Cluster, Indices]], Array]:
+        """The settled tracks' story; the clusters in dispute, with the columns (h, k) of their leaves; and how surely
+        (m,) a confirmed track made each detection."""
+        confirmed = np.flatnonzero(self.table.confirmed)
+        taken = np.zeros(weighed.gain.shape[1])
+        if not len(confirmed):
+            return Story(confirmed, confirmed), [], taken
+        wanted = self._wanted(weighed)[confirmed]
+        label = clusters.components(self._related(confirmed, wanted))
+        single = np.bincount(label, minlength=len(label))[label] == 1
+        single[np.isin(confirmed, [track for cluster in self._clusters for track in cluster.tracks])] = False
+        settled, doubtful = self._settle(self._best[confirmed[single]], weighed)
+        taken[settled.column[settled.column >= 0]] = 1.0
+
+        disputed = []
+        groups = [confirmed[~single][label[~single] == first] for first in np.unique(label[~single])]
+        for tracks in [*groups, *self._leaves.owner[doubtful][:, None]]:
+            cluster, column = self._explain_cluster(self._cluster_of(tracks), weighed)
+            disputed.append((cluster, column))
+            for track in range(column.shape[1]):
+                made = column[:, track] >= 0
+                np.add.at(taken, column[made, track], cluster.weight[made])
+        return settled, disputed, taken
+
+    def _wanted(self, weighed: Weighed) -> NDArray[np.bool_]:
+        """(n, m) detections that some leaf of a track may have made."""
+        first = np.searchsorted(self._leaves.owner, np.arange(len(self.table)))
+        return np.asarray(np.logical_or.reduceat(weighed.gain > -np.inf, first, axis=0))
+
+    def _related(self, confirmed: Indices, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n, n) confirmed tracks that want the same detection, or that are in dispute already."""
+        related = np.eye(len(confirmed), dtype=np.bool_)
+        shared = wanted[:, wanted.sum(axis=0) > 1]
+        if shared.shape[1]:
+            related |= (shared[:, None] & shared[None]).any(axis=2)
+        for cluster in self._clusters:
+            rows = np.searchsorted(confirmed, cluster.tracks)
+            related[np.ix_(rows, rows)] = True
+        return related
+
+    def _settle(self, leaves: Indices, weighed: Weighed) -> tuple[Story, Indices]:
+        """Of tracks with one leaf (k,) whose detections nobody else wants: the story of those where one explanation is
+        beyond doubt, and the leaves of the others."""
+        m = weighed.gain.shape[1]
+        options = np.concatenate([weighed.gain[leaves], np.zeros((len(leaves), 1))], axis=1)
+        choice = options.argmax(axis=1)
+        best = options.max(axis=1)
+        clear = (options > (best - self._depth)[:, None]).sum(axis=1) == 1
+        column = np.where(choice < m, choice, NONE)
+        return Story(leaves[clear], column[clear]), leaves[~clear]
+
+    def _cluster_of(self, tracks: Indices) -> Cluster:
+        """One cluster of all that is known about these tracks."""
+        involved = [cluster for cluster in self._clusters if cluster.tracks[0] in tracks]
+        known = {int(track) for cluster in involved for track in cluster.tracks}
+        settled = np.array([track for track in tracks if track not in known], dtype=np.intp)
+        if len(settled):
+            involved.append(Cluster(settled, self._best[settled][None], np.zeros(1)))
+        whole = involved[0]
+        for cluster in involved[1:]:
+            whole = clusters.product(whole, cluster, self._parameters.hypotheses)
+        return whole
+
+    def _explain_cluster(self, cluster: Cluster, weighed: Weighed) -> tuple[Cluster, Indices]:
+        """Its hypotheses continued by this scan, still with the leaves they come from; and those leaves' columns (h,
+        k)."""
+        gain = weighed.gain[cluster.leaf]
+        columns = np.flatnonzero((gain > -np.inf).any(axis=(0, 1)))
+        prior_weight = cluster.log_weight + weighed.missed[cluster.leaf].sum(axis=1)
+        best = best_matchings(
+            prior_weight, gain[:, :, columns], self._parameters.hypotheses, self._parameters.least_weight
+        )
+        self.counters["hypotheses_cut"] += not best.complete
+        column = np.where(best.column >= 0, np.append(columns, NONE)[best.column], NONE)
+        continued = Cluster(cluster.tracks, cluster.leaf[best.prior], clusters.normalised(best.log_weight))
+        return continued, column
+
+    def _explain_tentative(self, weighed: Weighed, taken: Array) -> Story:
+        """Each makes the detection, or none, that together is most likely of what the confirmed ones left."""
+        leaves = self._best[~self.table.confirmed]
+        left = np.flatnonzero(taken < 1.0 - LEAST_AVAILABLE)
+        p_detection = weighed.visibility.p_detection[self._leaves.owner[leaves]]
+        with np.errstate(divide="ignore"):
+            odds = np.log(p_detection / (1.0 - p_detection))
+        ratio = weighed.ratio[np.ix_(leaves, left)] + odds[:, None] + np.log(1.0 - taken[left])
+        rows, columns = most_likely_matching(ratio)
+        column = np.full(len(leaves), NONE)
+        column[rows] = left[columns]
+        return Story(leaves, column)
+
+    # --- what becomes of it -------------------------------------------------------------------------
+
+    def _go_on(
+        self,
+        t: float,
+        measured: Measurements,
+        weighed: Weighed,
+        settled: list[Story],
+        disputed: list[tuple[Cluster, Indices]],
+        taken: Array,
+    ) -> Explained:
+        """The leaves, hypotheses and tracks after the scan; births from what nobody made."""
+        stories = [*settled, *(Story(cluster.leaf.ravel(), column.ravel()) for cluster, column in disputed)]
+        told, rows = _distinct(stories, len(measured.z))
+        leaves, distance = self._continued(told, measured, weighed, taken)
+        weight = np.zeros(len(told.leaf))
+        for settled_rows in rows[: len(settled)]:
+            weight[settled_rows] = 1.0
+        continued = []
+        for (cluster, _), disputed_rows in zip(disputed, rows[len(settled) :], strict=True):
+            continued.append(cluster._replace(leaf=disputed_rows.reshape(cluster.leaf.shape)))
+            np.add.at(weight, disputed_rows, np.repeat(cluster.weight, len(cluster.tracks)))
+
+        hit, n = told.column >= 0, len(self.table)
+        seen = np.bincount(leaves.owner, weight * hit, n) >= 0.5
+        self.table.existence = np.bincount(leaves.owner, weight * leaves.existence, n)
+        confirmed_before = self.table.confirmed[leaves.owner]
+        nis = distance[confirmed_before[hit] & (weight[hit] > SURE)]
+        started = hit & ~confirmed_before
+        free = 1.0 - taken
+        free[told.column[started]] = 0.0
+        clutter = free.sum() + (1.0 - leaves.existence[started]).sum()
+
+        self._keep(leaves, np.concatenate(rows[: len(settled)]), continued)
+        self._show_best()
+        self._population.judge(t, seen, weighed.visibility)
+        free[~measured.fit | self._population.shadowed(measured.z, seen)] = 0.0
+        self._population.give_birth(t, measured.select(free > 0.5))
+        self._grow_leaves()
+        return Explained(nis, float(clutter))
+
+    def _continued(
+        self, told: Story, measured: Measurements, weighed: Weighed, taken: Array
+    ) -> tuple[Leaves, Array]:
+        """The leaves after the scan, and of those that made a detection its squared Mahalanobis distance."""
+        before = self._leaves.take(told.leaf)
+        hit = np.flatnonzero(told.column >= 0)
+        column, owner = told.column[hit], before.owner
+        R = measured.R[column] + weighed.shift[owner[hit]]
+        updated, distance = manoeuvre.update(before.motion.take(hit), measured.z[column], R)
+        motion = before.motion
+        for old, new in zip(motion, updated, strict=True):
+            old[hit] = new  # `take` made copies
+        size = before.size
+        size[hit] = blend_sizes(size[hit], measured.size[column])
+
+        p_detection = weighed.visibility.p_detection[owner]
+        likelihood = 1.0 - p_detection
+        likelihood[hit] += (
+            p_detection[hit] * np.exp(weighed.ratio[told.leaf[hit], column]) * (1.0 - taken[column])
+        )
+        existence = lifecycle.reweigh(before.existence, likelihood)
+        confirmed = self.table.confirmed[owner]
+        existence[confirmed] = np.maximum(existence[confirmed], lifecycle.MIN_CONFIRMED_EXISTENCE)
+        existence[hit[confirmed[hit]]] = (
+            lifecycle.MAX_EXISTENCE
+        )  # whether it made it, the hypotheses' weights tell
+        return Leaves(owner, motion, existence, size), distance
+
+    def _keep(self, leaves: Leaves, settled: Indices, continued: list[Cluster]) -> None:
+        """From now on: these leaves as far as somebody refers to them, and what is still in dispute."""
+        best = np.full(len(self.table), NONE)
+        best[leaves.owner[settled]] = settled
+        disputed = []
+        for cluster in continued:
+            unique = clusters.merged(_without_doubles(cluster, leaves))
+            best[unique.tracks] = unique.leaf[0]
+            left = clusters.in_dispute(unique)
+            if left is not None:
+                disputed.append(left)
+        kept = np.unique(np.concatenate([best, *(cluster.leaf.ravel() for cluster in disputed)]))
+        self._leaves = leaves.take(kept)
+        self._best = np.searchsorted(kept, best)
+        self._clusters = [cluster._replace(leaf=np.searchsorted(kept, cluster.leaf)) for cluster in disputed]
+
+    def _show_best(self) -> None:
+        """The table's rows are the leaves of the best hypothesis."""
+        table = self.table
+        table.mean, table.cov = manoeuvre.merged(self._leaves.motion.take(self._best))
+        table.size = self._leaves.size[self._best]
+
+    def _grow_leaves(self) -> None:
+        """One for each row that the table has gained."""
+        table, leaves = self.table, self._leaves
+        new = np.arange(len(self._best), len(table))
+        born = Leaves(
+            new,
+            manoeuvre.begun(table.mean[new], table.cov[new], self._manoeuvres),
+            table.existence[new],
+            table.size[new],
+        )
+        self._best = np.concatenate([self._best, len(leaves.owner) + np.arange(len(new))])
+        self._leaves = Leaves(
+            np.concatenate([leaves.owner, born.owner]),
+            manoeuvre.joined(leaves.motion, born.motion),
+            np.concatenate([leaves.existence, born.existence]),
+            np.concatenate([leaves.size, born.size]),
+        )
+
+    def _drop(self, t: float) -> None:
+        """Tracks end, and with them their leaves and their part in hypotheses."""
+        kept = self._population.drop(t)
+        if kept.all():
+            return
+        row = np.cumsum(kept) - 1  # of each track that stays
+        staying = kept[self._leaves.owner]
+        leaves = self._leaves.take(np.flatnonzero(staying))
+        leaf = np.cumsum(staying) - 1
+        best = leaf[self._best[kept]]
+        remaining = []
+        for cluster in self._clusters:
+            stay = kept[cluster.tracks]
+            if stay.any():
+                remaining.append(
+                    Cluster(row[cluster.tracks[stay]], leaf[cluster.leaf[:, stay]], cluster.log_weight)
+                )
+        self._keep(leaves._replace(owner=row[leaves.owner]), best, remaining)
+
+
+def _distinct(stories: list[Story], m: int) -> tuple[Story, list[Indices]]:
+    """Every story once, ordered by leaf; and for each of the given ones its rows among them."""
+    code = np.concatenate([story.leaf * (m + 1) + story.column + 1 for story in stories])
+    unique, inverse = np.unique(code, return_inverse=True)
+    leaf, column = np.divmod(unique, m + 1)
+    ends = np.cumsum([len(story.leaf) for story in stories])
+    return Story(leaf, column - 1), np.split(inverse, ends[:-1])
+
+
+def _without_doubles(cluster: Cluster, leaves: Leaves) -> Cluster:
+    """Leaves of a track that say the same become the likeliest of them."""
+    weight = np.repeat(cluster.weight, len(cluster.tracks))
+    rows, inverse = np.unique(cluster.leaf, return_inverse=True)
+    likeliest = np.argsort(-np.bincount(inverse.ravel(), weight), kind="stable")
+    mean, cov = manoeuvre.merged(leaves.motion.take(rows[likeliest]))
+    apart = np.abs(mean[:, None] - mean[None]) / np.sqrt(np.einsum("nii->ni", cov))[None]
+    owner = leaves.owner[rows[likeliest]]
+    same = (owner[:, None] == owner[None]) & (apart.max(axis=2) < SAME)
+    double_of = same.argmax(axis=1)  # the first, which is the likeliest; of itself if there is none before
+    double_of = double_of[double_of]
+    representative = np.empty_like(rows)
+    representative[likeliest] = rows[likeliest[double_of]]
+    return cluster._replace(leaf=representative[inverse].reshape(cluster.leaf.shape))
