@@ -38,24 +38,54 @@ def written_out(log_ratio):
 
 
 @st.composite
-def ratios(draw, largest=6, size=5, forbidden=True):
+def ratios(draw, largest=6, size=5, columns=None, forbidden=True):
     """log r (n, m) with up to 5 rows and columns; about a third of the pairs may be forbidden."""
-    n, m = draw(st.integers(1, size)), draw(st.integers(1, size))
+    n, m = draw(st.integers(1, size)), draw(st.integers(1, columns or size))
     entries = st.floats(-largest, largest)
     if forbidden:
         entries = st.one_of(entries, entries, st.just(NEVER))
     return np.array(draw(st.lists(st.lists(entries, min_size=m, max_size=m), min_size=n, max_size=n)))
 
 
-@given(ratios())
-def test_a_pair_is_as_likely_as_the_matchings_that_have_it(log_ratio):
-    assert matching_marginals(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
+def swept_in_order(log_ratio):
+    """As of a large cluster: column by column, opening and closing rows."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(marginals, "SMALL", 0)
+        patch.setattr(marginals, "NOT_WORTH_ORDERING", 0)
+        return matching_marginals(log_ratio)
 
 
+both_sweeps = pytest.mark.parametrize("solve", [matching_marginals, swept_in_order])
+
+
+@both_sweeps
+@given(log_ratio=ratios(columns=7))
+def test_a_pair_is_as_likely_as_the_matchings_that_have_it(solve, log_ratio):
+    assert solve(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
+
+
+@both_sweeps
 @settings(max_examples=50)
-@given(ratios(largest=200, size=3))
-def test_ratios_of_any_size_are_taken_as_they_are(log_ratio):
-    assert matching_marginals(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-9)
+@given(log_ratio=ratios(largest=300, columns=7))
+def test_ratios_of_any_size_are_taken_as_they_are(solve, log_ratio):
+    assert solve(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
+
+
+@both_sweeps
+def test_who_is_a_little_more_certain_wins_what_all_are_sure_of(solve):
+    """Ratios beyond what a double holds: only their ratios to each other are left to decide."""
+    log_ratio = np.array([[5000.0, 4000.0], [5001.0, 4000.0], [4999.0, NEVER]])
+    assert solve(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
+    other_three = math.exp(-1.0) + 2.0 * math.exp(-2.0)
+    assert solve(log_ratio)[1, 0] == pytest.approx(1.0 / (1.0 + other_three), abs=1e-12)
+
+
+@pytest.mark.parametrize("size", [6, 7, 8, 9, 10, 12])
+def test_all_rows_at_once_or_one_after_the_other_is_the_same(size):
+    rng = np.random.default_rng(size)
+    for m in (size, size + 3):
+        log_ratio = rng.normal(0.0, 4.0, (size, m))
+        assert matching_marginals(log_ratio) == pytest.approx(swept_in_order(log_ratio), abs=1e-12)
 
 
 @settings(max_examples=50)
@@ -156,3 +186,19 @@ def test_where_everything_may_be_everything_nothing_is_likely():
     found = matching_marginals(np.full((30, 30), 10.0))
     assert sweep_width(np.full((30, 30), 10.0)) > WIDEST
     assert found == pytest.approx(np.full((30, 30), 1.0 / 30.0), abs=0.01)
+
+
+def test_a_cluster_that_is_too_wide_is_left_to_whom_the_caller_says():
+    """Two clusters: three rows that want everything are too wide, two are not."""
+    log_ratio = np.full((5, 6), NEVER)
+    log_ratio[:3, :4] = log_ratio[3:, 4:] = 1.0
+    asked = []
+
+    def beyond(block, widest):
+        asked.append((block.shape, widest))
+        return marginals.beliefs(block)
+
+    found = matching_marginals(log_ratio, 2, beyond)
+    assert asked == [((3, 4), 2)]
+    assert found[3:] == pytest.approx(written_out(log_ratio[3:]), abs=1e-12)
+    assert found[:3, :4] == pytest.approx(marginals.beliefs(log_ratio[:3, :4]))

@@ -14,86 +14,134 @@ ones. With F_j[S] the weight of what the first j columns can do using the set S,
 
 which adds and multiplies what is not negative and so cancels nothing. The cost is exponential in the largest number
 of rows open at once, so columns are ordered to keep it small, and pairs that share nothing are solved apart. The two
-passes are the forward-backward recursion over the joint events of JPDA (Fortmann, Bar-Shalom & Scheffe, 1983).
+passes are the forward-backward recursion over the joint events of JPDA (Fortmann, Bar-Shalom & Scheffe, 1983). In a
+small cluster all rows may as well be open all the time: then both passes are the same few products of small matrices.
 
 Where more than `WIDEST` rows would be open, pairs are left out of the sweep until no more are: those that loopy belief
 propagation (Williams & Lau, "Approximate evaluation of marginal association probabilities with belief propagation",
 IEEE T-AES 50(4), 2014, eqs. 10-11) thinks least likely. It always converges, but alone it is too sure of itself where
 many pairs compete; a pair left out keeps its belief, and so much less is there for the others of its row and column.
+Who has no time for that, as a tracker between two images, takes the beliefs as they are: `beyond=beliefs`.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable, Iterable
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.association import most_likely_matching
 
 WIDEST = 13  # rows open at once: 8192 sets, some milliseconds
+SMALL, NOT_WORTH_ORDERING = 9, 12
+"""Up to so many rows all are open all the time: without asking, and where an order of the columns closes one at
+most."""
 LARGEST_EXPONENT = 600.0  # of a product of one ratio for each open row: a double ends at 709
+LARGEST_LOG_RATIO = 1e6  # e to this: nothing is more certain
 BELIEF_ITERATIONS, BELIEF_TOLERANCE = 200, 1e-6
 LEAST_BELIEF = np.geomspace(1e-6, 0.51, 40)
 """What a pair must be believed to be swept: the first that leaves few enough rows open. Above 0.5 nobody has two."""
 
-Cluster = tuple[NDArray[np.int64], NDArray[np.int64]]
+Beyond = Callable[[Array, int], Array]
+"""What p (n, m) is to be of a cluster, log r (n, m), that has more rows open than the second argument allows."""
 
 
-def matching_marginals(log_ratio: Array, widest: int = WIDEST) -> Array:
+class Weights(NamedTuple):
+    """Of a matching: the product of pair (n, m) over its pairs, and of row (n,) and column (m,) over those without."""
+
+    pair: Array
+    row: Array
+    column: Array
+
+    @property
+    def transposed(self) -> Weights:
+        return Weights(self.pair.T, self.column, self.row)
+
+
+class Cluster(NamedTuple):
+    """Rows and columns that share nothing with any others."""
+
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+
+
+def matching_marginals(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | None = None) -> Array:
     """The probability (n, m) of each pair; what a row lacks to one is that of "none of them".
 
-    log_ratio (n, m): log r, −inf forbids a pair. widest: pairs are left out where more rows than this, one or more,
-    would be open.
+    log_ratio (n, m): log r, −inf forbids a pair. Where more rows than `widest`, one or more, would be open, the
+    answer is `beyond`'s; None: pairs are left out of the sweep.
     """
+    allowed = log_ratio > -np.inf
+    contested = allowed & (np.count_nonzero(allowed, axis=0) > 1)
+    disputing = contested.any(axis=1)
     probability = np.zeros(log_ratio.shape)
-    for rows, columns in _clusters(log_ratio > -np.inf):
+    undisputed = np.flatnonzero(~disputing)
+    probability[undisputed] = _of_choices(log_ratio[undisputed])
+    for rows, columns in _clusters(allowed, np.flatnonzero(disputing).tolist()):
         block = np.ix_(rows, columns)
-        probability[block] = _of_cluster(log_ratio[block], widest)
+        probability[block] = _of_cluster(log_ratio[block], widest, beyond or _of_thinned)
     return probability
 
 
 def sweep_width(log_ratio: Array) -> int:
     """How many rows are open at once at most, in the sweep over all allowed pairs."""
-    blocks = [log_ratio[np.ix_(rows, columns)] > -np.inf for rows, columns in _clusters(log_ratio > -np.inf)]
-    return max((_narrower(block) for block in blocks), default=0)
-
-
-def _clusters(allowed: NDArray[np.bool_]) -> list[Cluster]:
-    """Connected parts of the graph of allowed pairs, as (rows, columns)."""
-    left = np.asarray(allowed.any(axis=1))
-    found: list[Cluster] = []
-    while left.any():
-        rows = np.zeros_like(left)
-        rows[left.argmax()] = True
-        while True:
-            columns = allowed[rows].any(axis=0)
-            grown = np.asarray(allowed[:, columns].any(axis=1))
-            if (grown == rows).all():
-                break
-            rows = grown
-        left = left & ~rows
-        found.append((np.flatnonzero(rows), np.flatnonzero(columns)))
-    return found
-
-
-def _of_cluster(log_ratio: Array, widest: int) -> Array:
-    n, m = log_ratio.shape
-    if n == 1 or m == 1:  # one chooses among all the others, or none
-        top = max(0.0, float(log_ratio.max()))
-        weight = np.exp(log_ratio - top)
-        return np.asarray(weight / (np.exp(-top) + weight.sum()))
     allowed = log_ratio > -np.inf
-    by_columns, width = _sweep_order(allowed)
-    by_rows, width_transposed = _sweep_order(allowed.T)
+    blocks = [allowed[np.ix_(rows, columns)] for rows, columns in _clusters(allowed, range(len(allowed)))]
+    return max((min(_sweep_order(block)[1], _sweep_order(block.T)[1]) for block in blocks), default=0)
+
+
+def _of_choices(log_ratio: Array) -> Array:
+    """p (n, m) where every row chooses one of its columns, or none, and nobody else wants them."""
+    top = np.maximum(log_ratio.max(axis=1, initial=0.0), 0.0)[:, None]
+    weight = np.exp(log_ratio - top)
+    return np.asarray(weight / (np.exp(-top) + weight.sum(axis=1, keepdims=True)))
+
+
+def _sets(member: NDArray[np.bool_]) -> list[int]:
+    """Each row of member (n, m) as a set of columns: a number whose bit j is set where column j is in it."""
+    return [int.from_bytes(row.tobytes(), "little") for row in np.packbits(member, axis=1, bitorder="little")]
+
+
+def _clusters(allowed: NDArray[np.bool_], rows: Iterable[int]) -> list[Cluster]:
+    """Connected parts of the graph of allowed pairs, of these rows; a row without any pair is in none."""
+    wanted = _sets(allowed)
+    found: list[tuple[list[int], int]] = []
+    for i in rows:
+        joined, columns = [i], wanted[i]
+        apart = []
+        for group in found:
+            if group[1] & wanted[i]:
+                joined, columns = group[0] + joined, columns | group[1]
+            else:
+                apart.append(group)
+        found = [*apart, (joined, columns)] if columns else found
+    return [Cluster(np.array(rows), np.flatnonzero(allowed[rows].any(axis=0))) for rows, _ in found]
+
+
+def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond) -> Array:
+    n, m = log_ratio.shape
+    if m == 1:
+        return _of_choices(log_ratio.T).T
+    fewer = min(n, m)
+    if fewer <= min(widest, SMALL):
+        return _swept_at_once(log_ratio)
+    allowed = log_ratio > -np.inf
+    by_columns, width = _sweep_order(allowed, widest)
+    by_rows, width_transposed = _sweep_order(allowed.T, min(widest, width))
     narrower = min(width, width_transposed)
     if narrower > widest:
-        return _of_thinned(log_ratio, widest)
-    limit = LARGEST_EXPONENT / narrower  # nothing is as certain as a ratio beyond it
-    ratio = np.where(allowed, np.exp(np.clip(log_ratio, -limit, limit)), 0.0)
+        return beyond(log_ratio, widest)
+    if fewer <= min(narrower + 1, NOT_WORTH_ORDERING):
+        return _swept_at_once(log_ratio)
+    weights = _weights(log_ratio, narrower)
     if width_transposed < width:
-        return _sweep(np.ascontiguousarray(ratio.T), by_rows).T
-    return _sweep(ratio, by_columns)
+        return _swept(weights.transposed, by_rows).T
+    return _swept(weights, by_columns)
 
 
 def _of_thinned(log_ratio: Array, widest: int) -> Array:
@@ -108,7 +156,7 @@ def _of_thinned(log_ratio: Array, widest: int) -> Array:
         return (log_ratio > -np.inf) & (belief >= least)
 
     def is_narrow(least: float) -> bool:
-        return _narrower(swept(least)) <= widest
+        return min(_sweep_order(swept(least), widest)[1], _sweep_order(swept(least).T, widest)[1]) <= widest
 
     kept = swept(LEAST_BELIEF[bisect_left(LEAST_BELIEF, True, key=is_narrow, hi=len(LEAST_BELIEF) - 1)])
     left_out = np.where(kept, 0.0, belief)
@@ -117,34 +165,146 @@ def _of_thinned(log_ratio: Array, widest: int) -> Array:
     return np.asarray(given_none * np.maximum(remaining, 0.0) + left_out)
 
 
-def _narrower(allowed: NDArray[np.bool_]) -> int:
-    """The width of the narrower sweep: over columns, or over rows."""
-    return min(_sweep_order(allowed)[1], _sweep_order(allowed.T)[1])
-
-
-def _sweep_order(allowed: NDArray[np.bool_]) -> tuple[list[int], int]:
+def _sweep_order(allowed: NDArray[np.bool_], widest: int | None = None) -> tuple[list[int], int]:
     """An order of the columns that keeps few rows open, and how many that is at most. Greedy: the best order is
-    hard."""
-    wanted = allowed.sum(axis=1)  # columns that still want each row
-    is_open = np.zeros(len(allowed), dtype=bool)
-    left = list(range(allowed.shape[1]))
+    hard. Where it is more than `widest` the order ends there."""
+    wanting = _sets(allowed.T)
+    members = [np.flatnonzero(column).tolist() for column in allowed.T]
+    wanted = allowed.sum(axis=1).tolist()  # columns that still want each row
+    last = sum(1 << i for i, columns in enumerate(wanted) if columns == 1)  # rows that one column still wants
+    is_open = 0
+    left = list(range(len(wanting)))
     order: list[int] = []
     width = 0
-    while left:
-        columns = allowed[:, left]
-        opens = (columns & ~is_open[:, None]).sum(axis=0)
-        closes = (columns & (wanted == 1)[:, None]).sum(axis=0)
-        column = left.pop(int(np.lexsort((opens, opens - closes))[0]))
-        is_open |= allowed[:, column]
-        width = max(width, int(is_open.sum()))
-        wanted = wanted - allowed[:, column]
-        is_open &= wanted > 0
+
+    def opens_and_closes(column: int) -> tuple[int, int]:
+        opens = (wanting[column] & ~is_open).bit_count()
+        return opens - (wanting[column] & last).bit_count(), opens
+
+    while left and (widest is None or width <= widest):
+        column = min(left, key=opens_and_closes)
+        left.remove(column)
         order.append(column)
+        is_open |= wanting[column]
+        width = max(width, is_open.bit_count())
+        is_open &= ~(wanting[column] & last)
+        last &= ~wanting[column]
+        for i in members[column]:
+            wanted[i] -= 1
+            if wanted[i] == 1:
+                last |= 1 << i
     return order, width
 
 
-def _sweep(ratio: Array, order: list[int]) -> Array:
+def _weights(log_ratio: Array, width: int) -> Weights:
+    """As factors of which `width` can be multiplied without overflow; what then underflows does not count.
+
+    Where ratios themselves could not, those of row i are divided by e^profit[i] and those of column j by e^price[j],
+    the dual prices of the most likely matching: its weight becomes one, and no factor is above one.
+    """
+    n, m = log_ratio.shape
+    if log_ratio.max() <= LARGEST_EXPONENT / width:
+        return Weights(np.exp(log_ratio), np.ones(n), np.ones(m))
+    log_ratio = np.minimum(log_ratio, LARGEST_LOG_RATIO)
+    rows, columns = most_likely_matching(log_ratio)
+    profit, price = np.zeros(n), np.zeros(m)
+    for _ in range(
+        n
+    ):  # prices rise along paths of the matching, none of which has more rows (Bellman & Ford)
+        profit[rows] = log_ratio[rows, columns] - price[columns]
+        price = np.maximum((log_ratio - profit[:, None]).max(axis=0), 0.0)
+    profit[rows] = log_ratio[rows, columns] - price[columns]
+    return Weights(np.exp(log_ratio - profit[:, None] - price), np.exp(-profit), np.exp(-price))
+
+
+def _swept_at_once(log_ratio: Array) -> Array:
+    """p (n, m) of one small cluster, all of whose rows are open all the time; in the order of the columns."""
+    if len(log_ratio) > log_ratio.shape[1]:
+        return _swept_at_once(log_ratio.T).T
+    n, m = log_ratio.shape
+    weights = _weights(log_ratio, n)
+    halves = _halves(n)
+    # The forward pass takes column j together with the backward pass's column m - 1 - j.
+    column = np.concatenate([weights.pair.T, weights.column[:, None]], axis=1)
+    entries = np.concatenate([column, column[::-1]], axis=1)[:, halves.source]
+    # One piece of memory for the matrices of all steps: new ones for each would cost more than filling them.
+    matrices = np.zeros(2 * (halves.first**2 + halves.others**2))
+    left = matrices[: 2 * halves.first**2].reshape(2, halves.first, halves.first)
+    right = matrices[2 * halves.first**2 :].reshape(2, halves.others, halves.others)
+    sets = np.empty((m + 1, 2, halves.first, halves.others))
+    sets[0, 0] = 0.0
+    sets[0, 0, 0, 0] = 1.0
+    sets[0, 1] = np.where(halves.member, 1.0, weights.row).prod(axis=2)
+    others = np.empty(sets.shape[1:])
+    for before, after, entry in zip(sets[:-1], sets[1:], entries, strict=True):
+        matrices[halves.place] = entry
+        np.matmul(left, before, out=after)
+        np.matmul(before, right, out=others)
+        np.add(after, others, out=after)
+    forward, backward = sets[:-1, 0], sets[m - 1 :: -1, 1]
+    total = sets[m, 1, 0, 0]
+    # Σ F[S] B[S + i] over the sets of the half that i is not in, and then over the others.
+    by_first = (backward @ forward.swapaxes(1, 2)).reshape(m, -1)[:, halves.add_first].sum(axis=2)
+    by_others = (backward.swapaxes(1, 2) @ forward).reshape(m, -1)[:, halves.add_others].sum(axis=2)
+    return np.asarray(weights.pair * np.concatenate([by_first, by_others], axis=1).T / total)
+
+
+class Halves(NamedTuple):
+    """The sets of n rows as a matrix (first, others): which of the first half of the rows are in it gives its row,
+    which of the others its column. Adding one of the rows is then a matrix on its left or right, (first, first) or
+    (others, others), which only depends on that half.
+
+    member (first, others, n): whether the set has the row. add_first (rows of the half, ·): flat indices, in the
+    matrix on the left, of [S + i, S]; add_others likewise. place (k,): flat indices, in the two matrices on the left
+    (of the forward pass, of the backward pass) and the two on the right, of what a step fills in; source (k,): where
+    from, in [r[:, j] and column[j] of the forward pass, and those of the backward pass].
+    """
+
+    first: int
+    others: int
+    member: NDArray[np.bool_]
+    add_first: NDArray[np.intp]
+    add_others: NDArray[np.intp]
+    place: NDArray[np.intp]
+    source: NDArray[np.intp]
+
+
+@cache
+def _halves(n: int) -> Halves:
+    half = (n + 1) // 2
+    first, others = 1 << half, 1 << (n - half)
+    member = (np.arange(others) << half | np.arange(first)[:, None])[:, :, None] >> np.arange(n) & 1 > 0
+    add_first, add_others = _additions(half), _additions(n - half)
+    stay = np.arange(first) * (first + 1)  # the diagonal: nobody takes the column
+    rows_first, rows_others = np.arange(half), np.arange(half, n)
+    pieces = [
+        (add_first, rows_first),
+        (stay[None], np.array([n])),
+        (_flipped(add_first, first) + first**2, rows_first + n + 1),
+        (stay[None] + first**2, np.array([n + n + 1])),
+        (_flipped(add_others, others) + 2 * first**2, rows_others),
+        (add_others + 2 * first**2 + others**2, rows_others + n + 1),
+    ]
+    place = np.concatenate([places.ravel() for places, _ in pieces])
+    source = np.concatenate([np.repeat(sources, places.shape[1]) for places, sources in pieces])
+    return Halves(first, others, member, add_first, add_others, place, source)
+
+
+def _additions(rows: int) -> NDArray[np.intp]:
+    """Flat indices (rows, sets / 2) of the entries [S + i, S] of a matrix over the sets of so many rows."""
+    sets = np.arange(1 << rows)
+    without = np.array([sets[sets >> i & 1 == 0] for i in range(rows)], np.intp).reshape(rows, -1)
+    return (without | 1 << np.arange(rows)[:, None]) * len(sets) + without
+
+
+def _flipped(entries: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+    """The same entries of the transposed (size, size) matrix."""
+    return entries % size * size + entries // size
+
+
+def _swept(weights: Weights, order: list[int]) -> Array:
     """p (n, m) of one cluster. A set of open rows is an index: bit b is set where the row `open_rows[b]` is used."""
+    ratio, unused, free = weights.pair, weights.row.tolist(), weights.column.tolist()
     last_use = {int(i): k for k, j in enumerate(order) for i in np.flatnonzero(ratio[:, j])}
     open_rows: list[int] = []
     forward = np.ones(1)
@@ -159,13 +319,13 @@ def _sweep(ratio: Array, order: list[int]) -> Array:
                     (forward, np.zeros_like(forward))
                 )  # its bit is the highest, not used yet
         before, here = forward, list(open_rows)
-        forward = before.copy()
+        forward = free[j] * before
         for bit, i in enumerate(here):
             if ratio[i, j] > 0.0:
                 _with(forward, bit)[...] += ratio[i, j] * _without(before, bit)
         for i in [i for i in here if last_use[i] == k]:
             bit = open_rows.index(i)
-            forward = (_without(forward, bit) + _with(forward, bit)).ravel()
+            forward = (unused[i] * _without(forward, bit) + _with(forward, bit)).ravel()
             open_rows.remove(i)
         forward /= forward.max()  # a common factor for each column drops out of p
         tape.append((here, before, list(open_rows)))
@@ -178,8 +338,9 @@ def _sweep(ratio: Array, order: list[int]) -> Array:
         for bit, i in enumerate(here):
             if i not in after:  # what follows does not care whether it is used
                 backward = np.repeat(backward.reshape(-1, 1, 1 << bit), 2, axis=1).ravel()
-        total = float(before @ backward)
-        earlier = backward.copy()
+                _without(backward, bit)[...] *= unused[i]
+        earlier = free[j] * backward
+        total = float(before @ earlier)
         for bit, i in enumerate(here):
             if ratio[i, j] > 0.0:
                 used = _with(backward, bit)
@@ -204,8 +365,8 @@ def _with(sets: Array, bit: int) -> Array:
     return sets.reshape(-1, 2, 1 << bit)[:, 1]
 
 
-def beliefs(log_ratio: Array) -> Array:
-    """Approximate p (n, m) by loopy belief propagation."""
+def beliefs(log_ratio: Array, widest: int = 0) -> Array:
+    """Approximate p (n, m) by loopy belief propagation, however wide."""
     n, m = log_ratio.shape
     ratio = np.exp(np.minimum(log_ratio, LARGEST_EXPONENT / 2.0))
     # Sums over all others, not over all less one: of ratios this different the difference would be rounding alone.
