@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.tracking import Scan, Tracker
+from swarmtrack.tracking.kalman import Kalman, KalmanParameters
 from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import SensorModel
@@ -111,3 +113,52 @@ def test_unknown_sizes_hide_either():
 def test_a_negative_resolution_is_refused():
     with pytest.raises(ValueError, match=r"resolution_px: found -1\.0, expected pixels"):
         sensor(resolution_px=-1.0)
+
+
+def learned_clutter(*, told, true, seeds=8, seconds=12.0, flock=0, p_detection=0.9, **parameters):
+    """Median over seeds of the rate a Kalman tracker has learned after so long, at 15 Hz: of three targets that it
+    knows from the start, and a flock that nobody announces after two thirds of the time."""
+    found = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        told_all = KalmanParameters(clutter_per_scan=told, measurement_sigma=1.5, **parameters)
+        model = SensorModel(CAMERA, told_all)
+        tracker = Tracker(model, Kalman(model, told_all))
+        position = rng.uniform([100, 100], [540, 380], (3 + flock, 2))
+        velocity = rng.normal(0.0, 3.0, position.shape)
+        tracker.initiate(0.0, position[:3])
+        for k in range(1, int(15 * seconds)):
+            t = k / 15
+            there = (position + velocity * t)[: 3 if t < seconds / 1.5 else None]
+            seen = there[rng.random(len(there)) < p_detection]
+            false = rng.uniform([0, 0], [640, 480], (rng.poisson(true), 2))
+            tracker.update(Scan(t, np.concatenate([seen + rng.normal(0.0, 1.5, seen.shape), false])))
+        found.append(model.clutter_per_scan)
+        assert len([track for track in tracker.tracks if track.status == "confirmed"]) >= 2
+    return np.median(found)
+
+
+@pytest.mark.parametrize(("told", "true"), [(0.4, 2.0), (10.0, 2.0), (0.04, 0.2), (1.0, 0.2), (2.0, 2.0)])
+def test_a_clutter_rate_told_five_times_wrong_is_found(told, true):
+    assert learned_clutter(told=told, true=true) == pytest.approx(true, rel=0.35)
+
+
+def test_targets_are_not_learned_as_clutter():
+    """Neither eight that appear four seconds before, nor those that are rarely detected, against what is told."""
+    assert learned_clutter(told=1.0, true=1.0, flock=8) < 1.3
+    assert learned_clutter(told=1.0, true=1.0, p_detection=0.6) < 1.3
+
+
+def test_what_is_learned_stays_within_a_factor_of_ten():
+    model = sensor(clutter_per_scan=0.5)
+    for found, limit in ((1000.0, 5.0), (0.0, 0.05)):
+        for _ in range(2000):
+            model.learn_clutter(found)
+        assert model.clutter_per_scan == pytest.approx(limit, rel=1e-6)
+
+
+@pytest.mark.parametrize("off", [{"learn_clutter": False}, {"profile": "paper"}])
+def test_learning_can_be_switched_off(off):
+    model = sensor(clutter_per_scan=0.5, **off)
+    model.learn_clutter(100.0)
+    assert model.clutter_per_scan == 0.5

@@ -17,7 +17,9 @@ from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 
 SIZE_GATE = 3.0
-PRIOR_SCANS = 20.0  # how many scans the clutter rate that was told is worth
+# What the clutter rate that was told is worth: at most so many scans, for targets not yet found look like clutter, nor
+# more than so many false detections, for where ten come with each scan the first one tells more than a guess.
+PRIOR_SCANS, PRIOR_CLUTTER = 20.0, 8.0
 CLUTTER_MEMORY_SCANS = 200.0
 CLUTTER_BOUND = 10.0  # at most so many times the rate that was told, or so many times less
 
@@ -61,7 +63,7 @@ class SensorModel:
         self.R = parameters.measurement_sigma**2 * np.eye(2)
         self.clutter_per_scan = parameters.clutter_per_scan
         """As learned until now."""
-        self._scans_learned = PRIOR_SCANS
+        self._scans_learned = min(PRIOR_SCANS, PRIOR_CLUTTER / parameters.clutter_per_scan)
         self._learns = parameters.learn_clutter and parameters.profile != "paper"
         self._parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
