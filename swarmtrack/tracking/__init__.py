@@ -10,6 +10,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Scan
 from swarmtrack.tracking.base import Filter, Tracker
 from swarmtrack.tracking.gmphd import GmPhd
+from swarmtrack.tracking.jpdaf import Jpdaf
 from swarmtrack.tracking.kalman import Kalman
 from swarmtrack.tracking.mbm import Mbm
 from swarmtrack.tracking.sensor_model import SensorModel
@@ -18,6 +19,7 @@ __all__ = ["TRACKERS", "Scan", "Tracker", "create_tracker"]
 
 TRACKERS: dict[str, type[Filter]] = {  # a visible table: add a tracker by its module and one line here
     "kalman": Kalman,
+    "jpdaf": Jpdaf,
     "gmphd": GmPhd,
     "mbm": Mbm,
 }
