@@ -73,7 +73,7 @@ class Tracker:
         camera = sensor.camera
         self._sensor = sensor
         self._filter = filter
-        self._innovations = InnovationWindow()
+        self._innovations = InnovationWindow(sensor.parameters.gate_probability)
         self._surely_before = lifecycle.MAX_SLANT * min(camera.fx, camera.fy) / 2.0 - max(
             camera.cx, camera.cy
         )

@@ -1,8 +1,8 @@
 """Does the filter know how wrong it is? The normalised innovations squared of the last detections, beside their band.
 
 What the filter expects of a detection of its target is N(H x, S); then νᵀ S⁻¹ ν has the χ² distribution with two
-degrees of freedom, and a mean of n of them that of χ²(2n) / n. Above the band the filter is too sure of itself (R or
-the motion model too small, a camera's clock that is off), below it too careful.
+degrees of freedom, cut off at the gate, and the mean of n of them lies in a band about its expectation. Above the band
+the filter is too sure of itself (R or the motion model too small, a camera's clock that is off), below it too careful.
 Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.
 """
 
@@ -12,24 +12,42 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+import numpy as np
+
+from swarmtrack.messages import Array
+
 WINDOW = 200  # detections: at 7 Hz and four targets, seven seconds
 FEWEST = 30
 NORMAL_99 = 2.5758293035489004  # the standard normal's 99.5 % quantile
+SURELY_THERE = 0.95  # existence, before the scan, of a track whose lone detection is taken for its own
 
 
 class Consistency(NamedTuple):
-    """nis: mean over the window, expected 2; low, high: where it lies with 99 % if the filter is right."""
+    """nis: mean over the window, 2 less what the gate cuts off if the filter is right; low, high: where it then lies
+    with 99 %."""
 
     nis: float
     low: float
     high: float
 
 
-class InnovationWindow:
-    """The last `WINDOW` normalised innovations squared."""
+def of_sure_pairs(distance: Array, log_ratio: Array, existence: Array) -> Array:
+    """Squared distances (k,) of the n tracks and m detections that have nobody else in their gates.
 
-    def __init__(self) -> None:
+    distance (n, m); log_ratio (n, m), −inf beyond the gate; existence (n,) before the scan. Only what was known before
+    the scan picks them: a choice by how well they fit would make every filter look better than it is.
+    """
+    gated = log_ratio > -np.inf
+    alone = gated & (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
+    return np.asarray(distance[alone & (existence > SURELY_THERE)[:, None]])
+
+
+class InnovationWindow:
+    """The last `WINDOW` normalised innovations squared, of detections that passed a gate of this probability."""
+
+    def __init__(self, gate_probability: float = 1.0) -> None:
         self._nis: deque[float] = deque(maxlen=WINDOW)
+        self._mean, self._variance = _moments_within(gate_probability)
 
     def add(self, nis: list[float]) -> None:
         self._nis.extend(nis)
@@ -39,11 +57,24 @@ class InnovationWindow:
         n = len(self._nis)
         if n < FEWEST:
             return None
-        low, high = (_chi2_quantile(sign * NORMAL_99, 2 * n) / n for sign in (-1.0, 1.0))
+        # The sum's distribution is nearly that multiple of a χ² which has its mean and variance.
+        scale, degrees = self._variance / (2.0 * self._mean), 2.0 * n * self._mean**2 / self._variance
+        low, high = (scale * _chi2_quantile(sign * NORMAL_99, degrees) / n for sign in (-1.0, 1.0))
         return Consistency(math.fsum(self._nis) / n, low, high)
 
 
-def _chi2_quantile(standard_score: float, degrees: int) -> float:
+def _moments_within(probability: float) -> tuple[float, float]:
+    """Mean and variance of χ² with two degrees of freedom, given that it lies below this quantile."""
+    beyond = 1.0 - probability
+    if beyond <= 0.0:
+        return 2.0, 4.0
+    gate = -2.0 * math.log(beyond)
+    mean = 2.0 - gate * beyond / probability
+    square = (8.0 - (gate**2 + 4.0 * gate + 8.0) * beyond) / probability
+    return mean, square - mean**2
+
+
+def _chi2_quantile(standard_score: float, degrees: float) -> float:
     """Wilson & Hilferty (1931): to a few parts in ten thousand from thirty degrees of freedom on."""
     spread = 2.0 / (9.0 * degrees)
     return degrees * (1.0 - spread + standard_score * math.sqrt(spread)) ** 3

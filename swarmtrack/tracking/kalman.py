@@ -16,6 +16,7 @@ from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
+from swarmtrack.tracking.consistency import of_sure_pairs
 from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import Population, blend_sizes
@@ -70,6 +71,7 @@ class Kalman:
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         p_detection = visibility.p_detection
         distance, log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured)
+        nis = of_sure_pairs(distance, log_ratio, table.existence)
         with np.errstate(divide="ignore"):
             odds_of_detection = np.log(p_detection / (1.0 - p_detection))
         rows, columns = self._match(log_ratio + odds_of_detection[:, None])
@@ -82,7 +84,6 @@ class Kalman:
         seen, taken = np.zeros(len(table), np.bool_), np.zeros(len(z), np.bool_)
         seen[rows], taken[columns] = True, True
         self._population.judge(t, seen, visibility)
-        nis = distance[rows, columns][table.confirmed[rows]]
         clutter = len(z) - float(table.existence[rows].sum())
         return taken | self._population.shadowed(z, seen), Explained(nis, clutter)
 

@@ -65,7 +65,7 @@ class SensorModel:
         """As learned until now."""
         self._scans_learned = min(PRIOR_SCANS, PRIOR_CLUTTER / parameters.clutter_per_scan)
         self._learns = parameters.learn_clutter and parameters.profile != "paper"
-        self._parameters = parameters
+        self.parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
         self._uses_boxes = parameters.profile != "paper"
         self._occludes = parameters.occlusion and self._uses_boxes
@@ -79,8 +79,8 @@ class SensorModel:
             size = np.asarray(scan.size, dtype=float)
         if scan.score is not None and self._uses_boxes:
             score = np.clip(scan.score, 0.01, 0.99)
-            odds = (score / (1.0 - score)) ** self._parameters.score_weight
-            fit = scan.score >= self._parameters.birth_score
+            odds = (score / (1.0 - score)) ** self.parameters.score_weight
+            fit = scan.score >= self.parameters.birth_score
         low, high = self.camera.ideal_bounds
         near = (np.abs(scan.z - 0.5 * (low + high)) < high - low).all(axis=1)  # NaN compares as False
         determinant = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
@@ -95,12 +95,12 @@ class SensorModel:
         """Of targets with means (n, 4), covariances (n, 4, 4), box sizes (n, 2) and existence (n,), both for who
         hides whom."""
         in_view = probability_in_view(mean, cov, self.camera)
-        p_detection = self._parameters.p_detection * in_view
+        p_detection = self.parameters.p_detection * in_view
         if size is None:
             return Visibility(p_detection, in_view)
         hidden = self.overlap(mean, cov, size)
         if hidden.any():
-            hidden *= hidden_behind(size, self._parameters.size_sigma)
+            hidden *= hidden_behind(size, self.parameters.size_sigma)
             if existence is not None:
                 hidden *= existence
             p_detection = p_detection * (1.0 - hidden).prod(axis=1)
@@ -111,13 +111,13 @@ class SensorModel:
         and box sizes (n, 2) px, NaN while unknown."""
         if not self._occludes:
             return np.zeros((len(mean), len(mean)))
-        return unresolved(mean, cov, resolutions(size, self._parameters.resolution_px))
+        return unresolved(mean, cov, resolutions(size, self.parameters.resolution_px))
 
     def likelihoods(self, mean: Array, cov: Array, size: Array, measured: Measurements) -> Likelihoods:
         """Of targets with means (n, 4), covariances (n, 4, 4) and box sizes (n, 2), NaN while unknown."""
         distance, log_density = innovations(mean, cov, measured.z, measured.R)
         log_ratio = log_density - self.log_clutter_intensity(measured.odds)
-        log_ratio += _log_likelihood_of_sizes(size, measured.size, self._parameters.size_sigma)
+        log_ratio += _log_likelihood_of_sizes(size, measured.size, self.parameters.size_sigma)
         log_ratio[distance > self._gate] = -np.inf
         return Likelihoods(distance, log_ratio)
 
@@ -129,7 +129,7 @@ class SensorModel:
         """
         if not self._learns:
             return
-        told = self._parameters.clutter_per_scan
+        told = self.parameters.clutter_per_scan
         self._scans_learned = min(self._scans_learned + 1.0, CLUTTER_MEMORY_SCANS)
         learned = self.clutter_per_scan + (found - self.clutter_per_scan) / self._scans_learned
         self.clutter_per_scan = min(max(learned, told / CLUTTER_BOUND), told * CLUTTER_BOUND)
@@ -141,8 +141,8 @@ class SensorModel:
 
     def birth_existence(self, odds: Array) -> Array:
         """(m,) that a detection which no track explains is of a new target."""
-        birth = self._parameters.birth_per_scan * odds
-        return np.minimum(birth / (birth + self.clutter_per_scan), self._parameters.confirm_probability)
+        birth = self.parameters.birth_per_scan * odds
+        return np.minimum(birth / (birth + self.clutter_per_scan), self.parameters.confirm_probability)
 
 
 def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Array:
