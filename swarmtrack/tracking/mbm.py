@@ -83,7 +83,8 @@ class MbmParameters(CommonParameters):
     @property
     def manoeuvres(self) -> Manoeuvres:
         return Manoeuvres(
-            agile_psd=self.acceleration_psd,
+            # All of the acceleration is in the times of manoeuvre, so there is more of it then than on average.
+            agile_psd=self.acceleration_psd * (1.0 + self.calm_s / self.agile_s if self.calm_share < 1.0 else 1.0),
             calm_psd=self.calm_share * self.acceleration_psd,
             lasting_s=self.lasting_s,
             calm_s=self.calm_s,
