@@ -53,13 +53,17 @@ class MbmParameters(CommonParameters):
     """Kept for each cluster of tracks in dispute; 1: the most likely one only."""
     least_weight: float = 1e-4
     """A hypothesis so much less likely than the best is dropped."""
+    interacting: bool = True
+    """Two models of motion; else one, constant velocity with `acceleration_psd`, as the other trackers have it."""
     calm_share: float = 1e-3
-    """Of `acceleration_psd`: what is left of it while a target keeps its velocity. 1: one model, as the others have."""
-    lasting_s: float = 1.0
+    """Of `acceleration_psd`: what is left of it while a target keeps its velocity."""
+    agile_share: float = 15.0
+    """Likewise, while it manoeuvres."""
+    lasting_s: float = 2.0
     """s: how long an acceleration lasts."""
     calm_s: float = 4.0
     """s: how long a target keeps its velocity, on average."""
-    agile_s: float = 1.0
+    agile_s: float = 3.0
     """s: how long it manoeuvres, on average."""
 
     def __post_init__(self) -> None:
@@ -76,19 +80,26 @@ class MbmParameters(CommonParameters):
                 raise ValueError(
                     f"tracker.{name}: found {getattr(self, name)!r}, expected a number in 0…1, not 0"
                 )
-        for name in ("lasting_s", "calm_s", "agile_s"):
+        for name in ("agile_share", "lasting_s", "calm_s", "agile_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a number above 0")
 
     @property
     def manoeuvres(self) -> Manoeuvres:
+        if not self.interacting:
+            return Manoeuvres(
+                agile_psd=self.acceleration_psd,
+                calm_psd=self.acceleration_psd,
+                lasting_s=self.lasting_s,
+                calm_s=1e9,
+                agile_s=1e-3,
+            )
         return Manoeuvres(
-            # All of the acceleration is in the times of manoeuvre, so there is more of it then than on average.
-            agile_psd=self.acceleration_psd * (1.0 + self.calm_s / self.agile_s if self.calm_share < 1.0 else 1.0),
+            agile_psd=self.agile_share * self.acceleration_psd,
             calm_psd=self.calm_share * self.acceleration_psd,
             lasting_s=self.lasting_s,
             calm_s=self.calm_s,
-            agile_s=self.agile_s if self.calm_share < 1.0 else 1e-9,
+            agile_s=self.agile_s,
         )
 
 
