@@ -40,7 +40,6 @@ from swarmtrack.tracking.target_motion import TURNS
 
 Indices = NDArray[np.intp]
 
-SURE = 0.9  # weight of a leaf whose innovation tells about the filter
 LEAST_AVAILABLE = 1e-3  # a detection that the confirmed tracks take more surely than that is nobody else's
 SAME = 0.25  # standard deviations within which two leaves of a track say the same
 
@@ -350,8 +349,8 @@ class Mbm:
         told, rows = _distinct(stories, len(measured.z))
         leaves, distance = self._continued(told, measured, weighed, taken)
         weight = np.zeros(len(told.leaf))
-        for settled_rows in rows[: len(settled)]:
-            weight[settled_rows] = 1.0
+        undisputed = np.concatenate(rows[: len(settled)])
+        weight[undisputed] = 1.0
         continued = []
         for (cluster, _), disputed_rows in zip(disputed, rows[len(settled) :], strict=True):
             continued.append(cluster._replace(leaf=disputed_rows.reshape(cluster.leaf.shape)))
@@ -361,13 +360,15 @@ class Mbm:
         seen = np.bincount(leaves.owner, weight * hit, n) >= 0.5
         self.table.existence = np.bincount(leaves.owner, weight * leaves.existence, n)
         confirmed_before = self.table.confirmed[leaves.owner]
-        nis = distance[confirmed_before[hit] & (weight[hit] > SURE)]
+        lone = (weighed.gain > -np.inf).sum(axis=1) == 1
+        sure = np.isin(np.arange(len(hit)), undisputed) & confirmed_before & lone[told.leaf]
+        nis = distance[sure[hit]]
         started = hit & ~confirmed_before
         free = 1.0 - taken
         free[told.column[started]] = 0.0
         clutter = free.sum() + (1.0 - leaves.existence[started]).sum()
 
-        self._keep(leaves, np.concatenate(rows[: len(settled)]), continued)
+        self._keep(leaves, undisputed, continued)
         self._show_best()
         self._population.judge(t, seen, weighed.visibility)
         free[~measured.fit | self._population.shadowed(measured.z, seen)] = 0.0
