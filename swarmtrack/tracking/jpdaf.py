@@ -31,12 +31,21 @@ from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.table import TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
 
+LEAST_EXISTENCE = 1e-12
+LARGEST_LOG_RATIO = 300.0  # of a tentative track's claim: nothing is as certain, and doubles end at 709
+DOUBTFUL = 0.95  # existence of a confirmed track below which it may be a double of another
+ONE_PLACE = 4.0  # squared distance, in the sigmas of two tracks, of which half of all pairs on one target are below 3.4
 SEEN = 0.5  # share of all detections, from which on a scan counts as having detected a track
 SURELY = 0.9  # share of one detection, above which it tells whether the filter is consistent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JpdafParameters(CommonParameters):
+    gate_probability: float = 0.99999
+    """That a true detection falls inside its target's gate. Wide: who is tempted away by clutter must be able to come
+    back, and a detection that fits badly has a small share anyway."""
+    end_doubles: bool = True
+    """Of two confirmed tracks in one place of which the scans leave only one's existence, the older has it."""
     exact_width: int = 10
     """Tracks that compete at once: up to so many, shares are exact; beyond, they are beliefs (some of them off by 0.1),
     and the scan is counted. Each one more doubles the time of the exact ones: half a millisecond at 10."""
@@ -91,17 +100,18 @@ class Jpdaf:
         distance, log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured)
         newcomer = np.where(measured.fit, self._sensor.birth_existence(measured.odds), 0.0)
         detectable = table.existence * visibility.p_detection
-        with np.errstate(divide="ignore"):
-            odds = np.log(detectable / (1.0 - detectable))
-        # Over clutter and newcomers, instead of over clutter alone.
-        share = self._shares(log_ratio + odds[:, None] + np.log1p(-newcomer))
+        share = self._shares(log_ratio + np.log1p(-newcomer), detectable)
 
         detected = np.minimum(share.sum(axis=1), 1.0)
         missed = (1.0 - detected) * (table.existence - detectable) / (1.0 - detectable)
-        existence = detected + missed
+        existence = np.maximum(detected + missed, LEAST_EXISTENCE)
         table.mean, table.cov = combined(
-            table.mean, table.cov, measured.z, measured.R, share / np.maximum(existence, 1e-300)[:, None]
+            table.mean, table.cov, measured.z, measured.R, share / existence[:, None]
         )
+        older, younger = self._doubles(existence)
+        for of_each in (existence, detected):
+            of_each[older] += of_each[younger]
+            of_each[younger] = 0.0
         table.existence = np.minimum(existence, lifecycle.MAX_EXISTENCE)
         seen = detected >= SEEN
         if seen.any():
@@ -113,8 +123,50 @@ class Jpdaf:
         births = np.where(self._population.shadowed(measured.z, seen), 0.0, unexplained * newcomer)
         return births, Explained(nis, float((unexplained * (1.0 - newcomer)).sum()))
 
-    def _shares(self, log_ratio: Array) -> Array:
-        """β (n, m) without "none"; log_ratio (n, m) of the weights above."""
+    def _doubles(self, existence: Array) -> tuple[list[int], list[int]]:
+        """Rows of confirmed tracks, older and younger, that are in one place and share the existence of one target.
+
+        Left alone, chance would decide which of the two dies, or both would live for ever by halves.
+        """
+        table = self.table
+        doubtful = np.flatnonzero(table.confirmed & (existence < DOUBTFUL))
+        if len(doubtful) < 2 or not self._parameters.end_doubles:
+            return [], []
+        together = existence[doubtful, None] + existence[doubtful]
+        i, j = np.nonzero(np.triu((together > 0.5) & (together < 1.5), 1))
+        i, j = doubtful[i], doubtful[j]
+        d = table.mean[i] - table.mean[j]
+        distance = (d * np.linalg.solve(table.cov[i] + table.cov[j], d[:, :, None])[:, :, 0]).sum(axis=1)
+        older: list[int] = []
+        younger: list[int] = []
+        for a, b in zip(i[distance < ONE_PLACE].tolist(), j[distance < ONE_PLACE].tolist(), strict=True):
+            if not {a, b} & {*older, *younger}:
+                older.append(a)
+                younger.append(b)
+        return older, younger
+
+    def _shares(self, log_ratio: Array, detectable: Array) -> Array:
+        """β (n, m) without "none". log_ratio (n, m): N(y; 0, S) over clutter and newcomers; detectable (n,): r p_D.
+
+        To confirmed tracks the tentative ones are more clutter, as much as they claim; those then share what is left.
+        """
+        with np.errstate(divide="ignore"):
+            weight = log_ratio + np.log(detectable / (1.0 - detectable))[:, None]
+        sure = self.table.confirmed
+        if sure.all():
+            return self._marginals(weight)
+        claims = detectable[~sure, None] * np.exp(np.minimum(log_ratio[~sure], LARGEST_LOG_RATIO))
+        clutter = 1.0 + claims.sum(axis=0)
+        share = np.empty_like(log_ratio)
+        share[sure] = self._marginals(weight[sure] - np.log(clutter))
+        left = np.maximum(1.0 - share[sure].sum(axis=0), 0.0)
+        with np.errstate(divide="ignore"):
+            free = np.log(left / (left + clutter * (1.0 - left)))
+        share[~sure] = matching_marginals(weight[~sure] + free, self._parameters.exact_width, beliefs)
+        return share
+
+    def _marginals(self, log_ratio: Array) -> Array:
+        """Exact where they can be; counted where not."""
         too_wide = []
 
         def believed(cluster: Array, width: int) -> Array:
@@ -129,38 +181,41 @@ class Jpdaf:
 def combined(mean: Array, cov: Array, z: Array, R: Array, share: Array) -> tuple[Array, Array]:
     """Means (n, 4) and covariances (n, 4, 4) over all explanations: measurement j has share (n, m), none has the rest.
 
-    z (m, 2), R (m, 2, 2). With S = P + R of the position, M = S⁻¹ R and the step x = P S⁻¹ y of each explanation, the
-    position moves by x̄ = Σ β x, and its covariance becomes P (1 − Σ β + Σ β M) + Σ β x xᵀ − x̄ x̄ᵀ: no difference of
-    large numbers, however small R is. The velocity follows as far as the two are correlated, by L = P Hᵀ P⁻¹.
+    z (m, 2), R (m, 2, 2). With the position's covariance P, S = P + R and the step x = P S⁻¹ y that an explanation
+    takes, the position moves by x̄ = Σ β x, and its covariance becomes P (1 − Σ β + Σ β S⁻¹ R) + Σ β x xᵀ − x̄ x̄ᵀ: no
+    difference of large numbers, however small R is. The velocity follows as far as the two are correlated.
     """
     i, j = np.nonzero(share)
     if not i.size:
         return mean, cov
-    weight = share[i, j][:, None, None]
-    rows = np.flatnonzero(np.diff(i, prepend=-1))
-    P = cov[:, POSITION, POSITION]
-    inverse = _inverse(P[i] + R[j])
-    x = P[i] @ (inverse @ (z[j] - mean[i][:, POSITION])[:, :, None])
-    moments = np.concatenate([x, x * x.swapaxes(1, 2), inverse @ R[j], np.ones_like(x)], axis=2) * weight
-    moments = np.add.reduceat(moments, rows, axis=0)
-
-    updated = i[rows]
-    step, missed = moments[:, :, 0], 1.0 - moments[:, :1, 5:]
-    prior = P[updated]
-    posterior = prior @ (missed * np.eye(2) + moments[:, :, 3:5]) + moments[:, :, 1:3]
-    posterior -= step[:, :, None] * step[:, None]
+    x, shrinks = _explanations(cov[i], R[j], z[j] - mean[i][:, POSITION])
+    terms = np.concatenate([np.ones_like(x[:1]), x, x[:1] * x, x[1:] * x, shrinks]) * share[i, j]
+    first = np.flatnonzero(np.concatenate([[True], i[1:] != i[:-1]]))
+    sums = np.add.reduceat(terms, first, axis=1).T
+    rows, step = i[first], sums[:, 1:3]
+    before = cov[rows]
+    P = before[:, POSITION, POSITION]
+    missed = (1.0 - sums[:, 0])[:, None, None] * np.eye(2)
+    posterior = P @ (missed + sums[:, 7:].reshape(-1, 2, 2))
+    posterior += sums[:, 3:7].reshape(-1, 2, 2) - step[:, :, None] * step[:, None]
     posterior = 0.5 * (posterior + posterior.swapaxes(1, 2))
-    L = cov[updated][:, :, POSITION] @ _inverse(prior)
-    rest = np.tile(np.eye(4), (len(updated), 1, 1))
-    rest[:, :, POSITION] -= L
-    new_mean, new_cov = mean.copy(), cov.copy()
-    new_mean[updated] += (L @ step[:, :, None])[:, :, 0]
-    new_cov[updated] = rest @ cov[updated] @ rest.swapaxes(1, 2) + L @ posterior @ L.swapaxes(1, 2)
-    return new_mean, 0.5 * (new_cov + new_cov.swapaxes(1, 2))
+    L = before[:, :, POSITION] @ np.linalg.inv(P)
+    A = np.tile(np.eye(4), (len(rows), 1, 1))
+    A[:, :, POSITION] -= L
+    after = A @ before @ A.swapaxes(1, 2) + L @ posterior @ L.swapaxes(1, 2)
+    mean, cov = mean.copy(), cov.copy()
+    mean[rows] += (L @ step[:, :, None])[:, :, 0]
+    cov[rows] = 0.5 * (after + after.swapaxes(1, 2))
+    return mean, cov
 
 
-def _inverse(S: Array) -> Array:
-    """Of symmetric positive (k, 2, 2)."""
-    a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
-    adjugate = np.stack([c, -b, -b, a], axis=1).reshape(-1, 2, 2)
-    return np.asarray(adjugate / (a * c - b * b)[:, None, None])
+def _explanations(cov: Array, R: Array, y: Array) -> tuple[Array, Array]:
+    """x = P S⁻¹ y (2, k) and S⁻¹ R (4, k), row by row, of k pairs: cov (k, 4, 4), R (k, 2, 2), y (k, 2)."""
+    Puu, Puv, Pvv = cov[:, 0, 0], cov[:, 0, 2], cov[:, 2, 2]
+    Ruu, Ruv, Rvv = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
+    a, b, c = Puu + Ruu, Puv + Ruv, Pvv + Rvv
+    determinant = a * c - b * b
+    a, b, c = a / determinant, b / determinant, c / determinant  # S⁻¹ is [[c, -b], [-b, a]]
+    u, v = c * y[:, 0] - b * y[:, 1], a * y[:, 1] - b * y[:, 0]
+    x = np.stack([Puu * u + Puv * v, Puv * u + Pvv * v])
+    return x, np.stack([c * Ruu - b * Ruv, c * Ruv - b * Rvv, a * Ruv - b * Ruu, a * Rvv - b * Ruv])
