@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.tracking.motion_model import drift, optical_flow, propagate, turn_by_flow, turn_exactly
+from swarmtrack.tracking.gaussian import update
+from swarmtrack.tracking.motion_model import optical_flow, propagate, turn_by_flow, turn_exactly
 
 CAMERA = PinholeCamera(430.0, 470.0, 315.0, 242.0, 640, 480)
 angles = st.tuples(*[st.floats(-0.3, 0.3)] * 3).map(np.array)
@@ -67,10 +68,70 @@ def test_a_roll_turns_the_velocity_and_keeps_its_length():
 @pytest.mark.parametrize("rate_hz", [50, 100, 400])
 def test_uncertainty_grows_the_same_per_second_at_any_rate(rate_hz):
     mean, cov = np.zeros((1, 4)), np.diag([4.0, 100.0, 4.0, 100.0])[None]
-    once = drift(mean, cov, 1.0, 900.0)[1]
+    once = propagate(mean, cov, 1.0, psd=900.0, camera=CAMERA)[1]
     for _ in range(rate_hz):
-        mean, cov = drift(mean, cov, 1.0 / rate_hz, 900.0)
+        mean, cov = propagate(mean, cov, 1.0 / rate_hz, psd=900.0, camera=CAMERA)
     assert cov == pytest.approx(once, rel=1e-9)
+
+
+@pytest.mark.parametrize("turn", [turn_exactly, turn_by_flow])
+@given(seed=st.integers(0, 2**32 - 1), angle=angles, dt=st.floats(-0.1, 2.0))
+@settings(max_examples=60, deadline=None)
+def test_one_product_is_the_drift_and_then_the_turn(turn, seed, angle, dt):
+    rng = np.random.default_rng(seed)
+    mean = rng.uniform([0, -300, 0, -300], [640, 300, 480, 300], (5, 4))
+    L = rng.normal(size=(5, 4, 4)) * [[2.0], [50.0], [2.0], [50.0]]
+    P, psd, R = L @ L.swapaxes(1, 2), rng.uniform(1.0, 1e5, 5), rotation.exp(angle)
+    A = np.kron(np.eye(2), [[1.0, dt], [0.0, 1.0]])
+    Q = np.kron(np.eye(2), [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    drifted = A @ P @ A.T + psd[:, None, None] * Q
+    turned, F = turn(mean @ A.T, R, CAMERA)
+    expected = F @ drifted @ F.swapaxes(1, 2)
+    carried, cov = propagate(mean, P, dt, psd=psd, camera=CAMERA, rotation=R, turn=turn)
+    sigma = np.sqrt(np.abs(np.einsum("nii->ni", expected)))
+    np.testing.assert_allclose(carried, turned, rtol=1e-12)
+    assert (np.abs(cov - expected) <= 1e-9 * sigma[:, :, None] * sigma[:, None]).all()
+    alone = propagate(mean, P, dt, psd=psd[0], camera=CAMERA, rotation=R, turn=turn)[1]
+    np.testing.assert_array_equal(alone[0], cov[0])  # an array of densities is one for each target
+
+
+def test_covariances_stay_symmetric_and_positive_through_ten_thousand_random_steps():
+    rng = np.random.default_rng(11)
+    home = rng.uniform([100, 0, 100, 0], [540, 1e-9, 380, 1e-9], (3, 4))
+    mean, cov, attitude = home, np.tile(np.diag([4.0, 1e4, 4.0, 1e4]), (3, 1, 1)), np.eye(3)
+    for _ in range(10_000):
+        before, attitude = attitude, rotation.exp(rng.normal(0.0, 0.1, 3))
+        mean, cov = propagate(
+            mean,
+            cov,
+            rng.choice([0.0, 0.001, 0.05]),
+            psd=rng.choice([1.0, 1e5]),
+            camera=CAMERA,
+            rotation=attitude @ before.T,
+            rotation_variance=rng.choice([0.0, 1e-6]),
+        )
+        seen = rng.random(3) < 0.7
+        z = turn_exactly(home[seen], attitude, CAMERA)[0][:, ::2] + rng.normal(0.0, 2.0, (seen.sum(), 2))
+        R = np.tile(rng.choice([0.01, 1.0, 100.0]) * np.eye(2), (len(z), 1, 1))
+        mean[seen], cov[seen] = update(mean[seen], cov[seen], z, R)
+        sigma = np.sqrt(np.einsum("nii->ni", cov))
+        correlation = cov / (sigma[:, :, None] * sigma[:, None])
+        assert np.abs(correlation - correlation.swapaxes(1, 2)).max() < 1e-9
+        assert np.linalg.eigvalsh(correlation).min() > 0.0
+
+
+def test_nobody_is_carried_to_nobody():
+    mean, cov = propagate(
+        np.empty((0, 4)),
+        np.empty((0, 4, 4)),
+        0.1,
+        psd=np.empty(0),
+        camera=CAMERA,
+        rotation=rotation.exp(np.array([0.1, 0.2, 0.3])),
+        rotation_variance=1e-6,
+    )
+    assert mean.shape == (0, 4)
+    assert cov.shape == (0, 4, 4)
 
 
 def test_an_unsure_rotation_costs_what_it_would_move():
@@ -85,6 +146,7 @@ def test_a_target_turned_behind_the_camera_stays_finite():
     turned, F = turn_exactly(mean, rotation.exp(np.array([0.0, 3.0, 0.0])), CAMERA)
     assert np.isfinite(turned).all()
     assert np.isfinite(F).all()
+    assert turned[0, 0] > 50 * 430.0 or turned[0, 0] < -50 * 430.0  # no lens shows it
 
 
 @given(x=states)

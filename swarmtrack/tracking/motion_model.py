@@ -27,44 +27,33 @@ Turn = Callable[[Array, Array, PinholeCamera], tuple[Array, Array]]
 """Turns means with the camera: (mean (n, 4), rotation (3, 3), camera) -> (mean, and its Jacobian F (n, 4, 4))."""
 
 
-def drift(mean: Array, cov: Array, dt: float, psd: float) -> tuple[Array, Array]:
-    """Constant velocity with white acceleration of density psd [px²/s³].
-
-    Per axis Q = psd [dt³/3 dt²/2; dt²/2 dt], so that P grows the same per second at any rate.
-    Bar-Shalom, Li & Kirubarajan (2001), section 6.2.2. Written out: A P Aᵀ + Q by rows and columns.
-    """
-    mean = mean.copy()
-    mean[:, POSITION] += dt * mean[:, VELOCITY]
-    cov = cov.copy()
-    cov[:, POSITION] += dt * cov[:, VELOCITY]
-    cov[:, :, POSITION] += dt * cov[:, :, VELOCITY]
-    return mean, cov + _white_acceleration(dt, psd)
-
-
 def turn_exactly(mean: Array, camera_from_before: Array, camera: PinholeCamera) -> tuple[Array, Array]:
     """A finite rotation of every bearing: the homography K R K⁻¹ for the position, its derivative for the velocity.
 
     With M = K R K⁻¹, h = M·[u v 1], w = M·[vu vv 0] and k = 1 / h₃: p' = k h₁₂, v' = k (w₁₂ − w₃ p') = J v,
     J = ∂p'/∂p = k (M₁₂ − p' M₃), and ∂v'/∂p = −k (w₃ J + v' M₃).
-    Hartley & Zisserman (2004), section 8.4, differentiated.
+    Hartley & Zisserman (2004), section 8.4, differentiated. The targets are the last axis on the way: NumPy loops
+    over them then, and not over pairs of coordinates.
     """
-    M = _homography(camera_from_before, camera)
-    m3 = M[2, :2]
-    h = mean[:, POSITION] @ M[:, :2].T + M[:, 2]
-    w = mean[:, VELOCITY] @ M[:, :2].T
-    k = 1.0 / np.maximum(h[:, 2:], MIN_DEPTH)
-    p = h[:, :2] * k
-    behind = h[:, 2] < MIN_DEPTH
-    if behind.any():
-        p[behind] = _far_outside(h[behind], camera)
-    v = (w[:, :2] - p * w[:, 2:]) * k
-    J = (M[:2, :2] - p[:, :, None] * m3) * k[:, :, None]
-    turned = np.empty_like(mean)
-    turned[:, POSITION], turned[:, VELOCITY] = p, v
-    F = np.zeros((len(mean), 4, 4))
-    F[:, POSITION, POSITION] = F[:, VELOCITY, VELOCITY] = J
-    F[:, VELOCITY, POSITION] = (w[:, 2:, None] * J + v[:, :, None] * m3) * -k[:, :, None]
-    return turned, F
+    n = len(mean)
+    M = camera.K @ camera_from_before @ camera.K_inverse
+    m3 = M[2, :2, None]
+    lifted = (M[:, :2] @ mean.T.reshape(2, 2 * n)).reshape(3, 2, n)
+    h, w = lifted[:, 0], lifted[:, 1]
+    h += M[:, 2:]
+    (behind,) = (h[2] < MIN_DEPTH).nonzero()
+    if behind.size:
+        h[:, behind] = _far_outside(h[:, behind], camera)
+    k = 1.0 / h[2]
+    turned = lifted[:2] * k
+    p, v = turned[:, 0], turned[:, 1]
+    approach = k * w[2]
+    v -= approach * p
+    J = (M[:2, :2, None] - p[:, None] * m3) * k
+    F = np.zeros((4, 4, n))
+    F[POSITION, POSITION] = F[VELOCITY, VELOCITY] = J
+    F[VELOCITY, POSITION] = -(approach * J + (k * v)[:, None] * m3)
+    return np.ascontiguousarray(turned.reshape(4, n).T), np.ascontiguousarray(F.transpose(2, 0, 1))
 
 
 def turn_by_flow(mean: Array, camera_from_before: Array, camera: PinholeCamera) -> tuple[Array, Array]:
@@ -101,7 +90,7 @@ def propagate(
     cov: Array,
     dt: float,
     *,
-    psd: float,
+    psd: float | Array,
     camera: PinholeCamera,
     rotation: Array | None = None,
     rotation_variance: float = 0.0,
@@ -109,42 +98,52 @@ def propagate(
 ) -> tuple[Array, Array]:
     """Carry all targets on by dt [s] while the camera turns: rotation (3, 3) is camera axes then to axes now.
 
+    At constant velocity, x' = A x, with white acceleration of density psd [px²/s³], one number or (n,): per axis
+    Q = psd [dt³/3 dt²/2; dt²/2 dt], so that P grows the same per second at any rate. Bar-Shalom, Li & Kirubarajan
+    (2001), section 6.2.2. With the turn's Jacobian F, P' = F (A P Aᵀ + Q) Fᵀ = (F A) (P + A⁻¹ Q A⁻ᵀ) (F A)ᵀ: one
+    product of matrices for each track, and not two.
+
     rotation_variance [rad²] per axis is what the gyro does not know of it; it moves every target by its flow.
     """
-    mean, cov = drift(mean, cov, dt, psd)
-    if rotation is not None and len(mean):
-        mean, F = turn(mean, rotation, camera)
-        cov = F @ cov @ F.swapaxes(1, 2)
-    if rotation_variance > 0.0 and len(mean):
-        cov[:, POSITION, POSITION] += rotation_variance * _flow_squared(mean[:, POSITION], camera)
+    A = np.array([[1.0, dt, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, dt], [0.0, 0.0, 0.0, 1.0]])
+    mean, F = mean @ A.T, A
+    if rotation is not None:
+        mean, turned = turn(mean, rotation, camera)
+        F = (turned.reshape(-1, 4) @ A).reshape(-1, 4, 4)
+    # matmul takes twice as long for a transposed view
+    cov = F @ (cov + _noise_before(dt, psd)) @ np.ascontiguousarray(F.swapaxes(-1, -2))
+    if rotation_variance > 0.0:
+        _add_flow_of_error(cov, mean, rotation_variance, camera)
     return mean, cov
 
 
-def _homography(camera_from_before: Array, camera: PinholeCamera) -> Array:
-    """K R K⁻¹."""
-    return np.asarray(camera.K @ camera_from_before @ camera.K_inverse)
+def _add_flow_of_error(cov: Array, mean: Array, variance: float, camera: PinholeCamera) -> None:
+    """Add variance [rad²] × flow flowᵀ of `optical_flow`, multiplied out: (1 + x² + y²) (diag(fx², fy²) + q qᵀ) for
+    q = (fx x, fy y) = (u, v) off the centre.
+    """
+    u, v = mean[:, 0] - camera.cx, mean[:, 2] - camera.cy
+    ff, gg, uu, vv = camera.fx**2, camera.fy**2, u * u, v * v
+    spread = variance + (variance / ff) * uu + (variance / gg) * vv
+    cov[:, 0, 0] += spread * (ff + uu)
+    cov[:, 2, 2] += spread * (gg + vv)
+    across = spread * u * v
+    cov[:, 0, 2] += across
+    cov[:, 2, 0] += across
 
 
 def _far_outside(h: Array, camera: PinholeCamera) -> Array:
-    """(n, 2) px for targets at h (n, 3) = K ray that no image shows: the way they went, beyond any lens' reach."""
-    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    ray = (h[:, :2] - centre * h[:, 2:]) / focal
-    length = np.hypot(ray[:, :1], ray[:, 1:])
-    way = np.where(length > 0.0, ray / np.where(length > 0.0, length, 1.0), [1.0, 0.0])
-    return np.asarray(centre + FAR * focal * way)
+    """(3, n) for targets at h (3, n) = K ray that no image shows: the way they went, beyond any lens' reach."""
+    focal, centre = np.array([[camera.fx], [camera.fy]]), camera.K[:2, 2:]
+    ray = (h[:2] - centre * h[2]) / focal
+    length = np.hypot(ray[0], ray[1])
+    way = np.where(length > 0.0, ray / np.where(length > 0.0, length, 1.0), [[1.0], [0.0]])
+    far = np.full_like(h, MIN_DEPTH)
+    far[:2] *= centre + FAR * focal * way
+    return far
 
 
-def _flow_squared(points: Array, camera: PinholeCamera) -> Array:
-    """flow flowᵀ of `optical_flow` (n, 2, 2) px²/rad², multiplied out: (1 + x² + y²) (I + p pᵀ) for p = (x, y)."""
-    p = (points - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    outer = p[:, :, None] * p[:, None, :]
-    spread = 1.0 + (p * p).sum(axis=1)
-    scale = np.array(
-        [[camera.fx * camera.fx, camera.fx * camera.fy], [camera.fx * camera.fy, camera.fy * camera.fy]]
-    )
-    return np.asarray(spread[:, None, None] * (np.eye(2) + outer) * scale)
-
-
-def _white_acceleration(dt: float, psd: float) -> Array:
-    a, b, c = psd * dt**3 / 3.0, psd * dt**2 / 2.0, psd * dt
-    return np.array([[a, b, 0.0, 0.0], [b, c, 0.0, 0.0], [0.0, 0.0, a, b], [0.0, 0.0, b, c]])
+def _noise_before(dt: float, psd: float | Array) -> Array:
+    """A⁻¹ Q A⁻ᵀ, (4, 4) or (n, 4, 4): white acceleration of density psd, as if all of it came before the motion."""
+    a, b = dt**3 / 3.0, -(dt**2) / 2.0
+    Q = np.array([[a, b, 0.0, 0.0], [b, dt, 0.0, 0.0], [0.0, 0.0, a, b], [0.0, 0.0, b, dt]])
+    return psd[:, None, None] * Q if isinstance(psd, np.ndarray) else psd * Q
