@@ -5,6 +5,9 @@ the next scan moves it from exposure to exposure by the gyro's rotation between 
 gyro has not reached yet waits for the sample that brackets it (a few milliseconds, at most `MAX_WAIT`), so that its
 result never depends on who arrived first. What holds *now* is that state carried on by the gyro, without being
 committed.
+
+The camera's clock and the gyro's bias are learned on the way (`motion/time_offset.py`, `motion/gyro_bias.py`) and used
+once they are known well enough. Both are functions of the stamps, so that here too nothing depends on who came first.
 """
 
 from __future__ import annotations
@@ -37,7 +40,10 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
+from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
+from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.tracking.base import Tracker
+from swarmtrack.tracking.consistency import Consistency
 
 MAX_WAIT = 0.05  # s: a gyro that is silent for longer is not waited for
 LOST_ATTITUDE = 0.3  # rad: whose autopilot is silent for so long does not know where it looks
@@ -68,10 +74,14 @@ class Counters:
 
 @dataclass(slots=True)
 class Mounting:
-    """How the camera sits on the drone, and its clock: exposure on the IMU's clock = stamp + time_offset_s."""
+    """How the camera sits on the drone, and its clock: exposure on the IMU's clock = stamp + time_offset_s.
+
+    estimate_time_offset: find the offset in flight; `time_offset_s` is then where the search begins.
+    """
 
     body_from_camera: Pose
     time_offset_s: float = 0.0
+    estimate_time_offset: bool = True
     camera_from_body: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -92,11 +102,15 @@ class Onboard:
         ego: EgoHistory,
         identity: IdentityParameters,
         measurement_sigma: float | None = None,
+        estimate_gyro_bias: bool = True,
     ) -> None:
         """measurement_sigma: px per axis, in the image as the camera gives it, of detections that bring no
-        covariance; None: the tracker's own, in undistorted pixels."""
+        covariance; None: the tracker's own, in undistorted pixels.
+        estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
         self.counters = Counters()
         self.gyro = gyro
+        self.clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
+        self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self._camera = camera
         self._mounting = mounting
         self._measurement_sigma = measurement_sigma
@@ -112,21 +126,26 @@ class Onboard:
         self._disagreements: list[Disagreement] = []
         self._orientation: Orientation | None = None  # of the camera at the tracker's time
         self._waiting: deque[Detections] = deque()
+        self._next_exposure: float | None = None  # of the first that waits
         self._reports: list[ScanReport] = []
 
     def on_imu(self, sample: ImuSample) -> None:
         """One gyro sample."""
         x, y, z = (self._mounting.camera_from_body @ sample.gyro).tolist()
         self.gyro.append(sample.t, (x, y, z))
+        self._bias.settle()
         self._settle()
 
     def on_pose(self, pose: EgoPose) -> None:
         """Where this drone is, by its autopilot."""
         self._ego.append(pose)
+        attitude = pose.world_from_body @ self._mounting.body_from_camera.rotation
+        self._bias.see(pose.t, attitude, pose.attitude_sigma)
 
     def on_autopilot_reboot(self) -> None:
         """Its clock and its frame begin anew; the drone itself is where it was."""
         self._ego.restart()
+        self._bias.restart()
 
     def on_detections(self, detections: Detections) -> None:
         """What the detector saw in one frame, however long ago it was exposed."""
@@ -208,6 +227,23 @@ class Onboard:
         return self._ego.at(t)
 
     @property
+    def gyro_bias(self) -> BiasEstimate | None:
+        """What the gyro says at rest, body axes; None while nothing says so."""
+        found = self._bias.found
+        return found and found._replace(bias=self._mounting.body_from_camera.rotation @ found.bias)
+
+    @property
+    def gyro_bias_used(self) -> Array:
+        """(3,) rad/s, body axes: what is taken off every sample now."""
+        used: Array = self._mounting.body_from_camera.rotation @ self.gyro.bias
+        return used
+
+    @property
+    def consistency(self) -> Consistency | None:
+        """Whether the tracker is as good as it thinks."""
+        return self._tracker.consistency
+
+    @property
     def teammates(self) -> dict[int, Announcement]:
         """The latest announcement of every teammate."""
         return self._identities.announced
@@ -224,6 +260,7 @@ class Onboard:
             "poses_out_of_order": ego.out_of_order,
             "poses_without_place": ego.without_position,
             "heading_jumps": ego.heading_jumps,
+            "attitudes_refused": self._bias.refused,
             "sightings_agreed": self._agreement.agreed,
             "sightings_disagreed": self._agreement.disagreed,
         }
@@ -236,16 +273,16 @@ class Onboard:
     def _settle(self, now: float | None = None) -> None:
         """Track every waiting scan whose exposure the gyro has reached, or will not reach in time."""
         while self._waiting:
-            exposure = self._exposure(self._waiting[0])
+            if self._next_exposure is None:
+                self._next_exposure = self.clock.exposure(self._waiting[0].t, self.gyro)
+            exposure = self._next_exposure
             newest = self.gyro.newest
             gyro_is_silent = newest is None or newest < exposure - MAX_WAIT
             gave_up = now is not None and now > exposure + MAX_WAIT
             if newest is not None and newest < exposure and not (gyro_is_silent or gave_up):
                 return
+            self._next_exposure = None
             self._track(self._waiting.popleft(), exposure)
-
-    def _exposure(self, detections: Detections) -> float:
-        return detections.t + self._mounting.time_offset_s
 
     def _track(self, detections: Detections, t: float) -> None:
         newest = self.gyro.newest
@@ -258,11 +295,13 @@ class Onboard:
         orientation = self.gyro.orientation(t)
         turn = rotation_between(self._orientation or orientation, orientation)
         self._tracker.predict(t, turn.matrix, turn.variance)
-        self._tracker.update(_scan(detections, t, self._camera, self._measurement_sigma))
+        scan = _scan(detections, t, self._camera, self._measurement_sigma)
+        self._tracker.update(scan)
         self._orientation = orientation
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._tracker.tracks
+        self.clock.see(detections.t, scan, tracks, self._camera)
         observer = self._ego.at(t)
         if observer is not None:
             self._identities.observe(tracks, observer)

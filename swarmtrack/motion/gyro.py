@@ -47,6 +47,16 @@ class CameraRotation(NamedTuple):
     variance: float
 
 
+class Orientations(NamedTuple):
+    """The camera at many instants: matrices (n, 3, 3), start_from_camera.
+
+    noise [rad²/s]: density of the gyro's white noise, by what its samples around these instants scatter.
+    """
+
+    matrices: Array
+    noise: float
+
+
 def rotation_between(then: Orientation, now: Orientation) -> CameraRotation:
     """How the camera turned from one instant to another; variance is never negative, whichever comes first."""
     w, x, y, z = now.quaternion
@@ -122,6 +132,33 @@ class GyroHistory:
             )
             return self._advance(k, t, rate)
         return self._hold(max(k, 0), t)
+
+    def orientations(self, times: Array) -> Orientations | None:
+        """The camera at ascending times (n,), all at once; None where the samples do not enclose them.
+
+        To 1e-6 rad what `orientation` says of each, at a tenth of the price: the conical term is left out.
+        """
+        first = bisect_right(self._times, times[0]) - 1
+        last = bisect_right(self._times, times[-1])
+        if first < 0 or last == len(self._times) or last - first < 4:
+            return None
+        part = slice(first, last + 1)
+        t, rates = np.array(self._times[part]), np.array(self._rates[part])
+        k = np.searchsorted(t, times, side="right") - 1
+        dt = times - t[k]
+        fraction = (dt / (t[k + 1] - t[k]))[:, None]
+        turn = np.ones((len(times), 4))
+        turn[:, 1:] = (0.5 * dt)[:, None] * (rates[k] + 0.5 * fraction * (rates[k + 1] - rates[k]))
+        start = np.array([orientation.quaternion for orientation in self._orientations[part]])[k]
+        q = _of_pairs(start, turn) @ _PRODUCT
+        q /= np.sqrt(
+            (q * q).sum(axis=1, keepdims=True)
+        )  # makes (1, φ/2) the turn by φ: a step is a centiradian
+        matrices = (_of_pairs(q, q) @ _MATRIX).reshape(-1, 3, 3)
+        # Third differences: of motion they leave next to nothing at such rates, of white noise 20 times its variance.
+        left = rates[3:] - 3.0 * rates[2:-1] + 3.0 * rates[1:-2] - rates[:-3]
+        density = float(np.vdot(left, left)) / left.size / 20.0 * float(t[-1] - t[0]) / (len(t) - 1)
+        return Orientations(matrices, density)
 
     def rotation(self, t0: float, t1: float) -> CameraRotation:
         """Camera axes at t1 from camera axes at t0, both within the history."""
@@ -203,3 +240,30 @@ def _matrix(q: Quaternion) -> Array:
             [s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)],
         ]
     )
+
+
+# Many quaternions at once: a product, and the matrix of a unit one, are linear in the 16 products of components.
+
+
+def _of_pairs(p: Array, q: Array) -> Array:
+    """p (n, 4), q (n, 4) -> (n, 16)."""
+    pairs: Array = (p[:, :, None] * q[:, None, :]).reshape(-1, 16)
+    return pairs
+
+
+def _turned(p: Quaternion, v: Quaternion, q: Quaternion) -> Vector:
+    """The vector part of p v q*."""
+    w, x, y, z = q
+    return _multiply(_multiply(p, v), (w, -x, -y, -z))[1:]
+
+
+_UNITS: tuple[Quaternion, ...] = (
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0, 0.0),
+    (0.0, 0.0, 0.0, 1.0),
+)
+_PRODUCT: Array = np.array([_multiply(p, q) for p in _UNITS for q in _UNITS])
+_MATRIX: Array = np.array(
+    [np.transpose([_turned(p, v, q) for v in _UNITS[1:]]).ravel() for p in _UNITS for q in _UNITS]
+)

@@ -1,0 +1,130 @@
+"""What the gyro says at rest, found in flight: the drift of its integral from the autopilot's attitude.
+
+Theory of operation. An error-state Kalman filter holds an orientation, turned on by the gyro, and the gyro's bias; the
+autopilot's attitude corrects both (Solà, "Quaternion kinematics for the error-state Kalman filter" (2017), section 5).
+The three axes are alike, so one covariance (2, 2) serves all. An attitude's errors last for about a second, so what
+comes more often is believed less each time. One that lies far off is left out; when it keeps lying there, the estimator
+behind it has jumped, and only the orientation begins anew: the bias does not jump with it.
+
+The image alone cannot tell a bias from targets that all drift together, so without an attitude nothing is found.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry import rotation
+from swarmtrack.messages import Array
+from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
+
+EVERY = 0.2  # s between attitudes that are used
+LASTS = 1.0  # s: how long an attitude's error lasts
+PRIOR_SIGMA = 0.05  # rad/s: of a gyro that nobody calibrated since it warmed up
+WALK = 1e-4  # rad/s/√s: how fast a bias changes as the board warms up
+LEAST_SIGMA = 1e-3  # rad: no autopilot's attitude is better, whatever it says
+GATE = 3 * 16.0  # squared residuals over their variance, three axes
+JUMPED = 5  # attitudes in a row outside the gate
+SURE = 1e-3  # rad/s, one sigma: a bias that is known so well is taken off
+
+
+class BiasEstimate(NamedTuple):
+    """bias (3,) rad/s of the gyro in camera axes; sigma [rad/s] per axis."""
+
+    bias: Array
+    sigma: float
+
+
+class GyroBias:
+    """Compares a gyro with attitudes, and takes the bias off it once that is sure."""
+
+    def __init__(self, gyro: GyroHistory, *, estimates: bool = True) -> None:
+        self.refused = 0
+        """Attitudes far from where the gyro says the camera looks."""
+        self._gyro = gyro
+        self._told = gyro.bias
+        self._estimates = estimates
+        self._pending: tuple[float, Array, float] | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """The autopilot rebooted, and may have calibrated its gyro anew: what was found no longer holds."""
+        self._gyro.bias = self._told
+        self._bias = np.array(self._told)
+        self._pending = None
+        self._last: tuple[float, Orientation] | None = None
+        self._world_from_camera = np.eye(3)
+        # Variance of the orientation's error, their covariance, variance of the bias.
+        self._p, self._c, self._v = 0.0, 0.0, PRIOR_SIGMA**2
+        self._outside = 0
+
+    @property
+    def found(self) -> BiasEstimate | None:
+        """What the flight so far says; None before it says more than anybody would guess."""
+        sigma = math.sqrt(self._v)
+        return BiasEstimate(self._bias, sigma) if sigma < 0.5 * PRIOR_SIGMA else None
+
+    def see(self, t: float, world_from_camera: Array, sigma: float) -> None:
+        """The autopilot's attitude at t: world_from_camera (3, 3), its sigma [rad] per axis."""
+        if not self._estimates:
+            return
+        if self._last is not None and t < self._last[0] + EVERY:
+            if t > self._last[0] - self._gyro.history_s:
+                return
+            self._last = None  # the stamps jumped back
+        # Whatever the gyro does not reach, because its stamps jumped or it fell silent, must not wait for ever.
+        if self._pending is None or abs(t - self._pending[0]) > EVERY:
+            self._pending = (t, world_from_camera, max(sigma, LEAST_SIGMA))
+            self.settle()
+
+    def settle(self) -> None:
+        """Use the attitude that waits, once the gyro has reached it."""
+        newest = self._gyro.newest
+        if self._pending is None or newest is None or newest < self._pending[0]:
+            return
+        (t, attitude, sigma), self._pending = self._pending, None
+        if t < newest - self._gyro.history_s:
+            return
+        orientation = self._gyro.orientation(t)
+        before, self._last = self._last, (t, orientation)
+        if before is None:
+            self._look_along(attitude, sigma)
+        else:
+            self._predict(before, t, orientation)
+            self._correct(attitude, sigma * math.sqrt(max(1.0, LASTS / (t - before[0]))))
+        if self._v < SURE**2:
+            x, y, z = self._bias.tolist()
+            self._gyro.bias = (x, y, z)
+
+    def _predict(self, before: tuple[float, Orientation], t: float, orientation: Orientation) -> None:
+        then, was = before
+        dt = t - then
+        turn = rotation_between(orientation, was)  # camera axes then from camera axes now
+        left = np.array(self._gyro.bias) - self._bias  # what was taken off in excess
+        self._world_from_camera = self._world_from_camera @ turn.matrix @ rotation.exp(left * dt)
+        self._p += turn.variance - 2.0 * dt * self._c + dt * dt * self._v
+        self._c -= dt * self._v
+        self._v += WALK**2 * dt
+
+    def _correct(self, attitude: Array, sigma: float) -> None:
+        residual = rotation.log(self._world_from_camera.T @ attitude)
+        S = self._p + sigma**2
+        if residual @ residual > GATE * S:
+            self.refused += 1
+            self._outside += 1
+            if self._outside >= JUMPED:
+                self._look_along(attitude, sigma)
+            return
+        self._outside = 0
+        self._world_from_camera = self._world_from_camera @ rotation.exp(self._p / S * residual)
+        self._bias = self._bias + self._c / S * residual
+        self._v -= self._c**2 / S
+        self._c -= self._p * self._c / S
+        self._p -= self._p**2 / S
+
+    def _look_along(self, attitude: Array, sigma: float) -> None:
+        self._world_from_camera = attitude
+        self._p, self._c = sigma**2, 0.0
+        self._outside = 0
