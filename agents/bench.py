@@ -23,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     identity = names.add_parser("identity", help="who is who from one look: the paper's rule and ours")
     recognition = names.add_parser("recognition", help="who is who over a hundred flights, in one process")
     swarm = names.add_parser("swarm", help="whole local swarms: who knows whom, and at what cost")
-    for name in (agent, clips, rotation, clients, flood, identity, recognition, swarm):
+    trackers = names.add_parser("trackers", help="every tracker: the paper's figures, and harder scenes")
+    for name in (agent, clips, rotation, clients, flood, identity, recognition, swarm, trackers):
         name.add_argument(
             "--out",
             type=Path,
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        if name not in (clients, flood, identity):
+        if name not in (clients, flood, identity, trackers):
             name.add_argument(
                 "--tracker", default="kalman", choices=list(TRACKERS), help="(default: %(default)s)"
             )
@@ -47,6 +48,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the agent's config; tracker.KEY if bare",
     )
     clips.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
+    _add_tracker_arguments(trackers)
+
+
+def _add_tracker_arguments(trackers: argparse.ArgumentParser) -> None:
+    trackers.add_argument(
+        "--runs", type=int, metavar="N", help="of every scene (default: its own, 100 or 300)"
+    )
+    trackers.add_argument(
+        "--tracker", action="extend", nargs="+", default=[], metavar="NAME", help="(default: all)"
+    )
+    trackers.add_argument(
+        "--scene", action="extend", nargs="+", default=[], metavar="NAME", help="(default: all)"
+    )
+    trackers.add_argument("--peers", action="store_true", help="Stone Soup's, too (needs swarmtrack[peers])")
+    trackers.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a core)")
+    trackers.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="real detections, too: a folder with NAME.mp4 and NAME_gt.csv",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -125,6 +147,23 @@ def _swarm(args: argparse.Namespace) -> None:
     swarm_runs.run(args.out, tracker=args.tracker, programme=swarm_runs.QUICK if args.quick else None)
 
 
+def _trackers(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import trackers
+
+    trackers.run(
+        args.out,
+        trackers.Programme(
+            trackers=tuple(args.tracker),
+            scenes=tuple(args.scene),
+            runs=args.runs,
+            quick=args.quick,
+            peers=args.peers,
+            data=args.data,
+            **({} if args.jobs is None else {"jobs": args.jobs}),
+        ),
+    )
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
     "clients": _clients,
@@ -134,4 +173,5 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "recognition": _recognition,
     "rotation": _rotation,
     "swarm": _swarm,
+    "trackers": _trackers,
 }

@@ -46,6 +46,17 @@ def write(out: Path, name: str, result: dict[str, Any], markdown: str) -> None:
     (out / f"{name}.md").write_text(f"{markdown.rstrip()}\n\n{_machine_line()}\n", encoding="utf-8")
 
 
+def write_rows(
+    out: Path, name: str, rows: Sequence[dict[str, Any]], markdown: str, *, about: dict[str, Any]
+) -> None:
+    """As `write`, but NAME.json is the plain list of rows; the machine and `about` are in NAME_machine.json."""
+    out.mkdir(parents=True, exist_ok=True)
+    for stem, content in ((name, list(rows)), (f"{name}_machine", {"machine": machine(), **about})):
+        text = json.dumps(_finite(content), indent=1, allow_nan=False, ensure_ascii=False)
+        (out / f"{stem}.json").write_text(text + "\n", encoding="utf-8")
+    (out / f"{name}.md").write_text(f"{markdown.rstrip()}\n\n{_machine_line()}\n", encoding="utf-8")
+
+
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table, the first column to the left, numbers to the right."""
     lines = [header, ["---"] + ["---:"] * (len(header) - 1), *rows]

@@ -5,6 +5,7 @@ A merged detection counts for each target in it, which is all that anybody can k
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Protocol
 
 import numpy as np
@@ -13,10 +14,14 @@ from numpy.typing import NDArray
 from swarmtrack.benchmarks.tracker_scenes import Scene, Take
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
+from swarmtrack.tracking import manoeuvre
 from swarmtrack.tracking.gaussian import update
+from swarmtrack.tracking.manoeuvre import ModeMixture
+from swarmtrack.tracking.mbm import MbmParameters
 from swarmtrack.tracking.motion_model import POSITION, propagate
+from swarmtrack.tracking.parameters import CommonParameters
 
-SPEED_SIGMA = 100.0  # px/s, per axis, of a target just met: as the trackers have it
+SPEED_SIGMA = CommonParameters().birth_speed_sigma  # px/s, per axis, of a target just met, where nobody tells
 
 Rows = NDArray[np.intp]
 
@@ -42,6 +47,7 @@ class ConstantVelocity:
         parameters = scene.parameters()
         self._psd = parameters["acceleration_psd"]
         self._R = parameters["measurement_sigma"] ** 2 * np.eye(2)
+        self._speed_sigma = parameters.get("birth_speed_sigma", SPEED_SIGMA)
         self._camera: PinholeCamera = scene.camera
         self.mean = np.full((n, 4), np.nan)
         self.cov = np.tile(np.eye(4), (n, 1, 1))
@@ -51,7 +57,7 @@ class ConstantVelocity:
         self.mean[rows, POSITION] = z
         self.cov[rows] = 0.0
         self.cov[rows, POSITION, POSITION] = self._R
-        self.cov[rows, 1, 1] = self.cov[rows, 3, 3] = SPEED_SIGMA**2
+        self.cov[rows, 1, 1] = self.cov[rows, 3, 3] = self._speed_sigma**2
 
     def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
         begun = np.flatnonzero(np.isfinite(self.mean[:, 0]))
@@ -71,6 +77,60 @@ class ConstantVelocity:
 
     def position(self, ahead_s: float = 0.0) -> Array:
         return np.asarray(self.mean[:, 0::2] + ahead_s * self.mean[:, 1::2])
+
+
+class Interacting:
+    """The default tracker's mix of a calm and an agile motion model, with its parameters."""
+
+    def __init__(self, n: int, scene: Scene) -> None:
+        told = scene.parameters()
+        names = {entry.name for entry in fields(MbmParameters)}
+        parameters = MbmParameters(**{name: value for name, value in told.items() if name in names})  # type: ignore[arg-type]
+        self._manoeuvres = parameters.manoeuvres
+        self._start = ConstantVelocity(n, scene)
+        self._R = parameters.measurement_sigma**2 * np.eye(2)
+        self._camera = scene.camera
+        self._begun = np.zeros(n, np.bool_)
+        unknown = np.full((n, 4), np.nan)
+        self._mixture = manoeuvre.begun(unknown, np.tile(np.eye(4), (n, 1, 1)), self._manoeuvres)
+
+    def begin(self, rows: Rows, z: Array) -> None:
+        self._start.begin(rows, z)
+        self._put(rows, manoeuvre.begun(self._start.mean[rows], self._start.cov[rows], self._manoeuvres))
+        self._begun[rows] = True
+
+    def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
+        self._put(self._rows, self._carried(dt, rotation, rotation_variance))
+
+    def update(self, rows: Rows, z: Array) -> None:
+        R = np.tile(self._R, (len(rows), 1, 1))
+        self._put(rows, manoeuvre.update(self._mixture.take(rows), z, R)[0])
+
+    def position(self, ahead_s: float = 0.0) -> Array:
+        found = np.full((len(self._begun), 2), np.nan)
+        now = self._carried(ahead_s) if ahead_s else self._mixture.take(self._rows)
+        found[self._rows] = manoeuvre.merged(now)[0][:, POSITION]
+        return found
+
+    @property
+    def _rows(self) -> Rows:
+        return np.flatnonzero(self._begun)
+
+    def _carried(
+        self, dt: float, rotation: Array | None = None, rotation_variance: float = 0.0
+    ) -> ModeMixture:
+        return manoeuvre.predict(
+            self._mixture.take(self._rows),
+            dt,
+            self._manoeuvres,
+            camera=self._camera,
+            rotation=rotation,
+            rotation_variance=rotation_variance,
+        )
+
+    def _put(self, rows: Rows, mixture: ModeMixture) -> None:
+        for whole, part in zip(self._mixture, mixture, strict=True):
+            whole[rows] = part
 
 
 def follow(oracle: OracleFilter, take: Take, ahead: tuple[float, ...] = ()) -> dict[float, Array]:

@@ -12,14 +12,17 @@ import numpy as np
 
 from swarmtrack.benchmarks import tracker_oracle
 from swarmtrack.benchmarks.report import BenchmarkError
-from swarmtrack.benchmarks.tracker_oracle import ConstantVelocity, OracleFilter
-from swarmtrack.benchmarks.tracker_scenes import Scene, Take, film
+from swarmtrack.benchmarks.tracker_oracle import ConstantVelocity, Interacting, OracleFilter
+from swarmtrack.benchmarks.tracker_scenes import SCENES, Scene, Take, film
 from swarmtrack.evaluation.gospa import gospa
 from swarmtrack.evaluation.track_score import Claim, FoundScore, score_found, score_named
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
 from swarmtrack.tracking import TRACKERS, create_tracker
 
-ORACLES: dict[str, Callable[[int, Scene], OracleFilter]] = {"oracle_cv": ConstantVelocity}
+ORACLES: dict[str, Callable[[int, Scene], OracleFilter]] = {
+    "oracle_cv": ConstantVelocity,
+    "oracle_imm": Interacting,
+}
 SMOOTHER = "oracle_cv_rts"
 SETTLED = 0.5  # share of a take after which `at(now)` is judged
 
@@ -143,6 +146,28 @@ def _listen(scene: Scene, take: Take, player: Player) -> Recording:
             for latency, positions in ahead.items():
                 positions[step] = _positions(player.at(scan.t + latency), ids)
     return Recording(claims, named, ahead, 1e3 * float(np.median(spent)))
+
+
+def late_difference(tracker: str) -> float:
+    """The largest difference in the state at the exposures between a tracker that is read at 100 Hz, 300 ms after the
+    exposure, and one that is not, over ten seconds: px and px/s."""
+    scene = SCENES["latency_manoeuvring"]
+    take = film(scene, 0)
+    assert take.start is not None
+    read, unread = make_tracker(scene, tracker), make_tracker(scene, tracker)
+    for player in (read, unread):
+        player.initiate(float(take.t[0]), take.start)
+    worst = 0.0
+    for observation in take.observations[:150]:
+        scan = observation.scan
+        for player in (read, unread):
+            player.predict(scan.t)
+            player.update(scan)
+        for k in range(7):
+            read.at(scan.t + 0.3 + 0.01 * k)
+        pairs = zip(read.tracks, unread.tracks, strict=True)
+        worst = max(worst, *(float(np.abs(a.mean - b.mean).max()) for a, b in pairs))
+    return worst
 
 
 def _positions(tracks: tuple[Track, ...], ids: list[int]) -> Array:

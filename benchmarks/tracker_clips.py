@@ -1,0 +1,99 @@
+"""Every tracker on real detections: each labelled clip is looked at once, by the shipped detector, in every frame.
+
+What the detector found goes through an `Onboard` for each tracker, with the agent's own parameters, as it would in
+flight. Scores: see `swarmtrack.evaluation.clip_score`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks.real_clips import START_S, Clip
+from swarmtrack.detection.detector import Detector
+from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, score_clip
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.messages import Detections, Frame, StampKind, TrackStatus
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.tracking import create_tracker
+
+
+class ClipRow(NamedTuple):
+    """One tracker on one clip; ms: median processor time of a scan."""
+
+    clip: str
+    tracker: str
+    score: ClipScore
+    ms: float
+
+
+def play_clips(folder: Path, trackers: Sequence[str]) -> list[ClipRow]:
+    clips = real_clips.find_clips(folder)
+    detector = Detector()
+    rows = []
+    with report.progress("real clips", len(clips)) as advance:
+        for clip in clips:
+            seen = look(clip, detector)
+            rows += [follow(clip, seen, tracker) for tracker in trackers]
+            advance(clip.name)
+    return rows
+
+
+def look(clip: Clip, detector: Detector) -> list[Detections]:
+    """What the detector finds in each frame."""
+    capture = cv2.VideoCapture(str(clip.video))
+    seen = []
+    try:
+        for number in range(clip.frames):
+            decoded, image = capture.read()
+            if not decoded:
+                break
+            frame = Frame(number / clip.fps, 0.0, number, image.astype(np.uint8, copy=False), StampKind.MEDIA)
+            found = detector.detect(frame)
+            if found is not None:
+                seen.append(found)
+    finally:
+        capture.release()
+    return seen
+
+
+def follow(clip: Clip, seen: Sequence[Detections], tracker: str) -> ClipRow:
+    # Nobody calibrated these cameras. They do not turn, so the focal length is of no consequence for the tracks.
+    camera = PinholeCamera(
+        clip.width, clip.width, (clip.width - 1) / 2, (clip.height - 1) / 2, clip.width, clip.height
+    )
+    onboard = Onboard(
+        1,
+        camera=camera,
+        mounting=Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
+        tracker=create_tracker(tracker, camera=camera),
+        gyro=GyroHistory(),
+        ego=EgoHistory(),
+        identity=IdentityParameters(),
+    )
+    claimed: dict[int, TrackPoints] = {}
+    spent = []
+    for detections in seen:
+        begin = time.thread_time()
+        onboard.on_detections(detections)
+        spent.append(time.thread_time() - begin)
+        tracks = [entry.track for entry in onboard.tracks(detections.t).tracks]
+        confirmed = [track for track in tracks if track.status is TrackStatus.CONFIRMED]
+        claimed[detections.sequence] = TrackPoints(
+            np.array([track.id for track in confirmed], np.int64),
+            np.array([track.mean[::2] for track in confirmed]).reshape(-1, 2),
+        )
+    frames = range(round(START_S * clip.fps), clip.frames)
+    score = score_clip(real_clips.read_truth(clip.truth), claimed, frames)
+    return ClipRow(clip.name, tracker, score, 1e3 * float(np.median(spent)))
