@@ -64,6 +64,7 @@ Pixels = Annotated[float, Meta(ge=-1e7, le=1e7)]  # or px/s
 Length = Annotated[float, Meta(ge=0.0, le=1e7)]
 Moment = Annotated[float, Meta(ge=-1e15, le=1e15)]  # an entry of a covariance
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
+Rate = Annotated[float, Meta(ge=-1e3, le=1e3)]  # rad/s
 Quantity = Annotated[float, Meta(ge=-1e15, le=1e15)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(max_length=64)]
@@ -182,10 +183,35 @@ class LinkHealth(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fi
     counters: Annotated[dict[Name, Quantity], Meta(max_length=64)]
 
 
-class HealthMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+class TimeOffsetHealth(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """exposure on the IMU's clock = stamp + offset: what the flight says of it (null: nothing), and what is used."""
+
+    found_s: SignedSeconds | None
+    sigma_s: Seconds | None
+    used_s: SignedSeconds
+
+
+class GyroBiasHealth(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """What the gyro says at rest, body FRD: what the flight says of it (null: nothing), and what is taken off."""
+
+    found_rad_s: tuple[Rate, Rate, Rate] | None
+    sigma_rad_s: Annotated[float, Meta(ge=0.0, le=1e3)] | None
+    used_rad_s: tuple[Rate, Rate, Rate]
+
+
+class ConsistencyHealth(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """Mean normalised innovation squared of the last detections; the band in which it lies if the tracker is right."""
+
+    nis: Quantity
+    low: Quantity
+    high: Quantity
+
+
+class HealthMessage(msgspec.Struct, array_like=True, frozen=True):
     """`health/<id>`: how the agent is doing. clock_offset_s: ours minus the autopilot's, null without one.
 
-    drops counts what was thrown away since the start, by place; events holds the last lines worth reading.
+    drops counts what was thrown away since the start, by place; events holds the last lines worth reading. It alone
+    may grow: what a reader misses at its end is null, and what it does not know there it leaves (decision 10).
     """
 
     what: ClassVar[str] = "health"
@@ -202,6 +228,9 @@ class HealthMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown
     links: Annotated[tuple[LinkHealth, ...], Meta(max_length=32)]
     drops: Annotated[dict[Name, Count], Meta(max_length=64)]
     events: Annotated[tuple[Line, ...], Meta(max_length=32)]
+    time_offset: TimeOffsetHealth | None = None
+    gyro_bias: GyroBiasHealth | None = None
+    consistency: ConsistencyHealth | None = None
 
 
 Message = AnnouncementMessage | SightingsMessage | TracksMessage | HealthMessage
@@ -470,9 +499,10 @@ def _encode(message: Message) -> bytes:
 def _decode(kind: type[_M], data: bytes) -> _M:
     if len(data) > MAX_BYTES:
         raise DecodeError(f"{kind.what}: has more than {MAX_BYTES} bytes")
-    # A short array (0x90 | length) that starts with another version deserves the better of two error texts.
-    if len(data) > 1 and data[0] & 0xF0 == 0x90 and data[1] < 0x80 and data[1] != VERSION:
-        raise DecodeError(f"{kind.what}: is of version {data[1]}, this program reads version {VERSION}")
+    # An array (0x90 | length, or 0xdc and two bytes of it) of another version deserves the better of two error texts.
+    version = data[3:4] if data[:1] == b"\xdc" else data[1:2] if data[:1] and data[0] & 0xF0 == 0x90 else b""
+    if version and version[0] < 0x80 and version[0] != VERSION:
+        raise DecodeError(f"{kind.what}: is of version {version[0]}, this program reads version {VERSION}")
     try:
         message: _M = _DECODERS[kind].decode(data)
     except msgspec.ValidationError as error:

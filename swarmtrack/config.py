@@ -194,6 +194,9 @@ class CameraSection(Section):
     time_offset_s: Number | None = Field(
         default=None, description="exposure on the IMU's clock = stamp + this; goes before the file's"
     )
+    estimate_time_offset: Switch = Field(
+        default=True, description="find the offset in flight, from time_offset_s on; used once it is sure"
+    )
     max_age_s: Positive = Field(
         default=0.5, description="a frame exposed longer ago when its turn comes is skipped"
     )
@@ -337,6 +340,9 @@ class MotionSection(Section):
         default=1.0, description="of the drone, paid for in gaps of the gyro"
     )
     gyro_bias_rad_s: Vector = Field(default=ORIGIN, description="what the gyro says at rest, body FRD")
+    estimate_gyro_bias: Switch = Field(
+        default=True, description="find it in flight by the autopilot's attitude, from gyro_bias_rad_s on"
+    )
 
 
 class LayeredConfig(Section):

@@ -55,7 +55,7 @@ SLEW = 0.1  # s of correction for each second
 JUDGED_EVERY = 0.5  # s
 EDGE = HALF + 1  # grid points at either end where a minimum is none
 
-_GRID: Array = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+_GRID: Array = np.linspace(-REACH, REACH, 2 * round(REACH / STEP) + 1)
 _INNER = slice(HALF, len(_GRID) - HALF)
 _SPAN = 2 * HALF * STEP
 # Of the parabola through the points about the least: coefficients of x² and x by least squares, x in s.

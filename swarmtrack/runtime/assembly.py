@@ -158,7 +158,9 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
     return Onboard(
         config.drone.id,
         camera=mounted.camera,
-        mounting=Mounting(mounted.body_from_camera, mounted.time_offset_s),
+        mounting=Mounting(
+            mounted.body_from_camera, mounted.time_offset_s, config.camera.estimate_time_offset
+        ),
         tracker=create_tracker(config.tracker.name, camera=mounted.camera, **config.tracker.parameters),
         gyro=GyroHistory(
             history_s=motion.history_s,
@@ -174,6 +176,7 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
         ),
         identity=IdentityParameters(**config.identity.parameters),
         measurement_sigma=tracking.measurement_sigma,
+        estimate_gyro_bias=motion.estimate_gyro_bias,
     )
 
 

@@ -6,8 +6,18 @@ import math
 from collections import Counter, deque
 from dataclasses import asdict
 
-from swarmtrack.codec import VERSION, HealthMessage, LatencyHealth, RateHealth, link_health
-from swarmtrack.messages import LinkStatus
+from swarmtrack.codec import (
+    VERSION,
+    ConsistencyHealth,
+    GyroBiasHealth,
+    HealthMessage,
+    LatencyHealth,
+    RateHealth,
+    TimeOffsetHealth,
+    link_health,
+)
+from swarmtrack.messages import Array, LinkStatus
+from swarmtrack.onboard import Onboard
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
@@ -64,6 +74,7 @@ class Health:
             if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
         }
         onboard = parts.onboard
+        consistency = onboard.consistency
         drops = {**asdict(onboard.counters), **onboard.part_counters, **self.drops}
         return HealthMessage(
             version=VERSION,
@@ -79,4 +90,22 @@ class Health:
             links=tuple(link_health(link) for link in links),
             drops=drops,
             events=tuple(self.events),
+            time_offset=_time_offset(onboard),
+            gyro_bias=_gyro_bias(onboard),
+            consistency=consistency and ConsistencyHealth(*consistency),
         )
+
+
+def _time_offset(onboard: Onboard) -> TimeOffsetHealth:
+    found, used = onboard.clock.found, onboard.clock.used_s
+    return TimeOffsetHealth(found and found.offset_s, found and found.sigma_s, used)
+
+
+def _gyro_bias(onboard: Onboard) -> GyroBiasHealth:
+    found, used = onboard.gyro_bias, _three(onboard.gyro_bias_used)
+    return GyroBiasHealth(found and _three(found.bias), found and found.sigma, used)
+
+
+def _three(vector: Array) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
