@@ -9,7 +9,7 @@ from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.consistency import FEWEST, WINDOW, InnovationWindow, of_sure_pairs
 
-ONE_MODEL = {"mbm": {"calm_share": 1.0}}  # that moves as the targets here; a mixture does not, by design
+ONE_MODEL = {"mbm": {"interacting": False}}  # that moves as the targets here; a mixture does not, by design
 CAMERA = PinholeCamera(430.0, 430.0, 5000.0, 5000.0, 10_000, 10_000)
 SIGMA, PSD, HZ = 2.0, 1000.0, 15.0
 

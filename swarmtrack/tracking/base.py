@@ -18,7 +18,9 @@ from swarmtrack.tracking.consistency import Consistency, InnovationWindow
 from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
+from swarmtrack.tracking.smoothing import FixedLag
 from swarmtrack.tracking.table import TrackTable
+from swarmtrack.tracking.target_motion import TURNS
 
 
 class Explained(NamedTuple):
@@ -77,6 +79,7 @@ class Tracker:
         self._surely_before = lifecycle.MAX_SLANT * min(camera.fx, camera.fy) / 2.0 - max(
             camera.cx, camera.cy
         )
+        self._smoother = FixedLag(sensor.parameters.lag_s, camera, TURNS[sensor.parameters.profile])
         self._t: float | None = None
         self._last_scan: float | None = None
         self._late_scans = 0
@@ -94,6 +97,11 @@ class Tracker:
         return table.tracks(self._t, table.mean, table.cov)
 
     @property
+    def smoothed(self) -> tuple[Track, ...]:
+        """The tracks at a scan `lag_s` ago, knowing all since; each Track's t is its own. Empty before, and if off."""
+        return self._smoother.smoothed()
+
+    @property
     def counters(self) -> Mapping[str, int]:
         """What was refused or lost, by name, for health."""
         return {"late_scans": self._late_scans, **self._sensor.counters, **self._filter.counters}
@@ -106,7 +114,10 @@ class Tracker:
     def initiate(self, t: float, points: Array) -> list[int]:
         """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
         self.predict(t)
-        return self._filter.initiate(t, np.asarray(points, dtype=float).reshape(-1, 2))
+        self._smoother.expect(self._filter.table)
+        ids = self._filter.initiate(t, np.asarray(points, dtype=float).reshape(-1, 2))
+        self._smoother.note(t, self._filter.table)
+        return ids
 
     def predict(self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0) -> None:
         """Carry the state to the next exposure. rotation (3, 3): camera axes now from camera axes then; None: still.
@@ -115,7 +126,9 @@ class Tracker:
         """
         if not np.isfinite(t) or (self._t is not None and t < self._t):
             return  # to the time of a late scan, which `update` will refuse: the rotation leads away from our state
-        self._filter.predict(0.0 if self._t is None else t - self._t, rotation, rotation_variance)
+        dt = 0.0 if self._t is None else t - self._t
+        self._smoother.move(self._filter.table, dt, rotation)
+        self._filter.predict(dt, rotation, rotation_variance)
         self._t = t
 
     def update(self, scan: Scan) -> bool:
@@ -127,7 +140,9 @@ class Tracker:
         if scan.t != self._t:
             self.predict(scan.t)
         self._last_scan = scan.t
+        self._smoother.expect(self._filter.table)
         explained = self._filter.update(scan.t, self._sensor.usable(scan))
+        self._smoother.note(scan.t, self._filter.table)
         self._sensor.learn_clutter(explained.clutter)
         self._innovations.add(explained.nis.tolist())
         return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 PROFILES = ("default", "paper")
+MAX_LAG_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +48,8 @@ class CommonParameters:
     resolution_px: float = 0.0
     """Two points that are nearer may come back as one detection between them; boxes, also where they overlap by half.
     """
+    lag_s: float = 0.0
+    """s: how much later than its scan a smoothed estimate comes (`Tracker.smoothed`); 0: none does."""
 
     def __post_init__(self) -> None:
         if self.profile not in PROFILES:
@@ -69,5 +72,7 @@ class CommonParameters:
             raise ValueError(
                 f"tracker.resolution_px: found {self.resolution_px!r}, expected pixels, or 0 for points never merged"
             )
+        if not 0.0 <= self.lag_s <= MAX_LAG_S:
+            raise ValueError(f"tracker.lag_s: found {self.lag_s!r}, expected seconds in 0…{MAX_LAG_S:g}")
         if not 0.0 <= self.birth_score <= 1.0:
             raise ValueError(f"tracker.birth_score: found {self.birth_score!r}, expected a score in 0…1")
