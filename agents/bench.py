@@ -18,13 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     agent = names.add_parser("agent", help="what an agent costs, beside the design's budgets")
     clips = names.add_parser("clips", help="real drones on labelled clips, through the agent")
     rotation = names.add_parser("rotation", help="what the gyro is worth to an observer that turns")
+    offset = names.add_parser("offset", help="how well the camera's clock and the gyro's bias are found")
     clients = names.add_parser("clients", help="how long until everybody knows everybody, to 100 drones")
     flood = names.add_parser("flood", help="a member that floods, and the others")
     identity = names.add_parser("identity", help="who is who from one look: the paper's rule and ours")
     recognition = names.add_parser("recognition", help="who is who over a hundred flights, in one process")
     swarm = names.add_parser("swarm", help="whole local swarms: who knows whom, and at what cost")
     trackers = names.add_parser("trackers", help="every tracker: the paper's figures, and harder scenes")
-    for name in (agent, clips, rotation, clients, flood, identity, recognition, swarm, trackers):
+    for name in (agent, clips, rotation, offset, clients, flood, identity, recognition, swarm, trackers):
         name.add_argument(
             "--out",
             type=Path,
@@ -115,6 +116,12 @@ def _rotation(args: argparse.Namespace) -> None:
         rotating_observer.run(args.out, tracker=args.tracker)
 
 
+def _offset(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import time_offset
+
+    time_offset.run(args.out, tracker=args.tracker, seeds=4 if args.quick else 100)
+
+
 def _clients(args: argparse.Namespace) -> None:
     from swarmtrack.benchmarks import hundred_clients
 
@@ -170,6 +177,7 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "clips": _clips,
     "flood": _flood,
     "identity": _identity,
+    "offset": _offset,
     "recognition": _recognition,
     "rotation": _rotation,
     "swarm": _swarm,
