@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
+from swarmtrack.tracking.association import Indices
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.marginals import SMALL, beliefs, matching_marginals
@@ -36,6 +37,9 @@ from swarmtrack.tracking.table import TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
 
 SURELY = 0.9  # weight of a component on one detection, above which it tells whether the filter is consistent
+ROUNDING = (
+    1e-9  # of a correlation: added to its diagonal, so that it is positive definite to the computer, too
+)
 LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain, and doubles end at 709
 
 
@@ -47,7 +51,7 @@ class GmPhdParameters(CommonParameters):
     Signal Processing 92, 2012) with a penalty that is derived. Not in the profile `paper`."""
     prune_below: float = 1e-4
     """Weight of a component that is given up, unless it is the heaviest of its label."""
-    merge_distance: float = 4.0
+    merge_distance: float = 0.5
     """Squared Mahalanobis distance up to which components of a label become one."""
     components_per_label: int = 5
     """The heaviest are kept."""
@@ -64,8 +68,7 @@ class GmPhdParameters(CommonParameters):
             )
 
 
-@dataclass(slots=True)
-class Mixture:
+class Mixture(NamedTuple):
     """k components, sorted by label. label, weight (k,), mean (k, 4), cov (k, 4, 4)."""
 
     label: NDArray[np.int64]
@@ -77,17 +80,12 @@ class Mixture:
     def empty(cls) -> Mixture:
         return cls(np.empty(0, np.int64), np.empty(0), np.empty((0, 4)), np.empty((0, 4, 4)))
 
-    def __len__(self) -> int:
-        return len(self.label)
+    def select(self, chosen: Indices) -> Mixture:
+        cov = self.cov.reshape(-1, 16).take(chosen, axis=0).reshape(-1, 4, 4)
+        return Mixture(self.label[chosen], self.weight[chosen], self.mean.take(chosen, axis=0), cov)
 
-    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Mixture:
-        return Mixture(self.label[rows], self.weight[rows], self.mean[rows], self.cov[rows])
-
-    def starts(self) -> NDArray[np.intp]:
-        """(n,) where each label's components begin."""
-        is_first = np.ones(len(self), np.bool_)
-        is_first[1:] = self.label[1:] != self.label[:-1]
-        return np.flatnonzero(is_first)
+    def joined(self, other: Mixture) -> Mixture:
+        return Mixture(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
 class Shares(NamedTuple):
@@ -128,11 +126,11 @@ class GmPhd:
         return ids
 
     def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
-        mixture = self.mixture
-        mean, cov = self._motion.carried(mixture.mean, mixture.cov, dt, rotation, rotation_variance)
-        weight = lifecycle.survive(mixture.weight, dt, self._parameters.p_survival)
-        self.mixture = Mixture(mixture.label, weight, mean, cov)
-        self.table.mean, self.table.cov = moments(self.mixture)
+        label, weight, mean, cov = self.mixture
+        mean, cov = self._motion.carried(mean, cov, dt, rotation, rotation_variance)
+        weight = lifecycle.survive(weight, dt, self._parameters.p_survival)
+        self.mixture = Mixture(label, weight, mean, cov)
+        self.table.mean, self.table.cov = moments(self.mixture, blocks(label))
         self._population.survive(dt)
 
     def extrapolated(
@@ -152,25 +150,20 @@ class GmPhd:
 
     def _add_newest(self, n: int) -> None:
         """A component for each of the last n rows of the table."""
-        table, mixture = self.table, self.mixture
-        new = slice(len(table) - n, None)
-        self.mixture = Mixture(
-            np.concatenate([mixture.label, table.id[new]]),
-            np.concatenate([mixture.weight, table.existence[new]]),
-            np.concatenate([mixture.mean, table.mean[new]]),
-            np.concatenate([mixture.cov, table.cov[new]]),
-        )
+        table, new = self.table, slice(len(self.table) - n, None)
+        newest = Mixture(table.id[new], table.existence[new], table.mean[new], table.cov[new])
+        self.mixture = self.mixture.joined(newest)
 
     def _drop(self, t: float) -> None:
+        before = len(self.table)
         self._population.drop(t)
-        kept = np.isin(self.mixture.label, self.table.id)
-        if not kept.all():
-            self.mixture = self.mixture.select(kept)
+        if len(self.table) < before:
+            self.mixture = self.mixture.select(np.flatnonzero(np.isin(self.mixture.label, self.table.id)))
 
     def _reweigh(self, t: float, measured: Measurements) -> tuple[Array, Explained]:
         """Fold a scan into the mixture and the table; returns the weight (m,) of a newcomer at each detection."""
-        table, prior, starts = self.table, self.mixture, self.mixture.starts()
-        row = np.searchsorted(table.id, prior.label)
+        table, prior, of_labels = self.table, self.mixture, blocks(self.mixture.label)
+        row, starts = of_labels
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         p_detection = visibility.p_detection[row]
         distance, log_ratio = self._sensor.likelihoods(prior.mean, prior.cov, table.size[row], measured)
@@ -185,7 +178,9 @@ class GmPhd:
         else:
             shares = share(of_label)
         each = np.divide(shares.taken, of_label, out=np.zeros_like(of_label), where=of_label > 0.0)
-        weight = np.column_stack([prior.weight * (1.0 - p_detection) * shares.kept[row], claim * each[row]])
+        weight = np.empty((len(row), 1 + len(measured.z)))
+        weight[:, 0] = prior.weight * (1.0 - p_detection) * shares.kept[row]
+        weight[:, 1:] = claim * each[row]
 
         missed, detected = sums(weight[:, 0], starts), shares.taken.sum(axis=1)
         seen = detected > missed
@@ -197,18 +192,15 @@ class GmPhd:
         # A confirmed label that was missed for long keeps a remainder, so that one clear detection brings it back.
         weight *= np.maximum(1.0, table.existence / (missed + detected))[row, None]
 
-        self.mixture = self._merged(updated(prior, weight, measured, self._parameters.prune_below))
-        table.mean, table.cov = moments(self.mixture)
-        nis = distance[(weight[:, 1:] > SURELY) & table.confirmed[row, None]]
-        births = np.where(self._population.shadowed(measured.z, seen), 0.0, shares.free * newcomer)
-        return births, Explained(nis, float((shares.free * (1.0 - newcomer)).sum()))
-
-    def _merged(self, mixture: Mixture) -> Mixture:
-        merged, over_cap = merge(
+        mixture = updated(prior, of_labels, weight, measured, self._parameters.prune_below)
+        self.mixture, over_cap = merge(
             mixture, self._parameters.merge_distance, self._parameters.components_per_label
         )
         self.counters["components_over_cap"] += over_cap
-        return merged
+        table.mean, table.cov = moments(self.mixture, blocks(self.mixture.label))
+        nis = distance[(weight[:, 1:] > SURELY) & table.confirmed[row, None]]
+        births = np.where(self._population.shadowed(measured.z, seen), 0.0, shares.free * newcomer)
+        return births, Explained(nis, float((shares.free * (1.0 - newcomer)).sum()))
 
 
 def share(claims: Array) -> Shares:
@@ -233,85 +225,122 @@ def share_one_to_one(claims: Array, detectable: Array) -> Shares:
     return Shares(taken, nowhere / absent, np.maximum(1.0 - taken.sum(axis=0), 0.0))
 
 
-def updated(prior: Mixture, weight: Array, measured: Measurements, prune_below: float) -> Mixture:
+def updated(
+    prior: Mixture, labels: Blocks, weight: Array, measured: Measurements, prune_below: float
+) -> Mixture:
     """The components of weight (k, 1 + m) that stay: column 0 is component i as it was, column j that of detection j.
 
     Each label stays, with its heaviest component at least and with all its weight.
     """
-    starts = prior.starts()
-    row = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(prior)))
-    heaviest = np.maximum.reduceat(weight.max(axis=1), starts) if len(prior) else np.empty(0)
-    stays = (weight >= prune_below) | (weight >= heaviest[row, None])
-    kept = sums(np.where(stays, weight, 0.0).sum(axis=1), starts)
+    row, starts = labels
+    stays = weight > prune_below
+    if len(row):
+        stays |= weight >= np.maximum.reduceat(weight.max(axis=1), starts)[row, None]
+    kept = sums((weight * stays).sum(axis=1), starts)
     weight = weight * (sums(weight.sum(axis=1), starts) / kept)[row, None]
-
     i, j = np.nonzero(stays)
-    mean, cov = prior.mean[i], prior.cov[i]
-    hits = np.flatnonzero(j > 0)
-    mean[hits], cov[hits] = _corrected(prior, i[hits], measured, j[hits] - 1)
+    mean, cov = _corrected(prior, measured, i, j - 1)
     return Mixture(prior.label[i], weight[i, j], mean, cov)
 
 
-def _corrected(
-    prior: Mixture, i: NDArray[np.intp], measured: Measurements, j: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Means and covariances of components i (p,) by detections j (p,)."""
+def _corrected(prior: Mixture, measured: Measurements, i: Indices, j: Indices) -> tuple[Array, Array]:
+    """Means and covariances of components i (p,) by detections j (p,); as they were where j is −1."""
     z, R = measured.z, measured.R
-    if not len(i) or (R[0] != R).any():
-        return update(prior.mean[i], prior.cov[i], z[j], R[j])
+    if not len(z):
+        return prior.mean[i], prior.cov[i]
+    if (R[0] != R).any():
+        mean, cov = prior.mean[i], prior.cov[i]
+        hit = np.flatnonzero(j >= 0)
+        mean[hit], cov[hit] = update(mean[hit], cov[hit], z[j[hit]], R[j[hit]])
+        return mean, cov
     # The covariance does not depend on z: once for each component. K = P Hᵀ R⁻¹ with the posterior P.
-    at_rest = prior.mean[:, POSITION]
-    _, cov = update(prior.mean, prior.cov, at_rest, np.broadcast_to(R[0], (len(prior), 2, 2)))
-    gain = cov[:, :, POSITION] @ np.linalg.inv(R[0])
-    shift = gain[i] @ (z[j] - at_rest[i])[:, :, None]
-    return prior.mean[i] + shift[:, :, 0], cov[i]
+    k, at_rest = len(prior.label), prior.mean[:, POSITION]
+    _, posterior = update(prior.mean, prior.cov, at_rest, np.broadcast_to(R[0], (k, 2, 2)))
+    cov = np.concatenate([prior.cov, posterior]).reshape(-1, 16).take(np.where(j < 0, i, k + i), axis=0)
+    gain = (posterior[:, :, POSITION] @ np.linalg.inv(R[0])).swapaxes(1, 2).reshape(-1, 8).take(i, axis=0)
+    y = np.where((j < 0)[:, None], 0.0, z.take(j, axis=0) - at_rest.take(i, axis=0))
+    return prior.mean.take(i, axis=0) + gain[:, :4] * y[:, :1] + gain[:, 4:] * y[:, 1:], cov.reshape(-1, 4, 4)
 
 
 def merge(mixture: Mixture, within: float, most: int) -> tuple[Mixture, int]:
     """Components of a label within a squared Mahalanobis distance of its heaviest one become one with it, moments and
     all; then of those left, until `most` are found. Those over are counted, and their weight goes to the others.
 
-    Vo & Ma (2006), table II, for all labels at once.
+    Vo & Ma (2006), table II, for all labels at once. The distance is in terms of the sharpest component of the label:
+    in their own, wide ones, such as that of a missed detection, would be at home with every hypothesis they cover.
     """
-    if len(mixture.starts()) == len(mixture):
+    row, starts = blocks(mixture.label)
+    if len(starts) == len(row):
         return mixture, 0
-    order = np.lexsort((-mixture.weight, mixture.label))
-    left = mixture.select(order)
-    precision = np.linalg.inv(left.cov)
-    found: list[Mixture] = []
-    while len(left) and len(found) < most:
-        starts = left.starts()
-        row = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(left)))
-        d = left.mean - left.mean[starts][row]
-        near = (d[:, None] @ precision @ d[:, :, None])[:, 0, 0] <= within
-        group = left.select(near)
-        mean, cov = moments(group)
-        found.append(Mixture(left.label[starts], sums(group.weight, group.starts()), mean, cov))
-        left, precision = left.select(~near), precision[~near]
-    parts = zip(*((part.label, part.weight, part.mean, part.cov) for part in found), strict=True)
-    merged = Mixture(*(np.concatenate(part) for part in parts))
-    merged = merged.select(np.argsort(merged.label, kind="stable"))
-    if len(left):
-        kept, starts = sums(merged.weight, merged.starts()), merged.starts()
-        total = sums(mixture.weight, mixture.starts())
-        merged.weight = merged.weight * np.repeat(total / kept, np.diff(starts, append=len(merged)))
-    return merged, len(left)
+    place = _in_sigmas_of_the_sharpest(mixture, row, starts)
+    group = np.full(len(row), len(starts) * most)
+    left = mixture.weight.copy()
+    for number in range(most):
+        leader = _first(left == np.maximum.reduceat(left, starts)[row], row, len(starts))
+        d = place - place[leader][row]
+        near = (np.einsum("ki,ki->k", d, d) <= within) & (left > 0.0)
+        group[near] = row[near] * most + number
+        left[near] = 0.0
+        if not left.any():
+            break
+    over_cap = int(np.count_nonzero(left))
+    order = np.argsort(group, kind="stable")[: len(row) - over_cap]
+    gathered, groups = mixture.select(order), blocks(group[order])
+    weight = sums(gathered.weight, groups.starts)
+    merged = Mixture(gathered.label[groups.starts], weight, *moments(gathered, groups))
+    if over_cap:
+        labels = blocks(merged.label)
+        more = sums(mixture.weight, starts) / sums(weight, labels.starts)
+        merged = merged._replace(weight=weight * more[labels.row])
+    return merged, over_cap
 
 
-def moments(mixture: Mixture) -> tuple[Array, Array]:
-    """Mean (n, 4) and covariance (n, 4, 4) of each label's components together, with their spread."""
-    starts = mixture.starts()
-    if len(starts) == len(mixture):
+def _in_sigmas_of_the_sharpest(mixture: Mixture, row: Indices, starts: Indices) -> Array:
+    """(k, 4) means in coordinates in which the sharpest component of their label has the covariance I."""
+    size = mixture.cov[:, 0, 0] + mixture.cov[:, 2, 2]
+    sharpest = _first(size == np.minimum.reduceat(size, starts)[row], row, len(starts))
+    P = mixture.cov[sharpest]
+    sigma = np.sqrt(P[:, [0, 1, 2, 3], [0, 1, 2, 3]])
+    correlation = P / (sigma[:, :, None] * sigma[:, None]) + ROUNDING * np.eye(4)
+    whitening = np.linalg.inv(np.linalg.cholesky(correlation)) / sigma[:, None]
+    return np.asarray(np.einsum("ki,kji->kj", mixture.mean, whitening.take(row, axis=0)))
+
+
+def moments(mixture: Mixture, of: Blocks) -> tuple[Array, Array]:
+    """Mean (n, 4) and covariance (n, 4, 4) of each block of components together, with their spread."""
+    row, starts = of
+    if len(starts) == len(row):
         return mixture.mean, mixture.cov
-    sizes = np.diff(starts, append=len(mixture))
-    share = mixture.weight / np.repeat(sums(mixture.weight, starts), sizes)
+    share = mixture.weight / sums(mixture.weight, starts)[row]
     mean = sums(share[:, None] * mixture.mean, starts)
-    d = mixture.mean - np.repeat(mean, sizes, axis=0)
-    return mean, sums(share[:, None, None] * (mixture.cov + d[:, :, None] * d[:, None]), starts)
+    d = mixture.mean - mean[row]
+    spread = np.einsum("k,ki,kj->kij", share, d, d) + share[:, None, None] * mixture.cov
+    return mean, sums(spread, starts)
 
 
-def sums(values: Array, starts: NDArray[np.intp]) -> Array:
-    """Of values (k, …) over each label's components (n, …)."""
+class Blocks(NamedTuple):
+    """Of k sorted keys: row (k,), the number of the run of equal ones that each is in; starts (n,) of the runs."""
+
+    row: Indices
+    starts: Indices
+
+
+def blocks(key: NDArray[np.integer]) -> Blocks:
+    is_first = np.ones(len(key), np.bool_)
+    np.not_equal(key[1:], key[:-1], out=is_first[1:])
+    return Blocks(np.cumsum(is_first) - 1, np.flatnonzero(is_first))
+
+
+def sums(values: Array, starts: Indices) -> Array:
+    """Of values (k, …) over each block (n, …)."""
     if len(starts) == len(values):
         return values
     return np.asarray(np.add.reduceat(values, starts, axis=0))
+
+
+def _first(found: NDArray[np.bool_], row: Indices, n: int) -> Indices:
+    """(n,) where each block has its first True."""
+    where = np.flatnonzero(found)[::-1]
+    first = np.empty(n, np.intp)
+    first[row[where]] = where  # of what is written to one place, the last stays
+    return first
