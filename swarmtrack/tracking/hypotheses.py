@@ -7,12 +7,12 @@ prices, no matching is worth more than
     Σ_tracks max(0, max_j gain[i, j] − p_j) + Σ_j p_j                              (weak duality)
 
 and a track that does not choose its best falls short of this bound by its *slack*, as does a detection that nobody
-took by its price. An auction (Bertsekas, 1988) finds prices with which the bound is nearly reached; then a good
-matching is one with little slack in sum. So tracks are gone through one after the other, all earlier hypotheses and all partial
-matchings at once as arrays, and whatever has more slack than the best matching found and `least` allow is left out.
-Every matching within `least` of the best is found and none twice; only where there are more than `breadth` partial
-ones at once are the most promising kept, and `complete` says so. Murty's K best (1968) in breadth instead of depth:
-his asks for an assignment to be solved for each track of each hypothesis, this one for none.
+took by its price. At the prices of the best matching the bound is reached (strong duality): then a good matching is
+one with little slack in sum. So tracks are gone through one after the other, all earlier hypotheses and all partial
+matchings at once as arrays, and whatever has more slack than `least` allows is left out. Every matching within `least`
+of the best is found and none twice; only where there are more than `breadth` partial ones at once are the most
+promising kept, and `complete` says so. Murty's K best (1968) in breadth instead of depth: his asks for an assignment to
+be solved for each track of each hypothesis, this one for a few in all.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.association import most_likely_matching
 
 Indices = NDArray[np.intp]
 
 NONE = -1  # the column of a track that made no detection
 BREADTH = 8  # partial matchings kept at once, in multiples of the count wanted
 LEAST_BREADTH = 100
-AUCTION_STEP = 0.05  # what a bid exceeds the second best by, in log-likelihood
-MAX_ROUNDS = 400
+ROUNDING = 1e-9  # relative: what sums of gains in another order differ by
 
 
 class Matchings(NamedTuple):
     """q matchings, best first. prior (q,): which earlier hypothesis each goes on from; column (q, k): the detection of
-    each track, or `NONE`; log_weight (q,), not normalised. complete: none better than the last one was left out."""
+    each track, or `NONE`; log_weight (q,), not normalised. complete: none that belongs here was left out."""
 
     prior: Indices
     column: Indices
@@ -52,13 +52,13 @@ def best_matchings(log_weight: Array, gain: Array, count: int, least: float) -> 
     h, k, m = gain.shape
     depth = -np.log(least)
     breadth = max(BREADTH * count, LEAST_BREADTH)
-    first = int(log_weight.argmax())
-    price, reached = _auction(gain[first])
-    net = np.concatenate([gain - price, np.zeros((h, k, 1))], axis=2)
+    price, reached = _tightest_prices(log_weight, gain)
+    net = np.concatenate([gain - price[:, None], np.zeros((h, k, 1))], axis=2)
     best = net.max(axis=2)
     slack = best[:, :, None] - net
-    bound = log_weight + best.sum(axis=1) + price.sum()
-    floor = log_weight[first] + reached - depth
+    bound = log_weight + best.sum(axis=1) + price.sum(axis=1)
+    floor = reached - depth
+    floor -= ROUNDING * (1.0 + abs(floor) + price.sum(axis=1).max())
 
     prior = np.flatnonzero(bound >= floor)
     value = bound[prior]
@@ -78,14 +78,14 @@ def best_matchings(log_weight: Array, gain: Array, count: int, least: float) -> 
         prior, used, column = prior[parent], used[parent], column[parent]
         column[:, row] = choice
         used[np.arange(len(choice)), choice] = choice < m
-    value = value - (~used[:, :m] * price).sum(axis=1)
+    value = value - (~used[:, :m] * price[prior]).sum(axis=1)
     order = np.argsort(-value, kind="stable")[:count]
     order = order[value[order] >= value[order[0]] - depth]
     return Matchings(
         prior[order],
         np.where(column[order] < m, column[order], NONE),
         value[order],
-        left_out <= value[order[-1]],
+        left_out <= (value[order[-1]] if len(order) == count else floor),
     )
 
 
@@ -95,45 +95,40 @@ def _widest_last(slack: Array, depth: float) -> list[int]:
     return [int(row) for row in np.argsort(open_choices, kind="stable")]
 
 
-def _auction(gain: Array) -> tuple[Array, float]:
-    """Prices (m,) ≥ 0 at which everybody's choice is almost their best, and the value of that matching of gain (k, m).
+def _tightest_prices(log_weight: Array, gain: Array) -> tuple[Array, float]:
+    """Prices (h, m) with which no hypothesis is promised more than the best matching of all is worth; and its value.
 
-    Rounds of simultaneous bids: who has nothing yet offers for their best detection as much as would make the second
-    best, or none at all, as good; the highest bid takes it, and whoever had it bids again. Bertsekas, "The auction
-    algorithm: a distributed relaxation method for the assignment problem" (1988).
+    Branch and bound: whoever is promised more than the best found yet is asked for its own best and its prices, which
+    also suit others that are like it.
+    """
+    h, _, m = gain.shape
+    price, promised, reached = np.zeros((h, m)), np.full(h, np.inf), -np.inf
+    promising = int(log_weight.argmax())
+    while promised[promising] > reached:
+        fair, value = _fair_prices(gain[promising])
+        bound = log_weight + (gain - fair).max(axis=2, initial=0.0).sum(axis=1) + fair.sum()
+        tighter = bound < promised
+        price[tighter], promised[tighter] = fair, bound[tighter]
+        promised[promising] = log_weight[promising] + value
+        reached = max(reached, float(promised[promising]))
+        promising = int(promised.argmax())
+    return price, reached
+
+
+def _fair_prices(gain: Array) -> tuple[Array, float]:
+    """Prices (m,) ≥ 0 at which the best matching of gain (k, m) leaves nobody any slack, and its value.
+
+    The lowest such: nobody would rather have another's detection than their own, so p_j ≥ p_i + gain_j − gain_i for the
+    i of each track, along chains of tracks that would move on. No chain is longer than there are tracks.
     """
     k, m = gain.shape
-    price = np.zeros(m)
-    if m == 0:
-        return price, 0.0
-    holder, held = np.full(m, -1), np.full(k, -1)
-    bidders = np.arange(k)
-    for _ in range(MAX_ROUNDS):
-        net = gain[bidders] - price
-        wanted = net.argmax(axis=1)
-        row = np.arange(len(bidders))
-        best = net[row, wanted]
-        bids = best > 0.0  # who gains nothing by any detection goes without
-        if not bids.any():
+    track, detection = most_likely_matching(gain)
+    own, held = np.zeros(k), np.full(k, m)
+    own[track], held[track] = gain[track, detection], detection
+    price = np.zeros(m + 1)  # the last is that of none
+    for _ in range(len(track) + 1):
+        dearer = (gain - (own - price[held])[:, None]).max(axis=0, initial=0.0)
+        if (dearer <= price[:m]).all():
             break
-        bidders, wanted, best, row = bidders[bids], wanted[bids], best[bids], row[bids]
-        net[row, wanted] = -np.inf
-        second = np.maximum(net[row].max(axis=1), 0.0)
-        offer = best - second + AUCTION_STEP
-        order = np.argsort(offer, kind="stable")
-        winner = np.full(m, -1)
-        winner[wanted[order]] = order  # of several the last one written: the highest
-        sold = np.flatnonzero(winner >= 0)
-        price[sold] += offer[winner[sold]]
-        outbid = holder[sold]
-        outbid = outbid[outbid >= 0]
-        held[outbid] = -1
-        holder[sold] = bidders[winner[sold]]
-        held[holder[sold]] = sold
-        losers = np.ones(len(bidders), np.bool_)
-        losers[winner[sold]] = False
-        bidders = np.concatenate([bidders[losers], outbid])
-        if not len(bidders):
-            break
-    happy = np.flatnonzero(held >= 0)
-    return price, float(gain[happy, held[happy]].sum())
+        price[:m] = np.maximum(price[:m], dearer)
+    return price[:m], float(own.sum())
