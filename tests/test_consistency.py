@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from swarmtrack.codec import decode_health, encode_health
+from swarmtrack.config import load_config
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Detections
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.health import Health
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.consistency import FEWEST, WINDOW, InnovationWindow, of_sure_pairs
@@ -125,3 +130,32 @@ def test_only_pairs_without_a_rival_of_tracks_that_surely_exist_count():
     assert of_sure_pairs(distance, log_ratio, np.array([0.99, 0.99, 0.99, 0.5])).tolist() == [1.0]
     assert of_sure_pairs(distance, log_ratio, np.full(4, 0.99)).tolist() == [1.0, 5.0]
     assert of_sure_pairs(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)).tolist() == []
+
+
+AGENT = """
+drone.id = 1
+network.transport = "memory"
+autopilot.link = "none"
+tracker = { name = "kalman", measurement_sigma = 1.0 }
+[camera]
+source = "http://127.0.0.1:9/"
+intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }
+"""
+
+
+def test_health_tells_it_and_all_that_the_tracker_and_onboard_refused(tmp_path):
+    config = tmp_path / "drone.toml"
+    config.write_text(AGENT, encoding="utf-8")
+    parts = assemble(load_config(config))
+    health = Health(parts)
+    assert decode_health(encode_health(health.message())).consistency is None
+    rng = np.random.default_rng(0)
+    for k in range(200):
+        centre = np.array([[300.0, 200.0], [9e9, 0.0]]) + rng.normal(0.0, 4.0, (2, 2))
+        for t in (k / 15, 0.0):  # each is followed by a late one
+            seen = Detections(t, k, centre, np.full((2, 2), 30.0), np.full(2, 0.9))
+            parts.onboard.on_detections(seen)
+    told = decode_health(encode_health(health.message()))
+    assert told.consistency.nis > told.consistency.high
+    assert told.drops["unusable_detections"] == 200
+    assert told.drops["late_scans"] == 200

@@ -75,7 +75,9 @@ class Health:
         }
         onboard = parts.onboard
         consistency = onboard.consistency
-        drops = {**asdict(onboard.counters), **onboard.part_counters, **self.drops}
+        drops: Counter[str] = Counter()
+        for counts in (asdict(onboard.counters), onboard.part_counters, self.drops):
+            drops.update(counts)  # adds: Onboard and its tracker both refuse late scans
         return HealthMessage(
             version=VERSION,
             t_utc_s=parts.clock.utc(),
@@ -88,7 +90,7 @@ class Health:
             clock_offset_s=clock.get("clock_offset_s"),
             clock_offset_sigma_s=clock.get("clock_sigma_s"),
             links=tuple(link_health(link) for link in links),
-            drops=drops,
+            drops=dict(drops),
             events=tuple(self.events),
             time_offset=_time_offset(onboard),
             gyro_bias=_gyro_bias(onboard),
