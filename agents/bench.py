@@ -156,10 +156,11 @@ def _swarm(args: argparse.Namespace) -> None:
 
 def _trackers(args: argparse.Namespace) -> None:
     from swarmtrack.benchmarks import trackers
+    from swarmtrack.benchmarks.tracker_programme import Programme
 
     trackers.run(
         args.out,
-        trackers.Programme(
+        Programme(
             trackers=tuple(args.tracker),
             scenes=tuple(args.scene),
             runs=args.runs,

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.tracker_play import SMOOTHER, record
+from swarmtrack.benchmarks.tracker_programme import Result
 from swarmtrack.benchmarks.tracker_results import by_cell, rmse_over_time
 from swarmtrack.benchmarks.tracker_scenes import SCENES, film
 from swarmtrack.evaluation.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
-
-if TYPE_CHECKING:
-    from swarmtrack.benchmarks.trackers import Result
 
 COLOURS = {
     "kalman": "tab:orange",
@@ -28,6 +26,7 @@ COLOURS = {
 }
 STYLES = {"oracle_cv": "--", "oracle_imm": ":", SMOOTHER: "-."}
 MARKERS = {"kalman": "s", "jpdaf": "^", "gmphd": "D", "mbm": "o"}
+WIDTHS = {"kalman": 3.6, "jpdaf": 2.4, "gmphd": 1.5, "mbm": 1.4}  # lines that coincide show as stripes
 IDENTITIES = ("tab:red", "tab:blue", "tab:green")  # as in the paper's figure
 DPI = 140
 
@@ -57,7 +56,8 @@ def draw(out: Path, result: Result) -> list[tuple[str, str]]:
 
 
 def _style(tracker: str) -> dict[str, Any]:
-    return {"color": COLOURS.get(tracker), "linestyle": STYLES.get(tracker, "-"), "label": tracker}
+    style = {"color": COLOURS.get(tracker), "linestyle": STYLES.get(tracker, "-"), "label": tracker}
+    return {**style, "linewidth": WIDTHS.get(tracker, 1.1)}
 
 
 def _over_time(result: Result) -> Any:
@@ -74,7 +74,6 @@ def _over_time(result: Result) -> Any:
             panel.plot(
                 np.arange(len(error)) / scene.rate_hz,
                 np.maximum(error, 1e-3),
-                linewidth=1.1,
                 **_style(tracker),
             )
         panel.set(ylabel="RMSE, px", title=f"{name}: {scene.about}")
@@ -108,7 +107,7 @@ def _conditions(result: Result) -> Any:
         x = [value for _, value in sweep]
         for tracker in _trackers(result, "control"):
             y = [cells[name, tracker]["rmse_px"]["mean"] for name, _ in sweep]
-            panel.plot(x, y, marker=MARKERS.get(tracker), markersize=4, linewidth=1.2, **_style(tracker))
+            panel.plot(x, y, marker=MARKERS.get(tracker), markersize=4, **_style(tracker))
         for tracker, figures in PUBLISHED_RMSE_PX.items():
             places = [(value, figures[name]) for name, value in sweep if name in figures]
             panel.plot(
@@ -132,7 +131,9 @@ def _trajectories(result: Result) -> Any:
     if not (_has(result, scene) and (scene, good) in result.played and (scene, other) in result.played):
         return None
     pairs = list(zip(result.played[scene, good], result.played[scene, other], strict=True))
-    run = next((k for k, (ours, theirs) in enumerate(pairs) if not ours.swapped and theirs.swapped), 0)
+    kept = [k for k, (ours, _) in enumerate(pairs) if not (ours.swapped or ours.lost)]
+    swapped = [k for k in kept if pairs[k][1].swapped and not pairs[k][1].lost]
+    run = (swapped or kept or [0])[0]
     take = film(SCENES[scene], run)
     z = np.concatenate([observation.scan.z for observation in take.observations])
     figure, axes = report.pyplot().subplots(1, 2, figsize=(11.0, 5.4), sharey=True, layout="constrained")
@@ -217,8 +218,8 @@ def _cost(result: Result) -> Any:
         panel.set(xscale="log", yscale="log", xlabel="targets N (and detections)", title=label)
         ticks = sorted({cost.targets for cost in result.costs if cost.layout == layout})
         panel.set_xticks(ticks, [str(tick) for tick in ticks])
-        panel.minorticks_off()
-        panel.grid(alpha=0.25)
+        panel.tick_params(axis="x", which="minor", bottom=False)
+        panel.grid(alpha=0.25, which="both")
     axes[0].set_ylabel("a scan, ms of one core")
     axes[0].legend(fontsize="small")
     return figure

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from swarmtrack.benchmarks import report, tracker_plots
 from swarmtrack.benchmarks.report import number
+from swarmtrack.benchmarks.tracker_programme import Result
 from swarmtrack.benchmarks.tracker_results import Row, by_cell
 from swarmtrack.benchmarks.tracker_scenes import SCENES, SEED
 from swarmtrack.benchmarks.tracker_verdicts import Verdict, verdicts
 from swarmtrack.evaluation.clip_score import ClipScore
 from swarmtrack.evaluation.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
-
-if TYPE_CHECKING:
-    from swarmtrack.benchmarks.trackers import Result
 
 STONE_SOUP_RMSE_PX = {  # 50 runs each, measured when this project began; `--peers` measures anew
     "ss_gnn": (0.08, 0.08, 0.08, 0.08, 0.62, 1.16, 1.66, 0.12, 0.16, 0.25, 0.48, 1.18, 0.65),
