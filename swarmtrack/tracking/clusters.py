@@ -47,9 +47,10 @@ def merged(cluster: Cluster) -> Cluster:
     leaves, first, inverse = np.unique(cluster.leaf, axis=0, return_index=True, return_inverse=True)
     if len(leaves) == len(cluster.leaf):
         return cluster
-    weight = np.bincount(inverse.ravel(), cluster.weight)
-    order = np.argsort(-weight, kind="stable")
-    return Cluster(cluster.tracks, cluster.leaf[first[order]], normalised(np.log(weight[order])))
+    log_weight = np.full(len(leaves), -np.inf)
+    np.logaddexp.at(log_weight, inverse.ravel(), cluster.log_weight)
+    order = np.argsort(-log_weight, kind="stable")
+    return Cluster(cluster.tracks, cluster.leaf[first[order]], normalised(log_weight[order]))
 
 
 def in_dispute(cluster: Cluster) -> Cluster | None:
