@@ -191,7 +191,7 @@ def test_the_order_of_tracks_and_detections_is_nobody_s_business(seed, size):
 @settings(max_examples=150, deadline=None)
 def test_at_fair_prices_the_bound_is_the_best_matching(k, m, size, seed):
     """Weak duality holds for any prices ≥ 0; these reach it."""
-    log_weight, gain = scan_of(np.random.default_rng(seed), 1, k, m, size=size)
+    _, gain = scan_of(np.random.default_rng(seed), 1, k, m, size=size)
     price, reached = hypotheses._fair_prices(gain[0])
     assert price.shape == (m,)
     assert (price >= 0.0).all()
