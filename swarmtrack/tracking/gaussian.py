@@ -14,6 +14,8 @@ from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import POSITION
 
 LOG_TWO_PI = math.log(2.0 * math.pi)
+IDENTITY = np.eye(4)
+IDENTITY.setflags(write=False)
 
 
 class Innovations(NamedTuple):
@@ -25,11 +27,13 @@ class Innovations(NamedTuple):
 
 def innovations(mean: Array, cov: Array, z: Array, R: Array) -> Innovations:
     """y = z − H x and S = H P Hᵀ + R for n tracks × m measurements; z (m, 2), R (m, 2, 2)."""
-    y = z[None] - mean[:, None, POSITION]
-    S = cov[:, None, POSITION, POSITION] + R[None]
-    a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
+    u, v = z[:, 0] - mean[:, 0, None], z[:, 1] - mean[:, 2, None]
+    a, b, c = (
+        cov[:, 0, 0, None] + R[:, 0, 0],
+        cov[:, 0, 2, None] + R[:, 0, 1],
+        cov[:, 2, 2, None] + R[:, 1, 1],
+    )
     determinant = a * c - b * b
-    u, v = y[..., 0], y[..., 1]
     distance = (c * u * u - 2.0 * b * u * v + a * v * v) / determinant
     return Innovations(distance, -0.5 * (distance + np.log(determinant)) - LOG_TWO_PI)
 
@@ -43,7 +47,7 @@ def update(mean: Array, cov: Array, z: Array, R: Array) -> tuple[Array, Array]:
     PHt = cov[:, :, POSITION]
     S = PHt[:, POSITION] + R
     K = PHt @ _inverse(S)
-    A = np.tile(np.eye(4), (len(mean), 1, 1))
+    A = np.zeros_like(cov) + IDENTITY
     A[:, :, POSITION] -= K
     corrected = mean + (K @ (z - mean[:, POSITION])[:, :, None])[:, :, 0]
     P = A @ cov @ A.swapaxes(1, 2) + K @ R @ K.swapaxes(1, 2)
@@ -53,7 +57,8 @@ def update(mean: Array, cov: Array, z: Array, R: Array) -> tuple[Array, Array]:
 def _inverse(S: Array) -> Array:
     """Of symmetric positive (k, 2, 2): in closed form, ten times faster than a general solver on such small ones."""
     a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
+    determinant = a * c - b * b
     inverse = np.empty_like(S)
-    inverse[:, 0, 0], inverse[:, 1, 1] = c, a
-    inverse[:, 0, 1] = inverse[:, 1, 0] = -b
-    return inverse / (a * c - b * b)[:, None, None]
+    inverse[:, 0, 0], inverse[:, 1, 1] = c / determinant, a / determinant
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -b / determinant
+    return inverse

@@ -23,6 +23,7 @@ LOST_BELOW = 0.1  # existence of a missed track: rather hidden or gone than ther
 # Tangent of 80 degrees off the axis. A pixel further out covers next to nothing, and every turn of the camera would
 # multiply the covariance of what is there, without bound, until it comes back.
 MAX_SLANT = 5.7
+SURELY = 8.5  # sigmas inside the image, where a double tells the probability from one no more
 
 
 def survive(existence: Array, dt: float, p_survival: float) -> Array:
@@ -38,11 +39,15 @@ def reweigh(existence: Array, likelihood_ratio: Array) -> Array:
 
 def probability_in_view(mean: Array, cov: Array, camera: PinholeCamera) -> Array:
     """(n,) that a target's position lies inside the image, its two axes taken as independent."""
-    sigma = np.sqrt(np.maximum(cov[:, [0, 2], [0, 2]], 1e-12))
+    sigma = np.sqrt(np.maximum(cov.diagonal(axis1=1, axis2=2)[:, POSITION], 1e-12))
     low, high = camera.ideal_bounds
-    upper = _normal_cdf((high - mean[:, POSITION]) / sigma)
-    lower = _normal_cdf((low - mean[:, POSITION]) / sigma)
-    return np.asarray((upper - lower).prod(axis=1))
+    above, below = (mean[:, POSITION] - low) / sigma, (high - mean[:, POSITION]) / sigma
+    surely = np.minimum(above, below) > SURELY
+    inside = np.ones(len(mean))
+    if not surely.all():
+        near = ~surely.all(axis=1)
+        inside[near] = (_normal_cdf(below[near]) - _normal_cdf(-above[near])).prod(axis=1)
+    return inside
 
 
 def _normal_cdf(x: Array) -> Array:
@@ -52,8 +57,10 @@ def _normal_cdf(x: Array) -> Array:
 
 def within_reach(mean: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
     """(n,) that a target's direction is one that the image plane can still hold: in front, not grazing it."""
-    position = mean[:, POSITION]
-    ray = (position - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    x, y = (mean[:, 0] - camera.cx) / camera.fx, (mean[:, 2] - camera.cy) / camera.fy
+    near = np.hypot(x, y) < MAX_SLANT
+    if near.all():
+        return np.asarray(near)
     low, high = camera.ideal_bounds
-    shown = ((position >= low) & (position <= high)).all(axis=1)
-    return np.asarray(shown | (np.hypot(ray[:, 0], ray[:, 1]) < MAX_SLANT))
+    shown = ((mean[:, POSITION] >= low) & (mean[:, POSITION] <= high)).all(axis=1)
+    return np.asarray(near | shown)

@@ -52,10 +52,14 @@ class TrackTable:
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Drop every track whose mask (n,) is False."""
+        if mask.all():
+            return
         for column in fields(self):
             setattr(self, column.name, getattr(self, column.name)[mask])
 
     def append(self, other: TrackTable) -> None:
+        if not len(other):
+            return
         for column in fields(self):
             joined = np.concatenate([getattr(self, column.name), getattr(other, column.name)])
             setattr(self, column.name, joined)
