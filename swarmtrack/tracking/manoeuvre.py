@@ -26,7 +26,9 @@ CALM, AGILE = 0, 1
 KINEMATIC = slice(0, 4)
 ACCELERATION = slice(4, 6)
 AXES = ((0, 1, 4), (2, 3, 5))  # position, velocity, acceleration of u and of v
-# Gauss-Legendre nodes and weights on 0…1: integrates the process noise, whose closed form cancels for short steps.
+LEAST_MODE = 1e-12  # a mode's probability never underflows: nothing would bring it back, and 0 / 0 is next
+SHORT = 0.5  # share of an acceleration's time, up to which the process noise is integrated: its closed form cancels
+# Gauss-Legendre nodes and weights on 0…1: with five, exact to 2e-12 for such steps.
 NODES, WEIGHTS = (
     0.5 * (np.polynomial.legendre.leggauss(5)[0] + 1.0),
     0.5 * np.polynomial.legendre.leggauss(5)[1],
@@ -153,6 +155,7 @@ def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, Array
     log_likelihood = -0.5 * ((y * weighted).sum(axis=2) + np.log(determinant))
     fitted = mixture.mode * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     mode = fitted / fitted.sum(axis=1, keepdims=True)
+    mode = LEAST_MODE + (1.0 - 2.0 * LEAST_MODE) * mode
     return ModeMixture(mean, cov, mode), _distance(mixture, z, R)
 
 
@@ -196,9 +199,7 @@ def _transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
     rate, variance = 1.0 / manoeuvres.lasting_s, manoeuvres.acceleration_variance
     F, Q = np.zeros((2, 6, 6)), np.zeros((2, 6, 6))
     reach = _reach(np.array([dt]), rate)[0]
-    steps = _reach(NODES * dt, rate)  # (5, 3): what an impulse that long ago has done to p, v, a
-    agile = 2.0 * rate * variance * dt * (steps * WEIGHTS[:, None]).T @ steps
-    q = manoeuvres.calm_psd
+    agile, q = _singer_noise(dt, rate, variance), manoeuvres.calm_psd
     calm = np.array(
         [[q * dt**3 / 3.0, q * dt**2 / 2.0, 0.0], [q * dt**2 / 2.0, q * dt, 0.0], [0.0, 0.0, variance]]
     )
@@ -208,6 +209,21 @@ def _transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
         F[AGILE][axis] = [[1.0, dt, reach[0]], [0.0, 1.0, reach[1]], [0.0, 0.0, reach[2]]]
         Q[CALM][axis], Q[AGILE][axis] = calm, agile
     return F, Q
+
+
+def _singer_noise(dt: float, rate: float, variance: float) -> Array:
+    """(3, 3) covariance of position, velocity and acceleration after dt, of what began within it."""
+    x = rate * dt
+    if x < SHORT:
+        steps = _reach(NODES * dt, rate)  # (5, 3): what an impulse that long ago has done to p, v, a
+        return np.asarray(2.0 * rate * variance * dt * (steps * WEIGHTS[:, None]).T @ steps)
+    e, e2 = math.exp(-x), math.exp(-2.0 * x)
+    pp = (1.0 - e2 + 2.0 * x + 2.0 / 3.0 * x**3 - 2.0 * x**2 - 4.0 * x * e) / rate**4
+    pv = (1.0 + e2 - 2.0 * e + 2.0 * x * e - 2.0 * x + x**2) / rate**3
+    pa = (1.0 - e2 - 2.0 * x * e) / rate**2
+    vv = (4.0 * e - 3.0 - e2 + 2.0 * x) / rate**2
+    va = (1.0 + e2 - 2.0 * e) / rate
+    return variance * np.array([[pp, pv, pa], [pv, vv, va], [pa, va, 1.0 - e2]])
 
 
 def _reach(t: Array, rate: float) -> Array:
