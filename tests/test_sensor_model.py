@@ -1,10 +1,14 @@
 """What the trackers believe of camera and detector, against what simulated ones do."""
 
+import math
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.tracking import Scan, Tracker
+from swarmtrack.tracking import TRACKERS, Scan, Tracker, create_tracker
 from swarmtrack.tracking.kalman import Kalman, KalmanParameters
 from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
@@ -162,3 +166,71 @@ def test_learning_can_be_switched_off(off):
     model = sensor(clutter_per_scan=0.5, **off)
     model.learn_clutter(100.0)
     assert model.clutter_per_scan == 0.5
+
+
+ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-300, 1e12, 1e300])
+PIXEL = st.floats(-2000.0, 2000.0) | ODD
+
+
+@st.composite
+def odd_scans(draw):
+    """Up to six detections of which anything may be odd, some of them twice."""
+    m = draw(st.integers(0, 6))
+
+    def values(ordinary, *shape):
+        count = m * math.prod(shape)
+        return np.array(draw(st.lists(ordinary | ODD, min_size=count, max_size=count))).reshape(m, *shape)
+
+    z = values(PIXEL, 2)
+    R = values(st.floats(-1.0, 9.0), 2, 2) if draw(st.booleans()) else None
+    size = values(st.floats(1.0, 300.0), 2) if draw(st.booleans()) else None
+    score = values(st.floats(0.0, 1.0)) if draw(st.booleans()) else None
+    if m > 1 and draw(st.booleans()):
+        z[1] = z[0]
+    return Scan(0.5, z, R, size, score)
+
+
+@given(odd_scans())
+@settings(max_examples=300, deadline=None)
+def test_whatever_comes_what_is_usable_is_sound_and_the_rest_is_counted(scan):
+    model = sensor()
+    usable = model.usable(scan)
+    assert len(usable.z) + model.counters["unusable_detections"] == len(scan.z)
+    assert (np.abs(usable.z - [319.5, 239.5]) <= [640.0, 480.0]).all()
+    assert np.isfinite(usable.R).all()
+    assert np.array_equal(usable.R, usable.R.swapaxes(1, 2))
+    assert (np.linalg.eigvalsh(usable.R) > 0.0).all()
+    assert (np.isnan(usable.size).all(axis=1) | (usable.size > 0.0).all(axis=1)).all()
+    assert not (usable.size > 640.0).any()
+    assert ((usable.odds > 0.0) & np.isfinite(usable.odds)).all()
+    assert len(usable.R) == len(usable.size) == len(usable.odds) == len(usable.fit) == len(usable.z)
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+@given(scans=st.lists(odd_scans(), min_size=1, max_size=5))
+@settings(max_examples=40, deadline=None)
+def test_whatever_comes_the_tracks_stay_sound(name, scans):
+    tracker = create_tracker(name, camera=CAMERA, lag_s=0.2)
+    tracker.initiate(0.0, np.array([[300.0, 200.0], [306.0, 203.0]]))
+    for k, scan in enumerate(scans, start=1):
+        with np.errstate(all="raise", under="ignore", divide="ignore"):  # log 0 is −∞, on purpose
+            assert tracker.update(Scan(0.1 * k, scan.z, scan.R, scan.size, scan.score))
+        for track in (*tracker.tracks, *tracker.smoothed):
+            assert np.isfinite(track.mean).all()
+            assert np.linalg.eigvalsh(track.cov).min() > 0.0
+            assert 0.0 <= track.probability <= 1.0
+            assert (np.isnan(track.size) | (track.size > 0.0)).all()
+
+
+def test_an_empty_scan_is_ordinary_and_a_duplicate_is_two_detections():
+    model = sensor()
+    assert len(model.usable(Scan(0.0, np.empty((0, 2)))).z) == 0
+    assert len(model.usable(Scan(0.0, np.array([[50.0, 50.0]] * 2))).z) == 2
+    assert model.counters["unusable_detections"] == 0
+
+
+def test_a_box_larger_than_the_image_hides_nobody():
+    model = sensor()
+    usable = model.usable(Scan(0.0, np.array([[50.0, 50.0]]), size=np.array([[1e12, 20.0]])))
+    assert np.isnan(usable.size).all()
+    assert len(usable.z) == 1

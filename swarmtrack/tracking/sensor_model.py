@@ -17,6 +17,9 @@ from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 
 SIZE_GATE = 3.0
+LEAST_VARIANCE = 1e-6  # px²: who claims to know better is not believed, and no covariance gets singular
+MOST_CORRELATED = 0.9999  # of the errors of u and v
+SCORES = (0.01, 0.99)  # a detector that is surer than that is not believed
 # What the clutter rate that was told is worth: at most so many scans, for targets not yet found look like clutter, nor
 # more than so many false detections, for where ten come with each scan the first one tells more than a guess.
 PRIOR_SCANS, PRIOR_CLUTTER = 20.0, 8.0
@@ -71,21 +74,25 @@ class SensorModel:
         self._occludes = parameters.occlusion and self._uses_boxes
 
     def usable(self, scan: Scan) -> Measurements:
-        """The detections that are finite and near the image; the others are counted."""
-        m = len(scan.z)
-        R = np.tile(self.R, (m, 1, 1)) if scan.R is None else np.asarray(scan.R, dtype=float)
+        """The detections that are finite, near the image and known better than the image is large; the others are
+        counted. A box larger than the image or without extent is none; a detection that came twice is two."""
+        m, told = len(scan.z), self.parameters
+        low, high = self.camera.ideal_bounds
         size, odds, fit = np.full((m, 2), np.nan), np.ones(m), np.ones(m, np.bool_)
         if scan.size is not None and self._uses_boxes:
-            size = np.asarray(scan.size, dtype=float)
+            sensible = (np.asarray(scan.size) > 0.0) & (scan.size < high - low)
+            size = np.where(sensible.all(axis=1)[:, None], scan.size, np.nan)
         if scan.score is not None and self._uses_boxes:
-            score = np.clip(scan.score, 0.01, 0.99)
-            odds = (score / (1.0 - score)) ** self.parameters.score_weight
-            fit = scan.score >= self.parameters.birth_score
-        low, high = self.camera.ideal_bounds
-        near = (np.abs(scan.z - 0.5 * (low + high)) < high - low).all(axis=1)  # NaN compares as False
-        determinant = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
-        sound = np.isfinite(R).all(axis=(1, 2)) & (R[:, 0, 0] > 0.0) & (determinant > 0.0) & np.isfinite(odds)
-        good = near & sound
+            score = np.clip(scan.score, *SCORES)
+            odds = (score / (1.0 - score)) ** told.score_weight
+            fit = np.asarray(scan.score) >= told.birth_score
+        good = (np.abs(scan.z - 0.5 * (low + high)) < high - low).all(axis=1)  # NaN compares as False
+        good &= np.isfinite(odds)
+        if scan.R is None:
+            R = np.tile(self.R, (m, 1, 1))
+        else:
+            R, sound = _sound_covariances(scan.R, largest=float((high - low).max()))
+            good &= sound
         self.counters["unusable_detections"] += m - int(good.sum())
         return Measurements(scan.z, R, size, odds, fit).select(good)
 
@@ -143,6 +150,19 @@ class SensorModel:
         """(m,) that a detection which no track explains is of a new target."""
         birth = self.parameters.birth_per_scan * odds
         return np.minimum(birth / (birth + self.clutter_per_scan), self.parameters.confirm_probability)
+
+
+def _sound_covariances(R: Array, largest: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Covariances R (m, 2, 2) px² made symmetric and no smaller than `LEAST_VARIANCE`, and which (m,) can be used:
+    positive, with sigmas below `largest` px."""
+    R = np.array(R, dtype=float)
+    variance = R[:, [0, 1], [0, 1]]
+    across = np.abs(R[:, [0, 1], [1, 0]])
+    most_across = MOST_CORRELATED * np.sqrt(np.clip(variance, 0.0, largest**2)).prod(axis=1)
+    sound = ((variance > 0.0) & (variance < largest**2) & (across <= most_across[:, None])).all(axis=1)
+    R[:, [0, 1], [0, 1]] = np.maximum(variance, LEAST_VARIANCE)
+    R[:, 0, 1] = R[:, 1, 0]
+    return R, sound
 
 
 def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Array:
