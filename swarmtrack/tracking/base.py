@@ -94,7 +94,7 @@ class Tracker:
         if self._t is None:
             return ()
         table = self._filter.table
-        return table.tracks(self._t, table.mean, table.cov)
+        return table.tracks(self._t, table.mean.copy(), table.cov.copy())  # filters write into theirs
 
     @property
     def smoothed(self) -> tuple[Track, ...]:

@@ -92,6 +92,10 @@ class Kalman:
         confirmed = self.table.confirmed
         sure, free = np.flatnonzero(confirmed), np.flatnonzero(~confirmed)
         rows, columns = most_likely_matching(log_ratio[sure] + np.log(self.table.existence[sure])[:, None])
-        left = np.setdiff1d(np.arange(log_ratio.shape[1]), columns)
+        if not len(free):
+            return sure[rows], columns
+        unclaimed = np.ones(log_ratio.shape[1], np.bool_)
+        unclaimed[columns] = False
+        left = np.flatnonzero(unclaimed)
         more_rows, more_columns = most_likely_matching(log_ratio[np.ix_(free, left)])
         return np.concatenate([sure[rows], free[more_rows]]), np.concatenate([columns, left[more_columns]])

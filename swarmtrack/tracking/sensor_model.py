@@ -172,6 +172,9 @@ def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Ar
     A side that differs by more than `SIZE_GATE` sigma is that of a box around two drones: it speaks against, but no
     louder.
     """
-    deviation = np.abs(np.log(measured[None] / tracks[:, None])) / sigma
+    known, told = np.isfinite(tracks).any(), np.isfinite(measured).any()
+    if not (known and told):
+        return np.zeros((len(tracks), len(measured)))
+    deviation = np.abs(np.log(measured)[None] - np.log(tracks)[:, None]) / sigma
     likelihood = 0.5 * (1.0 - np.minimum(deviation, SIZE_GATE) ** 2)
     return np.asarray(np.nan_to_num(likelihood, nan=0.0).sum(axis=2))
