@@ -171,8 +171,10 @@ class JointProbabilistic(_Associating):
 
 
 class HypothesisDensity(_Peer):
-    """GM-PHD with tags and without births. The library lets the heaviest component keep a tag, so that stands for its
-    target; lighter ones become nobody's.
+    """GM-PHD with tags and without births; the heaviest component of a target's stands for it.
+
+    Where several components share a tag after a scan, the library gives all but the heaviest new ones, and a target
+    that clutter has led astray for one scan would be gone for good. So those new tags are remembered as the target's.
     """
 
     def __init__(self, scene: Scene, parameters: Mapping[str, Any]) -> None:
@@ -197,6 +199,7 @@ class HypothesisDensity(_Peer):
             prune_threshold=PHD_PRUNE, merge_threshold=PHD_MERGE, max_number_components=200
         )
         self._components: list[Any] = []
+        self._target_of: dict[str, int] = {}
 
     def initiate(self, t: float, points: Array) -> list[int]:
         from stonesoup.types.state import TaggedWeightedGaussianState  # noqa: PLC0415
@@ -208,23 +211,36 @@ class HypothesisDensity(_Peer):
             )
             for number, point in enumerate(points)
         ]
+        self._target_of = {str(number): number for number in range(len(points))}
         return list(range(len(points)))
 
     @property
     def tracks(self) -> tuple[Track, ...]:
-        return tuple(
-            self._track(int(component.tag), component)
-            for component in self._components
-            if component.tag.isdecimal()
-        )
+        heaviest: dict[int, Any] = {}
+        for component in sorted(self._components, key=lambda component: float(component.weight)):
+            heaviest[self._target_of[component.tag]] = component
+        return tuple(self._track(number, component) for number, component in sorted(heaviest.items()))
 
     def update(self, scan: Scan) -> bool:
         hypotheses = self._hypothesiser.hypothesise(
             self._components, self._detections(scan), _instant(scan.t)
         )
-        self._components = list(self._reducer.reduce(list(self._density.update(hypotheses))))
+        updated = list(self._density.update(hypotheses))
+        before = [(np.asarray(one.mean, float).ravel(), self._target_of[one.tag]) for one in updated]
+        self._components = list(self._reducer.reduce(updated))
+        targets = {}
+        for component in self._components:
+            known = self._target_of.get(component.tag)
+            targets[component.tag] = _nearest(component, before) if known is None else known
+        self._target_of = targets
         self._t = scan.t
         return True
+
+
+def _nearest(component: Any, before: list[tuple[Array, int]]) -> int:
+    """The target of the component, before merging, that this one is made of."""
+    mean = np.asarray(component.mean, float).ravel()
+    return min(before, key=lambda one: float(np.abs(one[0] - mean).sum()))[1]
 
 
 def _instant(t: float) -> datetime:

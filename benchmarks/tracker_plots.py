@@ -117,7 +117,8 @@ def _conditions(result: Result) -> Any:
                 markersize=7,
                 label=f"{tracker}, paper",
             )
-        panel.set(xlabel=label, yscale="log", xticks=x)
+        panel.set(xlabel=label, yscale="log")
+        panel.set_xticks(x, [f"{value:g}" for value in x], fontsize="small")
         panel.grid(alpha=0.25)
     axes[0].set_ylabel("RMSE, px")
     axes[2].invert_xaxis()

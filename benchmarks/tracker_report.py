@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -274,11 +275,11 @@ def _found(rows: Sequence[Row]) -> str:
                 row["tracker"],
                 _percent(row["tracked_fraction"]),
                 _percent(row["found_in_half_a_second_fraction"]),
-                number(row["find_s"]["median"]),
-                number(row["find_s"]["p95"]),
+                _seconds(row["find_s"]["median"]),
+                _seconds(row["find_s"]["p95"]),
                 number(row["false_tracks_per_min"]["mean"]),
                 _percent(row["dropped_in_a_second_fraction"]),
-                number(row["drop_s"]["max"]),
+                _seconds(row["drop_s"]["max"]),
                 number(row["switches_per_run"]),
             ]
             for row in rows
@@ -378,6 +379,10 @@ def _costs(result: Result) -> str:
         f"A fixed piece of NumPy arithmetic takes {result.reference_ms:.3f} ms here: divide by it to compare machines."
     )
     return "\n".join(parts)
+
+
+def _seconds(value: float) -> str:
+    return "never" if math.isinf(value) else number(value)
 
 
 def _percent(share: float) -> str:

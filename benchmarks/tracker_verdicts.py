@@ -153,7 +153,8 @@ def _births(tracker: str, cells: Mapping[tuple[str, str], Row]) -> Iterator[Verd
             3, f"{name}: false confirmed tracks below 1 per minute", tracker, text, false["mean"] < 1.0
         )
         share, drop = cell["dropped_in_a_second_fraction"], cell["drop_s"]
-        text = f"{100 * share:.1f} %; median {drop['median']:.2f} s, latest {drop['max']:.2f} s"
+        latest = "never" if math.isinf(drop["max"]) else f"{drop['max']:.2f} s"
+        text = f"{100 * share:.1f} %; median {drop['median']:.2f} s, latest {latest}"
         yield Verdict(3, f"{name}: gone targets dropped in 1 s and a scan", tracker, text, share >= ALL)
 
 
