@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from swarmtrack.benchmarks.tracker_play import Score
 from swarmtrack.benchmarks.tracker_scenes import Scene
@@ -59,15 +60,18 @@ def _unannounced(scene: Scene, scores: Sequence[Score]) -> Row:
     find = np.array([seconds for one in found for seconds in one.find_s])
     drop = np.array([seconds for one in found for seconds in one.drop_s])
     minutes = len(found) * scene.scans / scene.rate_hz / 60.0
-    false = mean_interval(np.array([one.false_tracks for one in found], float))
-    per_minute = len(found) / minutes
+    false = sum(one.false_tracks for one in found)
+    low, high = (
+        gammaincinv(max(false, 1e-9), 0.025),
+        gammaincinv(false + 1, 0.975),
+    )  # of a Poisson count, exact
     in_time = DROPPED_WITHIN_S + 1.0 / scene.rate_hz + 1e-6
     return {
         "tracked_fraction": float(np.mean([one.tracked for one in found])),
         "switches_per_run": float(np.mean([one.switches for one in found])),
         "false_tracks_per_min": {
-            "mean": false.value * per_minute,
-            "ci95": [max(false.low, 0.0) * per_minute, false.high * per_minute],
+            "mean": false / minutes,
+            "ci95": [float(low) / minutes, float(high) / minutes],
         },
         "targets": len(find),
         "found_in_half_a_second_fraction": float(np.mean(find <= FOUND_WITHIN_S + 1e-9)),
