@@ -24,9 +24,9 @@ from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.marginals import beliefs, matching_marginals
-from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.parameters import CommonParameters
-from swarmtrack.tracking.population import FADED, Population, blend_sizes
+from swarmtrack.tracking.population import FADED, Population
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.table import TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
@@ -98,7 +98,7 @@ class Jpdaf:
         table = self.table
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         distance, log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured)
-        newcomer = np.where(measured.fit, self._sensor.birth_existence(measured.odds), 0.0)
+        newcomer = self._sensor.birth_existence(measured.odds)
         detectable = table.existence * visibility.p_detection
         share = self._shares(log_ratio + np.log1p(-newcomer), detectable)
 
@@ -116,7 +116,7 @@ class Jpdaf:
         seen = detected >= SEEN
         if seen.any():
             best = share[seen].argmax(axis=1)
-            table.size[seen] = blend_sizes(table.size[seen], measured.size[best])
+            self._population.learn_looks(seen, measured.select(best))
         self._population.judge(t, seen, visibility)
         nis = distance[(share > SURELY) & table.confirmed[:, None]]
         unexplained = np.maximum(1.0 - share.sum(axis=0), 0.0)
@@ -188,34 +188,37 @@ def combined(mean: Array, cov: Array, z: Array, R: Array, share: Array) -> tuple
     i, j = np.nonzero(share)
     if not i.size:
         return mean, cov
-    x, shrinks = _explanations(cov[i], R[j], z[j] - mean[i][:, POSITION])
+    P, C = cov[:, POSITION, POSITION], cov[:, VELOCITY, POSITION]
+    x, shrinks = _explanations(P[i].reshape(-1, 4).T, R[j].reshape(-1, 4).T, (z[j] - mean[i][:, POSITION]).T)
     terms = np.concatenate([np.ones_like(x[:1]), x, x[:1] * x, x[1:] * x, shrinks]) * share[i, j]
-    first = np.flatnonzero(np.concatenate([[True], i[1:] != i[:-1]]))
+    first = np.concatenate([[True], i[1:] != i[:-1]]).nonzero()[0]
     sums = np.add.reduceat(terms, first, axis=1).T
     rows, step = i[first], sums[:, 1:3]
-    before = cov[rows]
-    P = before[:, POSITION, POSITION]
-    missed = (1.0 - sums[:, 0])[:, None, None] * np.eye(2)
-    posterior = P @ (missed + sums[:, 7:].reshape(-1, 2, 2))
+    prior = P[rows]
+    posterior = prior @ ((1.0 - sums[:, :1, None]) * np.eye(2) + sums[:, 7:].reshape(-1, 2, 2))
     posterior += sums[:, 3:7].reshape(-1, 2, 2) - step[:, :, None] * step[:, None]
     posterior = 0.5 * (posterior + posterior.swapaxes(1, 2))
-    L = before[:, :, POSITION] @ np.linalg.inv(P)
-    A = np.tile(np.eye(4), (len(rows), 1, 1))
-    A[:, :, POSITION] -= L
-    after = A @ before @ A.swapaxes(1, 2) + L @ posterior @ L.swapaxes(1, 2)
+    follows = C[rows] @ np.linalg.inv(prior)
+    change = np.empty((len(rows), 4))
+    change[:, POSITION], change[:, VELOCITY] = step, (follows @ step[:, :, None])[:, :, 0]
+    across = follows @ posterior
+    after = cov[rows]
+    V = after[:, VELOCITY, VELOCITY] + follows @ (posterior - prior) @ follows.swapaxes(1, 2)
+    after[:, POSITION, POSITION], after[:, VELOCITY, VELOCITY] = posterior, 0.5 * (V + V.swapaxes(1, 2))
+    after[:, VELOCITY, POSITION], after[:, POSITION, VELOCITY] = across, across.swapaxes(1, 2)
     mean, cov = mean.copy(), cov.copy()
-    mean[rows] += (L @ step[:, :, None])[:, :, 0]
-    cov[rows] = 0.5 * (after + after.swapaxes(1, 2))
+    mean[rows] += change
+    cov[rows] = after
     return mean, cov
 
 
-def _explanations(cov: Array, R: Array, y: Array) -> tuple[Array, Array]:
-    """x = P S⁻¹ y (2, k) and S⁻¹ R (4, k), row by row, of k pairs: cov (k, 4, 4), R (k, 2, 2), y (k, 2)."""
-    Puu, Puv, Pvv = cov[:, 0, 0], cov[:, 0, 2], cov[:, 2, 2]
-    Ruu, Ruv, Rvv = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
+def _explanations(P: Array, R: Array, y: Array) -> tuple[Array, Array]:
+    """x = P S⁻¹ y (2, k) and S⁻¹ R (4, k) of k pairs; P (4, k), R (4, k), y (2, k). Matrices are row by row."""
+    Puu, Puv, _, Pvv = P
+    Ruu, Ruv, _, Rvv = R
     a, b, c = Puu + Ruu, Puv + Ruv, Pvv + Rvv
     determinant = a * c - b * b
     a, b, c = a / determinant, b / determinant, c / determinant  # S⁻¹ is [[c, -b], [-b, a]]
-    u, v = c * y[:, 0] - b * y[:, 1], a * y[:, 1] - b * y[:, 0]
+    u, v = c * y[0] - b * y[1], a * y[1] - b * y[0]
     x = np.stack([Puu * u + Puv * v, Puv * u + Pvv * v])
     return x, np.stack([c * Ruu - b * Ruv, c * Ruv - b * Rvv, a * Ruv - b * Ruu, a * Rvv - b * Ruv])

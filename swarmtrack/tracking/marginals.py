@@ -80,10 +80,10 @@ def matching_marginals(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | 
     contested = allowed & (np.count_nonzero(allowed, axis=0) > 1)
     disputing = contested.any(axis=1)
     probability = np.zeros(log_ratio.shape)
-    undisputed = np.flatnonzero(~disputing)
-    probability[undisputed] = _of_choices(log_ratio[undisputed])
+    if not disputing.all():
+        probability[~disputing] = _of_choices(log_ratio[~disputing])
     for rows, columns in _clusters(allowed, np.flatnonzero(disputing).tolist()):
-        block = np.ix_(rows, columns)
+        block = rows[:, None], columns
         probability[block] = _of_cluster(log_ratio[block], widest, beyond or _of_thinned)
     return probability
 
@@ -91,7 +91,7 @@ def matching_marginals(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | 
 def sweep_width(log_ratio: Array) -> int:
     """How many rows are open at once at most, in the sweep over all allowed pairs."""
     allowed = log_ratio > -np.inf
-    blocks = [allowed[np.ix_(rows, columns)] for rows, columns in _clusters(allowed, range(len(allowed)))]
+    blocks = [allowed[rows[:, None], columns] for rows, columns in _clusters(allowed, range(len(allowed)))]
     return max((min(_sweep_order(block)[1], _sweep_order(block.T)[1]) for block in blocks), default=0)
 
 
