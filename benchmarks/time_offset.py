@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.benchmarks import report
 from swarmtrack.evaluation.intervals import bootstrap_interval, fraction_interval, mean_interval
@@ -198,7 +199,9 @@ def _play(sensed: Sensed, offset_s: float, tracker: str, seconds: float) -> Run:
             onboard.take_reports()
         else:
             judged.append(_judge(onboard, offset_s, sensed.bias))
-    return Run(offset_s, *np.array(judged).T, onboard.counters.late_scans, sensed.limit_s)
+    errors, sigmas, worst, rms, bias_sigmas = np.array(judged).T
+    late = onboard.counters.late_scans
+    return Run(offset_s, errors, sigmas, worst, rms, bias_sigmas, late, sensed.limit_s)
 
 
 def _judge(onboard: Onboard, offset_s: float, bias: Array) -> tuple[float, float, float, float, float]:
@@ -273,7 +276,7 @@ def _bias(runs: list[Run]) -> dict[str, Any]:
     }
 
 
-def _first(sure: Array) -> float:
+def _first(sure: NDArray[np.bool_]) -> float:
     """Seconds until it first was; NaN if never."""
     return float(np.argmax(sure) + 1) if sure.any() else math.nan
 
@@ -339,8 +342,10 @@ def _markdown(result: dict[str, Any]) -> str:
         "σ < 0.001 after, s",
     ]
     biases = [
-        [name, f"{b['rms_rad_s']:.5f}", f"{b['worst_rad_s']:.5f}", f"{100 * b['within']:.0f}"]
-        + [f"{b['sigma_rad_s']:.5f}", f"{b['nees']:.2f}", report.number(b["seconds_until_sure"], 0)]
+        [
+            *(name, f"{b['rms_rad_s']:.5f}", f"{b['worst_rad_s']:.5f}", f"{100 * b['within']:.0f}"),
+            *(f"{b['sigma_rad_s']:.5f}", f"{b['nees']:.2f}", report.number(b["seconds_until_sure"], 0)),
+        ]
         for name, entry in result["by_condition"].items()
         for b in [entry["bias"]]
     ]
@@ -348,9 +353,9 @@ def _markdown(result: dict[str, Any]) -> str:
         [
             "# The camera's time offset and the gyro's bias, found in flight",
             "",
-            f"After {result['seconds']:g} s of simulated flight, tracker `{result['tracker']}`, {result['seeds']} seeds;"
-            " 95 % intervals. NEES: mean squared error over claimed variance, 1 where σ is honest, less where it is"
-            " modest.",
+            f"After {result['seconds']:g} s of simulated flight, tracker `{result['tracker']}`,"
+            f" {result['seeds']} seeds; 95 % intervals. NEES: mean squared error over claimed variance, 1 where σ is"
+            " honest, less where it is modest.",
             "",
             f"## Time offset, {result['by_offset']['condition']}",
             "",

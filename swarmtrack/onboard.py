@@ -296,12 +296,12 @@ class Onboard:
         turn = rotation_between(self._orientation or orientation, orientation)
         self._tracker.predict(t, turn.matrix, turn.variance)
         scan = _scan(detections, t, self._camera, self._measurement_sigma)
+        self.clock.see(detections.t, scan, self._camera)
         self._tracker.update(scan)
         self._orientation = orientation
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._tracker.tracks
-        self.clock.see(detections.t, scan, tracks, self._camera)
         observer = self._ego.at(t)
         if observer is not None:
             self._identities.observe(tracks, observer)

@@ -2,17 +2,21 @@
 
 Theory of operation. Turned by the gyro's orientation at their exposure into a frame that does not turn, the bearings of
 a target change smoothly, whatever the camera does. Turned by the orientation of another instant they shake with the
-camera's own rate. So for each offset of a grid one small Kalman filter a track follows the turned bearings, and the
+camera's own rate. So for each offset of a grid one small Kalman filter a target follows the turned bearings, and the
 offset whose filters are surprised least is the likeliest: the likelihood of the innovations, which are white and need
-no correction for overlap. All filters of a track share one covariance, which does not know of the offset; only their
+no correction for overlap. All filters of a target share one covariance, which does not know of the offset; only their
 means differ. How agile targets are is not told but found: each filter comes in a few densities of acceleration, in
 units of the measurement's variance, and the scale of both is what the innovations say.
 
 How sure it is comes from three sums. The information is that of the innovations' slope over the offset, less what the
 gyro's own noise puts into it (the camera that stands still has nothing else, and says nothing). The scatter of the
-score is summed over blocks of seconds, which takes in whatever the model has wrong and whatever the tracks have in
-common; the larger of it and the information is used (White (1982), the sandwich; Newey & West (1987) for the blocks).
+score is summed over blocks of seconds, which takes in whatever the model has wrong and whatever the targets have in
+common; it is trusted as far as there are blocks (White (1982), the sandwich; Newey & West (1987) for the blocks).
 Old evidence fades within a minute, since clocks and exposure times do change.
+
+Which detections are one target's is judged here and not taken from the tracker: one that flies by a wrong offset keeps
+the detections that agree with it. A target goes on with a detection that is alone in its gate, the gate being open for
+all offsets that are still likely; where there is a choice, nothing is learned.
 
 Only changes of the rate count: a constant rate turns all bearings by the same angle, at any offset.
 """
@@ -21,31 +25,33 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, Scan, Track, TrackStatus
+from swarmtrack.messages import Array, Scan
 from swarmtrack.motion.gyro import GyroHistory, Orientation, Orientations
 
 REACH = 0.15  # s about the start value that are searched
 STEP = 0.01  # s: a rotation of 5 Hz still is a parabola about its minimum
 HALF = 2  # steps to either side over which slopes are taken: fewer let the gyro's noise in
 AGILITIES = 430.0**2 * np.array([1e-4, 1e-3, 1e-2, 1e-1])  # rad²/s³ by rad² of a bearing's variance
-SPEED_SIGMA = 0.5  # rad/s of a target that is new
+SPEED_SIGMA = 0.2  # rad/s of a target that is new
 FADES = 60.0  # s in which evidence loses all but 1/e of its weight
 BLOCK = 2.0  # s over which scores may be correlated
+PRIOR_BLOCKS = 4.0  # whose scores scatter as the information says
 MIN_EVIDENCE = 5.0  # s: with less, three blocks cannot say how they scatter
 MIN_COMPONENTS = 60.0  # of innovations, likewise
-GATE = 16.0  # squared innovations over their variance, at the best offset: beyond, it was another thing's detection
+GATE = 16.0  # squared innovations over their variance, at whichever offset suits best
+LIKELY = 30.0  # log-likelihood below the best, down to which an offset's gates stay open
+ESTABLISHED = 3  # detections in a row, until then clutter is as likely
 SCALE_STEP = 0.05  # of the gate's own scale, for each innovation
-MAX_LAPSE = 1.0  # s without a detection: the target is followed anew
+MAX_LAPSE = 0.5  # s without a detection: the target is followed anew
 MAX_TURN_VARIANCE = 3e-3**2  # rad²: a gap in the gyro's samples, and nothing is known across it
-MAX_TRACKS = 8
-NEAR = 4.0  # sigmas of a track's position after the scan, within which its detection lies
+MAX_TARGETS = 8
+MAX_DETECTIONS = 24  # of a scan that are looked at
 WAITS = (
     0.05 + 2.0 * REACH
 )  # s: by then the gyro has passed whatever may be asked of it, early stamps included
@@ -96,7 +102,7 @@ class CameraClock:
         self._evidence.advance(gyro, stamp)
         if stamp - self._judged >= JUDGED_EVERY:
             self._judged = stamp
-            self._found = found = self._evidence.estimate()
+            self._found = found = self._evidence.estimate
             if found and found.sigma_s < SURE and abs(found.offset_s - self._aim_s) > 2.0 * found.sigma_s:
                 self._aim_s = found.offset_s
         most = SLEW * (
@@ -106,47 +112,24 @@ class CameraClock:
         self._newest = stamp
         return stamp + self.used_s
 
-    def see(self, stamp: float, scan: Scan, tracks: Sequence[Track], camera: PinholeCamera) -> None:
-        """A scan with that stamp, and the tracks it led to: which of its measurements are whose, raw."""
+    def see(self, stamp: float, scan: Scan, camera: PinholeCamera) -> None:
+        """What a scan with that stamp measured."""
         if self._evidence is None:
             return
-        rows, ids = _whose(scan, tracks)
-        z = scan.z[rows]
-        bearings = camera.bearing_undistorted(z)
+        bearings = camera.bearing_undistorted(scan.z)
         # A pixel at the border covers less of an angle, by cos² along the radius and by cos across it.
         variance = bearings[:, 2] ** 3 / (camera.fx * camera.fy)
         if scan.R is not None:
-            variance *= np.sqrt(np.linalg.det(scan.R[rows]))
+            with np.errstate(invalid="ignore"):
+                variance = variance * np.sqrt(np.linalg.det(scan.R))
         sound = np.isfinite(variance) & (variance > 0.0)
-        known = tuple(i for i, good in zip(ids, sound, strict=True) if good)
-        self._evidence.see(stamp, known, bearings[sound], variance[sound])
-
-
-def _whose(scan: Scan, tracks: Sequence[Track]) -> tuple[list[int], tuple[int, ...]]:
-    """Rows of the measurements that surely are a track's, and of which.
-
-    The nearest to a track that this scan confirmed, if near, and of no other track; a rare mistake is for the gate.
-    """
-    seen = [k for k in tracks if k.status is TrackStatus.CONFIRMED and k.coasting_since is None]
-    if not seen or not len(scan.z):
-        return [], ()
-    means = np.array([k.mean[::2] for k in seen])
-    distance = ((scan.z[None] - means[:, None]) ** 2).sum(axis=2)
-    reach = NEAR**2 * np.array([k.cov[0, 0] + k.cov[2, 2] for k in seen])
-    nearest = distance.argmin(axis=1)
-    pairs = {
-        int(row): k.id
-        for row, k, d, limit in zip(nearest, seen, distance.min(axis=1), reach, strict=True)
-        if d <= limit and (nearest == row).sum() == 1
-    }
-    return list(pairs), tuple(pairs.values())
+        self._evidence.see(stamp, bearings[sound], variance[sound])
 
 
 class _Bearings(NamedTuple):
-    """What one scan saw of known targets: ids (n,), unit vectors (n, 3), their variance (n,) rad² per axis."""
+    """What one scan saw: unit vectors (m, 3), their variance (m,) rad² per axis."""
 
     t: float
-    ids: tuple[int, ...]
     bearings: Array
     variance: Array
 
@@ -168,29 +151,37 @@ class TimeOffset:
         self._block_ends = -math.inf
         self._components = 0.0
         self._seconds = 0.0
-        self._best = (len(AGILITIES) // 2, len(_GRID) // 2)
+        self._agility = len(AGILITIES) // 2  # the likeliest
+        self._likely = np.ones(len(_GRID), dtype=bool)
         self._gate_scale = 1.0
+        self._judged = -math.inf
+        self.estimate: OffsetEstimate | None = None
+        """The likeliest offset; None while nothing was learned of it, or it lies at the end of what is searched."""
 
-    def see(self, t: float, ids: tuple[int, ...], bearings: Array, variance: Array) -> None:
-        """A scan stamped t saw the targets `ids` (n,) on bearings (n, 3), unit, of variance (n,) rad² per axis."""
+    def see(self, t: float, bearings: Array, variance: Array) -> None:
+        """A scan stamped t saw bearings (m, 3), unit vectors, of variance (m,) rad² per axis."""
         if self._waiting and t <= self._waiting[-1].t:
             return
-        n = MAX_TRACKS
-        self._waiting.append(_Bearings(t, ids[:n], bearings[:n], variance[:n]))
+        m = MAX_DETECTIONS
+        self._waiting.append(_Bearings(t, bearings[:m], variance[:m]))
 
     def advance(self, gyro: GyroHistory, t: float) -> None:
         """Take what is old enough at the stamp t. It depends on t alone, not on who arrived first."""
         while self._waiting and self._waiting[0].t + WAITS <= t:
-            self._take(self._waiting.popleft(), gyro)
+            scan = self._waiting.popleft()
+            self._take(scan, gyro)
+            if scan.t >= self._judged + JUDGED_EVERY:
+                self._judged = scan.t
+                self.estimate = self._judge()
 
-    def estimate(self) -> OffsetEstimate | None:
-        """The likeliest offset; None while nothing was learned of it, or it lies at the end of what is searched."""
+    def _judge(self) -> OffsetEstimate | None:
         if self._seconds < MIN_EVIDENCE or self._components < MIN_COMPONENTS:
             return None
         # The likelihood with the best common scale of all variances put in.
         scale = self._cost / self._components
         surprise = 0.5 * (self._components * np.log(scale) + self._log_det[:, None])
-        q, k = self._best = divmod(int(surprise.argmin()), len(_GRID))
+        q, k = divmod(int(surprise.argmin()), len(_GRID))
+        self._agility, self._likely = q, surprise[q] < surprise[q, k] + LIKELY
         if not EDGE <= k < len(_GRID) - EDGE:
             return None
         s2 = scale[q, k]
@@ -200,7 +191,9 @@ class TimeOffset:
         signal = information - self._noise / s2
         if curvature <= 0.0 or signal <= 0.0:
             return None
-        scatter = max(self._scatter[q, k] / s2**2, information)
+        # A few blocks scatter by chance: the information counts as some more of them.
+        scatter, blocks = self._scatter[q, k] / s2**2, self._seconds / BLOCK
+        scatter = max(scatter, (blocks * scatter + PRIOR_BLOCKS * information) / (blocks + PRIOR_BLOCKS))
         # Where the evidence has several hills, how far they lie apart.
         weight = np.exp(signal**2 / (scatter * information) * (surprise[q, k] - surprise[q]))
         weight /= weight.sum()
@@ -224,8 +217,7 @@ class TimeOffset:
             self._scatter += self._score**2
             self._score = np.zeros_like(self._score)
             self._block_ends = scan.t + BLOCK
-        if scan.ids:
-            self._learn(scan, orientations)
+        self._learn(scan, orientations)
 
     def _lost(self, orientation: Orientation, t: float) -> bool:
         assert self._last is not None
@@ -245,16 +237,32 @@ class TimeOffset:
     def _learn(self, scan: _Bearings, orientations: Orientations) -> None:
         of_axes = orientations.matrices.transpose(2, 1, 0).reshape(3, -1)
         turned = (scan.bearings @ of_axes).reshape(-1, 3, len(_GRID))
-        slots, known = self._targets.slots(scan.t, scan.ids)
-        y, S = self._targets.innovations(scan.t, slots[known], turned[known], scan.variance[known])
-        theirs = self._accept(y, S)
-        followed = known.copy()
-        followed[known] = theirs
-        y, S = y[theirs], S[theirs]
-        self._targets.correct(slots[followed], y, S)
-        self._targets.begin(scan.t, slots[~followed], turned[~followed], scan.variance[~followed])
-        if not len(y):
-            return
+        targets = self._targets
+        targets.predict(scan.t)
+        near = self._near(turned, scan.variance)
+        sure = near & (near.sum(axis=1, keepdims=True) == 1) & (near.sum(axis=0) == 1)
+        rows, columns = np.nonzero(sure)
+        slots = targets.slots[rows]
+        y, S = targets.innovations(slots, turned[columns], scan.variance[columns])
+        known = targets.hits[slots] >= ESTABLISHED
+        targets.correct(slots, y, S)
+        targets.leave_out(near.sum(axis=1) == 0)
+        new = ~near.any(axis=0)
+        targets.begin(turned[new], scan.variance[new])
+        if known.any():
+            self._add(y[known], S[known], scan.variance[columns][known], orientations.noise)
+
+    def _near(self, turned: Array, variance: Array) -> NDArray[np.bool_]:
+        """Which of the detections (m, 3, g) lie in which target's gate, (n, m)."""
+        q, g, targets = self._agility, self._likely, self._targets
+        prior = targets.mean[targets.slots, q, 0][..., g]
+        e = turned[None, :, :, g] - prior[:, None]
+        S = targets.cov[targets.slots, q, 0][:, None] + variance
+        inside: NDArray[np.bool_] = (e * e).sum(axis=2).min(axis=2) < GATE * self._gate_scale * S
+        return inside
+
+    def _add(self, y: Array, S: Array, variance: Array, gyro_noise: float) -> None:
+        """Learn from innovations y (n, q, 3, g) of variance S (n, q), of bearings of the given variance (n,)."""
         d = (y * y).sum(axis=2) / S[:, :, None]  # (n, q, g)
         slopes = (y[..., 2 * HALF :] - y[..., : -2 * HALF]) / _SPAN
         self._cost += d.sum(axis=0)
@@ -262,67 +270,66 @@ class TimeOffset:
         self._components += 2.0 * len(y)
         self._information[:, _INNER] += ((slopes * slopes).sum(axis=2) / S[:, :, None]).sum(axis=0)
         # White noise, summed over the span; the innovations' filter raises it by no more than S over the variance.
-        self._noise += float((2.0 * orientations.noise / _SPAN / scan.variance[followed]).sum())
+        self._noise += float((2.0 * gyro_noise / _SPAN / variance).sum())
         self._score[:, _INNER] += 0.5 * (d[:, :, 2 * HALF :] - d[:, :, : -2 * HALF]).sum(axis=0) / _SPAN
-
-    def _accept(self, y: Array, S: Array) -> NDArray[np.bool_]:
-        """Which innovations y (n, q, 3, g) of variance S (n, q) are their target's, (n,).
-
-        Judged at the best agility and whichever offset suits best, by a scale of its own: one that follows the median
-        finds its way even from where nothing is accepted.
-        """
-        q = self._best[0]
-        least = (y[:, q] ** 2).sum(axis=1).min(axis=1) / S[:, q]
-        accepted: NDArray[np.bool_] = least < GATE * self._gate_scale
+        # Steps towards the median find it even from where most fall outside the gate.
+        least = d[:, self._agility].min(axis=1)
         above = float(np.sign(least - 2.0 * math.log(2.0) * self._gate_scale).sum())
         self._gate_scale *= math.exp(SCALE_STEP * above)
-        return accepted
 
 
 class _Targets:
     """The filters: each target's bearing in a frame that does not turn, and its speed, as of each offset.
 
-    mean (slot, q, 2, 3, g) rad, rad/s; cov (slot, q, 3): variance of the bearing, covariance, variance of the speed.
+    mean (slot, q, 2, 3, g) rad, rad/s; cov (slot, q, 3): variance of the bearing, covariance, variance of the speed;
+    hits (slot,): detections so far, 0 where a slot is free; slots (n,): those that are not.
     """
 
     def __init__(self) -> None:
-        self._slot_of: dict[int, int] = {}
-        self._seen = np.full(MAX_TRACKS, -math.inf)
-        self._mean = np.zeros((MAX_TRACKS, len(AGILITIES), 2, 3, len(_GRID)))
-        self._cov = np.zeros((MAX_TRACKS, len(AGILITIES), 3))
+        self.mean = np.zeros((MAX_TARGETS, len(AGILITIES), 2, 3, len(_GRID)))
+        self.cov = np.zeros((MAX_TARGETS, len(AGILITIES), 3))
+        self.hits = np.zeros(MAX_TARGETS, dtype=int)
+        self.slots = np.flatnonzero(self.hits)
+        self._psd = np.zeros((MAX_TARGETS, len(AGILITIES)))
+        self._seen = np.zeros(MAX_TARGETS)
+        self._t = 0.0
 
-    def slots(self, t: float, ids: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Where each target has its filters, (n,), and whether it had them before; who is new takes the oldest's."""
-        known = np.array([i in self._slot_of and t - self._seen[self._slot_of[i]] <= MAX_LAPSE for i in ids])
-        for i in ids:
-            if i not in self._slot_of:
-                kept = {slot for other, slot in self._slot_of.items() if other in ids}
-                slot = min(set(range(MAX_TRACKS)) - kept, key=lambda free: self._seen[free])
-                self._slot_of = {other: s for other, s in self._slot_of.items() if s != slot} | {i: slot}
-        return np.array([self._slot_of[i] for i in ids]), known
+    def predict(self, t: float) -> None:
+        """Carry all on to t; who was not seen for too long is gone."""
+        dt, self._t = t - self._t, t
+        self.hits[t - self._seen > MAX_LAPSE] = 0
+        slots = self.slots = np.flatnonzero(self.hits)
+        self.mean[slots, :, 0] += dt * self.mean[slots, :, 1]
+        p, c, v = self.cov[slots].transpose(2, 0, 1)
+        psd = self._psd[slots]
+        p, c = p + dt * (2.0 * c + dt * v) + psd * dt**3 / 3.0, c + dt * v + psd * dt**2 / 2.0
+        self.cov[slots] = np.array([p, c, v + psd * dt]).transpose(1, 2, 0)
 
-    def innovations(
-        self, t: float, slots: NDArray[np.intp], turned: Array, variance: Array
-    ) -> tuple[Array, Array]:
-        """Carry these targets on to t. Returns y (n, q, 3, g) of the bearings turned (n, 3, g), and S (n, q)."""
-        dt = (t - self._seen[slots])[:, None]
-        psd = AGILITIES * variance[:, None]
-        self._mean[slots, :, 0] += dt[:, :, None, None] * self._mean[slots, :, 1]
-        p, c, v = self._cov[slots].transpose(2, 0, 1)
-        p = p + dt * (2.0 * c + dt * v) + psd * dt**3 / 3.0
-        self._cov[slots] = np.array([p, c + dt * v + psd * dt**2 / 2.0, v + psd * dt]).transpose(1, 2, 0)
-        self._seen[slots] = t
-        return turned[:, None] - self._mean[slots, :, 0], p + variance[:, None]
+    def innovations(self, slots: NDArray[np.intp], turned: Array, variance: Array) -> tuple[Array, Array]:
+        """y (n, q, 3, g) of the bearings turned (n, 3, g), and their variance S (n, q)."""
+        return turned[:, None] - self.mean[slots, :, 0], self.cov[slots, :, 0] + variance[:, None]
 
     def correct(self, slots: NDArray[np.intp], y: Array, S: Array) -> None:
-        p, c, v = self._cov[slots].transpose(2, 0, 1)
-        self._mean[slots, :, 0] += (p / S)[:, :, None, None] * y
-        self._mean[slots, :, 1] += (c / S)[:, :, None, None] * y
-        self._cov[slots] = np.array([p - p * p / S, c - p * c / S, v - c * c / S]).transpose(1, 2, 0)
+        p, c, v = self.cov[slots].transpose(2, 0, 1)
+        self.mean[slots, :, 0] += (p / S)[:, :, None, None] * y
+        self.mean[slots, :, 1] += (c / S)[:, :, None, None] * y
+        self.cov[slots] = np.array([p - p * p / S, c - p * c / S, v - c * c / S]).transpose(1, 2, 0)
+        self.hits[slots] += 1
+        self._seen[slots] = self._t
 
-    def begin(self, t: float, slots: NDArray[np.intp], turned: Array, variance: Array) -> None:
-        self._seen[slots] = t
-        self._mean[slots, :, 0] = turned[:, None]
-        self._mean[slots, :, 1] = 0.0
-        self._cov[slots] = np.array([1.0, 0.0, 0.0]) * variance[:, None, None]
-        self._cov[slots, :, 2] = SPEED_SIGMA**2
+    def leave_out(self, missing: NDArray[np.bool_]) -> None:
+        """missing (n,): which of the targets have no detection in their gate; one that is new must have."""
+        missed = self.slots[missing]
+        self.hits[missed[self.hits[missed] < ESTABLISHED]] = 0
+
+    def begin(self, turned: Array, variance: Array) -> None:
+        """New targets at bearings turned (n, 3, g), as many as there is room for."""
+        slots = np.flatnonzero(self.hits == 0)[: len(turned)]
+        turned, variance = turned[: len(slots)], variance[: len(slots)]
+        self.mean[slots, :, 0] = turned[:, None]
+        self.mean[slots, :, 1] = 0.0
+        self.cov[slots] = np.array([1.0, 0.0, 0.0]) * variance[:, None, None]
+        self.cov[slots, :, 2] = SPEED_SIGMA**2
+        self._psd[slots] = AGILITIES * variance[:, None]
+        self.hits[slots] = 1
+        self._seen[slots] = self._t
