@@ -357,7 +357,8 @@ class Mbm:
             np.add.at(weight, disputed_rows, np.repeat(cluster.weight, len(cluster.tracks)))
 
         hit, n = told.column >= 0, len(self.table)
-        seen = np.bincount(leaves.owner, weight * hit, n) >= 0.5
+        published = np.concatenate([undisputed, *(cluster.leaf[0] for cluster in continued)])
+        seen = np.bincount(leaves.owner[published], hit[published], n) > 0.0
         self.table.existence = np.bincount(leaves.owner, weight * leaves.existence, n)
         confirmed_before = self.table.confirmed[leaves.owner]
         lone = (weighed.gain > -np.inf).sum(axis=1) == 1
