@@ -279,16 +279,20 @@ def test_the_probability_of_being_in_view_is_that_of_the_normal_distribution(off
 
 
 @every_tracker
-def test_a_doubtful_detection_carries_a_track_on_but_starts_none(name):
+def test_a_doubtful_detection_carries_a_track_on_but_confirms_none(name):
     tracker = create_tracker(name, camera=CAMERA, birth_score=0.5)
     for k in range(20):
         score = 0.8 if k < 8 else 0.3
         z = np.array([[100.0 + 2 * k, 100.0], [400.0, 300.0]])
         tracker.predict(k / 15)
         tracker.update(Scan(k / 15, z, score=np.array([score, 0.3])))
-    (track,) = tracker.tracks
+    (track,) = confirmed(tracker.tracks)
     assert track.mean[::2] == pytest.approx([138.0, 100.0], abs=3.0)
     assert track.coasting_since is None
+    assert {track.status for track in tracker.tracks} == {
+        "confirmed",
+        "tentative",
+    }  # the doubtful one is followed
 
 
 @every_tracker

@@ -19,11 +19,12 @@ Indices = NDArray[np.intp]
 
 class Cluster(NamedTuple):
     """h hypotheses about k tracks. tracks (k,): rows of the table; leaf (h, k): rows of the leaves; log_weight (h,),
-    best first; their exponentials add up to one."""
+    best first; their exponentials add up to one. shown: the hypothesis that is published."""
 
     tracks: Indices
     leaf: Indices
     log_weight: Array
+    shown: int = 0
 
     @property
     def weight(self) -> Array:
@@ -39,6 +40,7 @@ def product(first: Cluster, second: Cluster, count: int) -> Cluster:
         np.concatenate([first.tracks, second.tracks]),
         np.concatenate([first.leaf[a], second.leaf[b]], axis=1),
         normalised(log_weight[best]),
+        int(((a == first.shown) & (b == second.shown)).argmax()),
     )
 
 
@@ -50,7 +52,8 @@ def merged(cluster: Cluster) -> Cluster:
     log_weight = np.full(len(leaves), -np.inf)
     np.logaddexp.at(log_weight, inverse.ravel(), cluster.log_weight)
     order = np.argsort(-log_weight, kind="stable")
-    return Cluster(cluster.tracks, cluster.leaf[first[order]], normalised(log_weight[order]))
+    shown = int((order == inverse.ravel()[cluster.shown]).argmax())
+    return Cluster(cluster.tracks, cluster.leaf[first[order]], normalised(log_weight[order]), shown)
 
 
 def in_dispute(cluster: Cluster) -> Cluster | None:

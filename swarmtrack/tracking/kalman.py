@@ -19,7 +19,7 @@ from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import of_sure_pairs
 from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.parameters import CommonParameters
-from swarmtrack.tracking.population import Population, blend_sizes
+from swarmtrack.tracking.population import Population
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.table import TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
@@ -62,7 +62,7 @@ class Kalman:
         self._population.drop(t)
         taken, explained = self._associate(t, measured)
         self._population.drop(t)
-        self._population.give_birth(t, measured.select(measured.fit & ~taken))
+        self._population.give_birth(t, measured.select(~taken))
         return explained
 
     def _associate(self, t: float, measured: Measurements) -> tuple[NDArray[np.bool_], Explained]:
@@ -80,7 +80,7 @@ class Kalman:
         likelihood[rows] += p_detection[rows] * np.exp(log_ratio[rows, columns])
         table.existence = lifecycle.reweigh(table.existence, likelihood)
         table.mean[rows], table.cov[rows] = update(table.mean[rows], table.cov[rows], z[columns], R[columns])
-        table.size[rows] = blend_sizes(table.size[rows], measured.size[columns])
+        self._population.learn_looks(rows, measured.select(columns))
         seen, taken = np.zeros(len(table), np.bool_), np.zeros(len(z), np.bool_)
         seen[rows], taken[columns] = True, True
         self._population.judge(t, seen, visibility)

@@ -40,6 +40,7 @@ from swarmtrack.tracking.target_motion import TURNS
 
 Indices = NDArray[np.intp]
 
+LARGEST_LOG_RATIO = 300.0  # of a tentative track's claim: nothing is as certain, and doubles end at 709
 LEAST_AVAILABLE = 1e-3  # a detection that the confirmed tracks take more surely than that is nobody else's
 SAME = 0.25  # standard deviations within which two leaves of a track say the same
 
@@ -52,6 +53,8 @@ class MbmParameters(CommonParameters):
     """Kept for each cluster of tracks in dispute; 1: the most likely one only."""
     least_weight: float = 1e-4
     """A hypothesis so much less likely than the best is dropped."""
+    changeover: float = 10.0
+    """Another hypothesis is published only once it is so many times as likely as the one that was."""
     interacting: bool = True
     """Two models of motion; else one, constant velocity with `acceleration_psd`, as the other trackers have it."""
     calm_share: float = 1e-3
@@ -79,6 +82,8 @@ class MbmParameters(CommonParameters):
                 raise ValueError(
                     f"tracker.{name}: found {getattr(self, name)!r}, expected a number in 0…1, not 0"
                 )
+        if not self.changeover >= 1.0:
+            raise ValueError(f"tracker.changeover: found {self.changeover!r}, expected a number from 1 on")
         for name in ("agile_share", "lasting_s", "calm_s", "agile_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a number above 0")
@@ -226,9 +231,13 @@ class Mbm:
         missed = np.log1p(-p_detected)
         with np.errstate(divide="ignore"):
             gain = ratio + (np.log(p_detected) - missed)[:, None]
-        gain[
-            gain < -self._depth
-        ] = -np.inf  # to have made none is so much likelier that this is left out anyway
+        # To confirmed tracks the tentative ones are more clutter, as much as they claim: else a track that was lost
+        # would sooner or later be found in whatever looks a little like a drone, again and again.
+        confirmed = table.confirmed[leaves.owner]
+        claims = p_detected[~confirmed, None] * np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
+        gain[confirmed] -= np.log1p(claims.sum(axis=0))
+        hopeless = gain < -self._depth  # to have made none is likelier by more than what is kept
+        gain[hopeless] = -np.inf
         return Weighed(visibility, shift, ratio, gain, missed)
 
     def _shift_of_merged(self) -> Array:
@@ -317,7 +326,15 @@ class Mbm:
         )
         self.counters["hypotheses_cut"] += not best.complete
         column = np.where(best.column >= 0, np.append(columns, NONE)[best.column], NONE)
-        continued = Cluster(cluster.tracks, cluster.leaf[best.prior], clusters.normalised(best.log_weight))
+        # Where two stories are as likely, the one that was told goes on: who is who must not change from scan to scan.
+        told_so_far = best.prior == cluster.shown
+        likely = best.log_weight >= best.log_weight[0] - math.log(self._parameters.changeover)
+        continued = Cluster(
+            cluster.tracks,
+            cluster.leaf[best.prior],
+            clusters.normalised(best.log_weight),
+            int((told_so_far & likely).argmax()),
+        )
         return continued, column
 
     def _explain_tentative(self, weighed: Weighed, taken: Array) -> Story:
@@ -348,18 +365,12 @@ class Mbm:
         stories = [*settled, *(Story(cluster.leaf.ravel(), column.ravel()) for cluster, column in disputed)]
         told, rows = _distinct(stories, len(measured.z))
         leaves, distance = self._continued(told, measured, weighed, taken)
-        weight = np.zeros(len(told.leaf))
         undisputed = np.concatenate(rows[: len(settled)])
-        weight[undisputed] = 1.0
-        continued = []
-        for (cluster, _), disputed_rows in zip(disputed, rows[len(settled) :], strict=True):
-            continued.append(cluster._replace(leaf=disputed_rows.reshape(cluster.leaf.shape)))
-            np.add.at(weight, disputed_rows, np.repeat(cluster.weight, len(cluster.tracks)))
-
-        hit, n = told.column >= 0, len(self.table)
-        published = np.concatenate([undisputed, *(cluster.leaf[0] for cluster in continued)])
-        seen = np.bincount(leaves.owner[published], hit[published], n) > 0.0
-        self.table.existence = np.bincount(leaves.owner, weight * leaves.existence, n)
+        continued = [
+            cluster._replace(leaf=of_cluster.reshape(cluster.leaf.shape))
+            for (cluster, _), of_cluster in zip(disputed, rows[len(settled) :], strict=True)
+        ]
+        hit = told.column >= 0
         confirmed_before = self.table.confirmed[leaves.owner]
         lone = (weighed.gain > -np.inf).sum(axis=1) == 1
         sure = np.isin(np.arange(len(hit)), undisputed) & confirmed_before & lone[told.leaf]
@@ -369,10 +380,13 @@ class Mbm:
         free[told.column[started]] = 0.0
         clutter = free.sum() + (1.0 - leaves.existence[started]).sum()
 
-        self._keep(leaves, undisputed, continued)
+        shown = self._keep(leaves, undisputed, continued)
+        seen = hit[shown]
         self._show_best()
+        self._weigh_existence(Story(told.leaf[shown], told.column[shown]), weighed)
+        self.table.fit[leaves.owner[hit]] |= measured.fit[told.column[hit]]
         self._population.judge(t, seen, weighed.visibility)
-        free[~measured.fit | self._population.shadowed(measured.z, seen)] = 0.0
+        free[self._population.shadowed(measured.z, seen)] = 0.0
         self._population.give_birth(t, measured.select(free > 0.5))
         self._grow_leaves()
         return Explained(nis, float(clutter))
@@ -405,14 +419,24 @@ class Mbm:
         )  # whether it made it, the hypotheses' weights tell
         return Leaves(owner, motion, existence, size), distance
 
-    def _keep(self, leaves: Leaves, settled: Indices, continued: list[Cluster]) -> None:
-        """From now on: these leaves as far as somebody refers to them, and what is still in dispute."""
+    def _weigh_existence(self, shown: Story, weighed: Weighed) -> None:
+        """Of each track, as its published story tells it; under other hypotheses its target may be another's."""
+        p_detection = weighed.visibility.p_detection
+        likelihood = 1.0 - p_detection
+        hit = np.flatnonzero(shown.column >= 0)
+        ratio = weighed.ratio[shown.leaf[hit], shown.column[hit]]
+        likelihood[hit] += p_detection[hit] * np.exp(np.minimum(ratio, LARGEST_LOG_RATIO))
+        self.table.existence = lifecycle.reweigh(self.table.existence, likelihood)
+
+    def _keep(self, leaves: Leaves, settled: Indices, continued: list[Cluster]) -> Indices:
+        """From now on: these leaves as far as somebody refers to them, and what is still in dispute. Returns of each
+        track the row of the leaf that is published, among those given."""
         best = np.full(len(self.table), NONE)
         best[leaves.owner[settled]] = settled
         disputed = []
         for cluster in continued:
             unique = clusters.merged(_without_doubles(cluster, leaves))
-            best[unique.tracks] = unique.leaf[0]
+            best[unique.tracks] = unique.leaf[unique.shown]
             left = clusters.in_dispute(unique)
             if left is not None:
                 disputed.append(left)
@@ -420,6 +444,7 @@ class Mbm:
         self._leaves = leaves.take(kept)
         self._best = np.searchsorted(kept, best)
         self._clusters = [cluster._replace(leaf=np.searchsorted(kept, cluster.leaf)) for cluster in disputed]
+        return best
 
     def _show_best(self) -> None:
         """The table's rows are the leaves of the best hypothesis."""
@@ -460,7 +485,7 @@ class Mbm:
             stay = kept[cluster.tracks]
             if stay.any():
                 remaining.append(
-                    Cluster(row[cluster.tracks[stay]], leaf[cluster.leaf[:, stay]], cluster.log_weight)
+                    cluster._replace(tracks=row[cluster.tracks[stay]], leaf=leaf[cluster.leaf[:, stay]])
                 )
         self._keep(leaves._replace(owner=row[leaves.owner]), best, remaining)
 

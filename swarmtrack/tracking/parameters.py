@@ -16,7 +16,12 @@ class CommonParameters:
     """`paper`: its motion model (optical flow instead of the exact rotation), and no use of scores, box sizes, overlaps
     or a learned clutter rate."""
     measurement_sigma: float = 2.0
-    """px, per axis, where a scan brings no R of its own."""
+    """px, per axis, where a scan brings no R of its own: of a point, or of the smallest box."""
+    size_noise: float = 0.01
+    """What comes to it for a larger box, as a share of its side: of the shipped detector, surely seen. Measured by
+    `python -m swarmtrack.benchmarks.detection_noise`, as is the next one."""
+    score_noise: float = 0.023
+    """Likewise, times (1 − score) / score: of a box that is doubtful."""
     acceleration_psd: float = 10_000.0
     """px²/s³, continuous white noise: 3 m/s² for half a second at 10 m and f = 430 px."""
     p_detection: float = 0.9
@@ -34,7 +39,8 @@ class CommonParameters:
     birth_speed_sigma: float = 100.0
     """px/s, per axis, of a target just found."""
     birth_score: float = 0.55
-    """A detection of a lower score carries a track on but starts none: keep low, give birth high."""
+    """A track is confirmed only with a detection of this score: what looks a little like a drone is followed, so that
+    it tempts nobody, but not believed."""
     confirm_probability: float = 0.99
     """Existence above which a tentative track is confirmed."""
     max_coast_s: float = 1.0
@@ -68,6 +74,9 @@ class CommonParameters:
                 raise ValueError(
                     f"tracker.{name}: found {getattr(self, name)!r}, expected a probability between 0 and 1"
                 )
+        for name in ("size_noise", "score_noise"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a share in 0…1")
         if not self.resolution_px >= 0.0:
             raise ValueError(
                 f"tracker.resolution_px: found {self.resolution_px!r}, expected pixels, or 0 for points never merged"

@@ -14,6 +14,9 @@ from swarmtrack.tracking.table import TrackTable
 
 SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxes jitter, drones grow slowly
 UNKNOWN_BOX_SIGMAS = 6.0  # side of a box that no detector told, in sigmas of its centre
+SURELY_SEEN = 0.95  # existence, after a detection, that says the track was there: clutter keeps nobody alive
+DOUBT = 0.9  # of `max_coast_s`, that a doubtful detection is counted as older than it is
+ROUNDING_S = 1e-6  # of times that are sums of frame periods
 FADED = 0.05  # share of its existence at birth, below which a tentative track ends
 
 
@@ -50,18 +53,28 @@ class Population:
         ids = np.arange(self._next_id, self._next_id + n)
         self._next_id += n
         no, seen, never = np.zeros(n, np.bool_), np.full(n, t), np.full(n, np.nan)
-        return TrackTable(ids, mean, cov, existence, measured.size.copy(), no, no.copy(), seen, never)
+        return TrackTable(
+            ids, mean, cov, existence, measured.size.copy(), no, no.copy(), seen, never, measured.fit.copy()
+        )
 
     def survive(self, dt: float) -> None:
         self.table.existence = lifecycle.survive(self.table.existence, dt, self._parameters.p_survival)
 
+    def learn_looks(self, rows: NDArray[np.intp] | NDArray[np.bool_], measured: Measurements) -> None:
+        """Box size and fitness of these rows (k), from the detections (k) that they made."""
+        table = self.table
+        table.size[rows] = blend_sizes(table.size[rows], measured.size)
+        table.fit[rows] |= measured.fit
+
     def judge(self, t: float, seen: NDArray[np.bool_], visibility: Visibility) -> None:
         """After a scan at t that saw these rows (n,) and has reweighed existence: who is confirmed, who is lost."""
         table = self.table
-        table.confirmed |= table.existence >= self._parameters.confirm_probability
+        table.confirmed |= table.fit & (table.existence >= self._parameters.confirm_probability)
         floor = np.where(table.confirmed, lifecycle.MIN_CONFIRMED_EXISTENCE, 0.0)
         table.existence = np.maximum(table.existence, floor)
-        table.last_seen[seen] = t
+        # A detection that leaves it open whether the track is there keeps it for a moment, to be detected once more.
+        confident = np.where(table.existence >= SURELY_SEEN, t, t - DOUBT * self._parameters.max_coast_s)
+        table.last_seen = np.where(seen, np.maximum(table.last_seen, confident), table.last_seen)
         table.missed_since = np.where(seen, np.nan, np.fmin(table.missed_since, t))
         table.lost = ~seen & ((table.existence < lifecycle.LOST_BELOW) | (visibility.in_view < 0.5))
 
@@ -69,7 +82,7 @@ class Population:
         """End the tracks that were not seen for too long, that have faded, or that the camera turned away from; returns
         which (n,) stay."""
         table = self.table
-        coasted = t - table.last_seen > self._parameters.max_coast_s
+        coasted = t - table.last_seen >= self._parameters.max_coast_s - ROUNDING_S
         faded = table.existence < FADED * self._sensor.birth_existence(np.ones(1))
         stay = ~(coasted | faded) & lifecycle.within_reach(table.mean, self._sensor.camera)
         if not stay.all():

@@ -17,6 +17,7 @@ from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 
 SIZE_GATE = 3.0
+LEAST_SCORE = 0.33  # the noise of detections of lower ones is not known
 LEAST_VARIANCE = 1e-6  # px²: who claims to know better is not believed, and no covariance gets singular
 MOST_CORRELATED = 0.9999  # of the errors of u and v
 SCORES = (0.01, 0.99)  # a detector that is surer than that is not believed
@@ -37,7 +38,7 @@ class Measurements(NamedTuple):
     odds: Array
     fit: NDArray[np.bool_]
 
-    def select(self, rows: NDArray[np.bool_]) -> Measurements:
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
         return Measurements(self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.fit[rows])
 
 
@@ -89,12 +90,26 @@ class SensorModel:
         good = (np.abs(scan.z - 0.5 * (low + high)) < high - low).all(axis=1)  # NaN compares as False
         good &= np.isfinite(odds)
         if scan.R is None:
-            R = np.tile(self.R, (m, 1, 1))
+            R = self.measurement_noise(size, scan.score)
         else:
             R, sound = _sound_covariances(scan.R, largest=float((high - low).max()))
             good &= sound
         self.counters["unusable_detections"] += m - int(good.sum())
         return Measurements(scan.z, R, size, odds, fit).select(good)
+
+    def measurement_noise(self, size: Array, score: Array | None) -> Array:
+        """R (m, 2, 2) px² of detections that bring none; size (m, 2) px, NaN while unknown; score (m,).
+
+        σ² = measurement_sigma² + side² (size_noise² + (score_noise (1 − s) / s)²) along each side of the box.
+        """
+        R, told = np.tile(self.R, (len(size), 1, 1)), self.parameters
+        if self._uses_boxes:
+            share = np.full(len(size), told.size_noise**2)
+            if score is not None:
+                s = np.clip(score, LEAST_SCORE, 1.0)
+                share += (told.score_noise * (1.0 - s) / s) ** 2
+            R[:, [0, 1], [0, 1]] += np.nan_to_num(size) ** 2 * share[:, None]
+        return R
 
     def visibility(
         self, mean: Array, cov: Array, size: Array | None = None, existence: Array | None = None

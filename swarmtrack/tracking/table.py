@@ -20,7 +20,8 @@ _track = partial(tuple.__new__, Track)  # Track(*row), without the two Python fr
 class TrackTable:
     """n tracks. mean (n, 4), cov (n, 4, 4), existence (n,), size (n, 2) px NaN while unknown, confirmed (n,): ever was;
     lost (n,): missed, and rather hidden, out of view or gone than there;
-    last_seen (n,) s: the last scan that detected it; missed_since (n,) s: the first scan after it, NaN while detected.
+    last_seen (n,) s: the last scan that detected it; missed_since (n,) s: the first scan after it, NaN while detected;
+    fit (n,): one of its detections at least was sure enough for a track to be confirmed.
     """
 
     id: NDArray[np.int64]
@@ -32,6 +33,7 @@ class TrackTable:
     lost: NDArray[np.bool_]
     last_seen: Array
     missed_since: Array
+    fit: NDArray[np.bool_]
 
     @classmethod
     def empty(cls) -> TrackTable:
@@ -45,6 +47,7 @@ class TrackTable:
             np.empty(0, np.bool_),
             np.empty(0),
             np.empty(0),
+            np.empty(0, np.bool_),
         )
 
     def __len__(self) -> int:
