@@ -12,7 +12,7 @@ DEFAULT_OUT = Path("bench")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    from swarmtrack.tracking import TRACKERS
+    from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
     names = parser.add_subparsers(dest="benchmark", required=True, metavar="NAME")
     agent = names.add_parser("agent", help="what an agent costs, beside the design's budgets")
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
         if name not in (clients, flood, identity, trackers):
             name.add_argument(
-                "--tracker", default="kalman", choices=list(TRACKERS), help="(default: %(default)s)"
+                "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
             )
         name.add_argument("--quick", action="store_true", help="a fraction of the work, for orientation")
     clips.add_argument(

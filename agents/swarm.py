@@ -39,7 +39,7 @@ class _ListScenarios(argparse.Action):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported: its threads only cost here
-    from swarmtrack.tracking import TRACKERS
+    from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
     parser.add_argument(
         "--scenario",
@@ -61,7 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="K",
         help="decides all that is left to chance (default: %(default)s)",
     )
-    parser.add_argument("--tracker", default="kalman", choices=list(TRACKERS), help="(default: %(default)s)")
+    parser.add_argument(
+        "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
+    )
     parser.add_argument(
         "--detector",
         default="onnx",

@@ -31,6 +31,7 @@ from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.scenario_file import load_limits, load_scenario
 from swarmtrack.simulation.scenarios import Fault, FaultKind, Scenario
+from swarmtrack.tracking import DEFAULT_TRACKER
 from swarmtrack.transport import keys
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
@@ -57,7 +58,7 @@ class FlightPlan:
     drones: int | None = None
     seconds: float | None = None
     seed: int = 1
-    tracker: str = "kalman"
+    tracker: str = DEFAULT_TRACKER
     detector: str = "onnx"
     keep: bool = False
 

@@ -37,7 +37,7 @@ from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.detection.detector import Detector
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Frame, Scan, StampKind
-from swarmtrack.tracking import create_tracker
+from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
@@ -66,7 +66,7 @@ class Line(NamedTuple):
         return None if self.budget is None else self.value <= self.budget
 
 
-def run(out: Path, *, tracker: str = "kalman", quick: bool = False) -> dict[str, Any]:
+def run(out: Path, *, tracker: str = DEFAULT_TRACKER, quick: bool = False) -> dict[str, Any]:
     """Measure everything; agent.json and agent.md into `out`. quick: a tenth of the time, figures for orientation."""
     repeats, seconds = (50, 3.0) if quick else (1000, 20.0)
     parts: list[tuple[str, Callable[[], list[Line]]]] = [
@@ -429,7 +429,7 @@ def _markdown(lines: list[Line]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="agent_budget", description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--tracker", default="kalman")
+    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
     parser.add_argument("--quick", action="store_true", help="a tenth of the time, figures for orientation")
     options = parser.parse_args(arguments)
     run(options.out, tracker=options.tracker, quick=options.quick)

@@ -32,6 +32,7 @@ from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, TruthBoxes, score_clip
 from swarmtrack.messages import TrackStatus
+from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "clips"
 START_S = 1.0
@@ -221,7 +222,7 @@ def run(
     out: Path,
     data: Path,
     *,
-    tracker: str = "kalman",
+    tracker: str = DEFAULT_TRACKER,
     settings: dict[str, str] | None = None,
     limit: int | None = None,
     video: bool = False,
@@ -308,7 +309,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="real_clips", description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("data", nargs="?", type=Path, help="folder with NAME.mp4 and NAME_gt.csv")
     parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--tracker", default="kalman")
+    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="an entry of the agent's config"
     )

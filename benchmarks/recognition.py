@@ -22,6 +22,7 @@ from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, Swarm
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.messages import TrackStatus
 from swarmtrack.scenario_file import load_scenario
+from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "recognition"
 SHARES = ("correct", "wrong", "unknown", "agreement")
@@ -86,7 +87,7 @@ def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> 
     return Flight(scorer.score(), swarm.announcements / len(flown.members))
 
 
-def run(out: Path, *, tracker: str = "kalman", programme: Programme | None = None) -> dict[str, Any]:
+def run(out: Path, *, tracker: str = DEFAULT_TRACKER, programme: Programme | None = None) -> dict[str, Any]:
     """Fly everything on all cores, write recognition.json and recognition.md into `out`."""
     p = programme or Programme()
     found: dict[str, list[Flight]] = {name: [] for name in p.scenarios}

@@ -38,7 +38,7 @@ from swarmtrack.simulation.scenarios import HOVER_S, Scenario
 from swarmtrack.simulation.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
 from swarmtrack.simulation.trajectory import SteadyYaw, Trajectory
 from swarmtrack.simulation.world import World
-from swarmtrack.tracking import create_tracker
+from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
 
 NAME = "rotation"
 OBSERVER = 1
@@ -248,7 +248,7 @@ def run(
     out: Path,
     *,
     seeds: int = 100,
-    tracker: str = "kalman",
+    tracker: str = DEFAULT_TRACKER,
     parameters: dict[str, Any] | None = None,
     experiment: Experiment | None = None,
 ) -> dict[str, Any]:
@@ -338,7 +338,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="rotating_observer", description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
     parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--tracker", default="kalman")
+    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
     options = parser.parse_args(arguments)
     result = run(options.out, seeds=options.seeds, tracker=options.tracker)
     print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))

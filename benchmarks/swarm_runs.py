@@ -25,6 +25,7 @@ from swarmtrack.agents.swarm_table import Silent
 from swarmtrack.benchmarks import report
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "swarm"
 MAX_WRONG = 0.001  # of all judged views of a scenario: the claim
@@ -47,7 +48,7 @@ class Programme:
 QUICK = Programme(seeds=1, seconds=8.0, sizes=(3, 10), size_seconds=8.0)
 
 
-def run(out: Path, *, tracker: str = "kalman", programme: Programme | None = None) -> dict[str, Any]:
+def run(out: Path, *, tracker: str = DEFAULT_TRACKER, programme: Programme | None = None) -> dict[str, Any]:
     """Fly everything, write swarm.json and swarm.md into `out`, and return what is in the JSON."""
     p = programme or Programme()
     flights = len(p.scenarios) * p.seeds + len(p.sizes)
@@ -198,7 +199,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="swarm_runs", description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
     parser.add_argument("--seeds", type=int, default=Programme().seeds)
-    parser.add_argument("--tracker", default="kalman")
+    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
     options = parser.parse_args(arguments)
     result = run(options.out, tracker=options.tracker, programme=Programme(seeds=options.seeds))
     print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))

@@ -21,7 +21,7 @@ from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.onboard import Mounting, Onboard
 from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
-from swarmtrack.tracking import create_tracker
+from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
 
 RADIO_S = 0.05  # s from a question to the announcement it asked for
 REPORT_S = 1.0  # s between two reports of sightings
@@ -53,7 +53,11 @@ class VirtualSwarm:
     """`fly` yields every scan of every drone, in the order of their exposure."""
 
     def __init__(
-        self, scenario: Scenario, *, tracker: str = "kalman", identity: IdentityParameters | None = None
+        self,
+        scenario: Scenario,
+        *,
+        tracker: str = DEFAULT_TRACKER,
+        identity: IdentityParameters | None = None,
     ) -> None:
         self.scenario = scenario
         self.announcements = 0

@@ -47,7 +47,7 @@ from swarmtrack.toml_sections import (
     parameter_problems,
     section_problem,
 )
-from swarmtrack.tracking import TRACKERS
+from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
 DISTORTIONS: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
 ORIGIN: Vector = (0.0, 0.0, 0.0)
@@ -255,7 +255,7 @@ class DetectorSection(Section):
 class TrackerSection(ParameterSection):
     """[tracker]: a name, and that tracker's own parameters."""
 
-    name: Text = Field(default="kalman", description="which tracker")
+    name: Text = Field(default=DEFAULT_TRACKER, description="which tracker")
 
 
 class IdentitySection(ParameterSection):
@@ -525,7 +525,7 @@ def _start_problems(layers: Layers) -> list[Problem]:
 def _tracker_problems(layers: Layers) -> list[Problem]:
     """[tracker] holds the parameters of whichever tracker is named."""
     section = layers.table.get("tracker", {})
-    name = section.get("name", "kalman") if isinstance(section, dict) else None
+    name = section.get("name", DEFAULT_TRACKER) if isinstance(section, dict) else None
     if not isinstance(name, str):
         return []  # pydantic says so
     if name not in TRACKERS:

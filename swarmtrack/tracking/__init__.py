@@ -15,8 +15,9 @@ from swarmtrack.tracking.kalman import Kalman
 from swarmtrack.tracking.mbm import Mbm
 from swarmtrack.tracking.sensor_model import SensorModel
 
-__all__ = ["TRACKERS", "Scan", "Tracker", "create_tracker"]
+__all__ = ["DEFAULT_TRACKER", "TRACKERS", "Scan", "Tracker", "create_tracker"]
 
+DEFAULT_TRACKER = "mbm"
 TRACKERS: dict[str, type[Filter]] = {  # a visible table: add a tracker by its module and one line here
     "kalman": Kalman,
     "jpdaf": Jpdaf,
