@@ -42,7 +42,7 @@ def problems_of(path):
 
 def test_an_id_a_source_and_a_calibration_are_enough(write):
     config = load_config(write(MINIMAL))
-    assert (config.drone.id, config.autopilot.link, config.tracker.name) == (7, "none", "kalman")
+    assert (config.drone.id, config.autopilot.link, config.tracker.name) == (7, "none", "mbm")
     assert (config.network.insecure, config.output.tracks_hz, config.motion.history_s) == (False, 50.0, 2.0)
     mounted = mount_camera(config.camera)
     assert (mounted.camera.fx, mounted.camera.height, mounted.camera.distortion) == (600.0, 512, None)
