@@ -20,19 +20,23 @@ from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
-from swarmtrack.tracking.motion_model import POSITION, Turn, optical_flow, turn_exactly
+from swarmtrack.tracking.motion_model import Turn, add_flow_of_error, turn_exactly
 
 CALM, AGILE = 0, 1
 KINEMATIC = slice(0, 4)
 ACCELERATION = slice(4, 6)
-AXES = ((0, 1, 4), (2, 3, 5))  # position, velocity, acceleration of u and of v
+# Which of the nine entries of an axis' matrix over position, velocity and acceleration each of all 36 is; 9 between the
+# axes.
+ENTRY = np.full((6, 6), 9)
+for _axis in ((0, 1, 4), (2, 3, 5)):
+    ENTRY[np.ix_(_axis, _axis)] = np.arange(9).reshape(3, 3)
+ADJUGATE = np.array(
+    [[1.0, -1.0], [-1.0, 1.0]]
+)  # signs: the inverse of a 2 × 2 is turned round, over its determinant
 LEAST_MODE = 1e-12  # a mode's probability never underflows: nothing would bring it back, and 0 / 0 is next
 SHORT = 0.5  # share of an acceleration's time, up to which the process noise is integrated: its closed form cancels
 # Gauss-Legendre nodes and weights on 0…1: with five, exact to 2e-12 for such steps.
-NODES, WEIGHTS = (
-    0.5 * (np.polynomial.legendre.leggauss(5)[0] + 1.0),
-    0.5 * np.polynomial.legendre.leggauss(5)[1],
-)
+NODES, WEIGHTS = (0.5 * np.array(np.polynomial.legendre.leggauss(5)) + [[0.5], [0.0]]).tolist()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,8 +97,12 @@ def begun(mean: Array, cov: Array, manoeuvres: Manoeuvres) -> ModeMixture:
 
 def merged(mixture: ModeMixture) -> tuple[Array, Array]:
     """One Gaussian for each target: mean (n, 4), cov (n, 4, 4) with the spread between the modes."""
-    mean, cov = mixture.mean[:, :, KINEMATIC], mixture.cov[:, :, KINEMATIC, KINEMATIC]
-    calm, agile = mixture.mode[:, CALM, None], mixture.mode[:, AGILE, None]
+    return _one_gaussian(mixture.mode, mixture.mean[:, :, KINEMATIC], mixture.cov[:, :, KINEMATIC, KINEMATIC])
+
+
+def _one_gaussian(mode: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
+    """Of mode (n, 2), mean (n, 2, d) and cov (n, 2, d, d): the mean (n, d) and covariance (n, d, d) of the mix."""
+    calm, agile = mode[:, CALM, None], mode[:, AGILE, None]
     apart = mean[:, AGILE] - mean[:, CALM]
     spread = (calm * agile)[:, :, None] * (apart[:, :, None] * apart[:, None, :])
     return (
@@ -125,63 +133,61 @@ def predict(
     mean, cov, mode = _interact(mixture, dt, manoeuvres)
     F, Q = _transitions(dt, manoeuvres)
     mean = (F @ mean[:, :, :, None])[..., 0]
-    cov = F @ cov @ F.swapaxes(1, 2) + Q
+    cov = (
+        F @ cov @ np.ascontiguousarray(F.swapaxes(1, 2)) + Q
+    )  # matmul takes twice as long for a transposed view
     if rotation is not None:
         mean, cov = _turned(mean, cov, rotation, camera, turn)
     if rotation_variance > 0.0:
-        flow = optical_flow(mean[..., 0:4:2].reshape(-1, 2), camera)
-        spread = rotation_variance * (flow @ flow.swapaxes(1, 2))
-        cov[:, :, 0:4:2, 0:4:2] += spread.reshape(-1, 2, 2, 2)
+        add_flow_of_error(cov.reshape(-1, 6, 6), mean.reshape(-1, 6), rotation_variance, camera)
     return ModeMixture(mean, cov, mode)
 
 
 def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, Array]:
     """Fold measurement z (n, 2) with R (n, 2, 2) into target n; also the innovations' distances (n,), squared
-    Mahalanobis, by the merged prediction. Each mode's Kalman update is in Joseph form."""
-    n = len(z)
+    Mahalanobis, by the merged prediction.
+
+    Each mode's Kalman update is in Joseph form, (I − K H) P (I − K H)ᵀ + K R Kᵀ, which H, two rows of the identity,
+    makes two products of rank two: B = P − K H P, then B + (K R − B Hᵀ) Kᵀ.
+    """
+    R = R[:, None]
     y = z[:, None] - mixture.mean[:, :, 0:4:2]
     PHt = mixture.cov[:, :, :, 0:4:2]
-    S = PHt[:, :, 0:4:2] + R[:, None]
-    a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
-    determinant = a * c - b * b
-    inverse = np.stack([c, -b, -b, a], axis=-1).reshape(n, 2, 2, 2) / determinant[..., None, None]
-    K = PHt @ inverse
-    weighted = (inverse @ y[..., None])[..., 0]
-    mean = mixture.mean + (PHt @ weighted[..., None])[..., 0]
-    A = np.zeros((n, 2, 6, 6)) + np.eye(6)
-    A[..., 0:4:2] -= K
-    cov = A @ mixture.cov @ A.swapaxes(2, 3) + K @ R[:, None] @ K.swapaxes(2, 3)
+    S = PHt[:, :, 0:4:2] + R
+    determinant = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
+    K = PHt @ (ADJUGATE * S[..., ::-1, ::-1] / determinant[..., None, None])
+    step = (K @ y[..., None])[..., 0]
+    B = mixture.cov - K @ mixture.cov[:, :, 0:4:2]
+    cov = B + (K @ R - B[..., 0:4:2]) @ K.swapaxes(2, 3)
     cov = 0.5 * (cov + cov.swapaxes(2, 3))
-    log_likelihood = -0.5 * ((y * weighted).sum(axis=2) + np.log(determinant))
+    log_likelihood = -0.5 * (_squared_length(y, S, determinant) + np.log(determinant))
     fitted = mixture.mode * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     mode = fitted / fitted.sum(axis=1, keepdims=True)
     mode = LEAST_MODE + (1.0 - 2.0 * LEAST_MODE) * mode
-    return ModeMixture(mean, cov, mode), _distance(mixture, z, R)
+    y, S = _one_gaussian(mixture.mode, y, S)
+    distance = _squared_length(y, S, S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)
+    return ModeMixture(mixture.mean + step, cov, mode), distance
 
 
-def _distance(mixture: ModeMixture, z: Array, R: Array) -> Array:
-    mean, cov = merged(mixture)
-    y, S = z - mean[:, POSITION], cov[:, POSITION, POSITION] + R
-    a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
-    return np.asarray((c * y[:, 0] ** 2 - 2.0 * b * y[:, 0] * y[:, 1] + a * y[:, 1] ** 2) / (a * c - b * b))
+def _squared_length(y: Array, S: Array, determinant: Array) -> Array:
+    """(…,) yᵀ S⁻¹ y of y (…, 2) and S (…, 2, 2), whose determinants (…,) are at hand."""
+    u, v = y[..., 0], y[..., 1]
+    across = 2.0 * S[..., 0, 1] * u * v
+    return np.asarray((S[..., 1, 1] * u * u - across + S[..., 0, 0] * v * v) / determinant)
 
 
 def _interact(mixture: ModeMixture, dt: float, manoeuvres: Manoeuvres) -> ModeMixture:
     """The modes' change within dt: what each begins with is a mix of what both ended with."""
     change = _mode_changes(dt, manoeuvres)  # (2, 2), from row to column
     mode = mixture.mode @ change
-    came_over = mixture.mode[:, ::-1] * np.array([change[AGILE, CALM], change[CALM, AGILE]]) / mode
-    apart = mixture.mean[:, ::-1] - mixture.mean
-    mean = mixture.mean + came_over[:, :, None] * apart
-    stayed = 1.0 - came_over
-    d = apart[:, CALM]
-    spread = d[:, :, None] * d[:, None, :]
-    cov = (
-        stayed[:, :, None, None] * mixture.cov
-        + came_over[:, :, None, None] * mixture.cov[:, ::-1]
-        + (stayed * came_over)[:, :, None, None] * spread[:, None]
-    )
-    return ModeMixture(mean, cov, mode)
+    share = (
+        change.T * mixture.mode[:, None] / mode[:, :, None]
+    )  # (n, 2, 2): of the column's in the row's new one
+    apart = mixture.mean[:, AGILE] - mixture.mean[:, CALM]
+    spread = apart[:, :, None] * apart[:, None, :]
+    cov = (share @ mixture.cov.reshape(-1, 2, 36)).reshape(-1, 2, 6, 6)
+    cov += share.prod(axis=2)[:, :, None, None] * spread[:, None]
+    return ModeMixture(share @ mixture.mean, cov, mode)
 
 
 def _mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
@@ -196,46 +202,51 @@ def _mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
 
 def _transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
     """F (2, 6, 6) and Q (2, 6, 6) of both modes over dt. Singer (1970); Bar-Shalom et al. (2001), section 8.2.3."""
-    rate, variance = 1.0 / manoeuvres.lasting_s, manoeuvres.acceleration_variance
-    F, Q = np.zeros((2, 6, 6)), np.zeros((2, 6, 6))
-    reach = _reach(np.array([dt]), rate)[0]
-    agile, q = _singer_noise(dt, rate, variance), manoeuvres.calm_psd
-    calm = np.array(
-        [[q * dt**3 / 3.0, q * dt**2 / 2.0, 0.0], [q * dt**2 / 2.0, q * dt, 0.0], [0.0, 0.0, variance]]
-    )
-    for p, v, a in AXES:
-        axis = np.ix_((p, v, a), (p, v, a))
-        F[CALM][axis] = [[1.0, dt, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
-        F[AGILE][axis] = [[1.0, dt, reach[0]], [0.0, 1.0, reach[1]], [0.0, 0.0, reach[2]]]
-        Q[CALM][axis], Q[AGILE][axis] = calm, agile
+    rate, variance, q = 1.0 / manoeuvres.lasting_s, manoeuvres.acceleration_variance, manoeuvres.calm_psd
+    p, v, a = _reach(dt, rate)
+    pp, pv, pa, vv, va, aa = _singer_noise(dt, rate, variance)
+    across = q * dt**2 / 2.0
+    axes = [
+        [[1.0, dt, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [1.0, dt, p, 0.0, 1.0, v, 0.0, 0.0, a, 0.0]],
+        [
+            [q * dt**3 / 3.0, across, 0.0, across, q * dt, 0.0, 0.0, 0.0, variance, 0.0],
+            [pp, pv, pa, pv, vv, va, pa, va, aa, 0.0],
+        ],
+    ]
+    F, Q = np.array(axes)[:, :, ENTRY]
     return F, Q
 
 
-def _singer_noise(dt: float, rate: float, variance: float) -> Array:
-    """(3, 3) covariance of position, velocity and acceleration after dt, of what began within it."""
+def _singer_noise(dt: float, rate: float, variance: float) -> tuple[float, ...]:
+    """Covariance of position, velocity and acceleration after dt, of what began within it: pp, pv, pa, vv, va, aa."""
     x = rate * dt
     if x < SHORT:
-        steps = _reach(NODES * dt, rate)  # (5, 3): what an impulse that long ago has done to p, v, a
-        return np.asarray(2.0 * rate * variance * dt * (steps * WEIGHTS[:, None]).T @ steps)
+        moments = []
+        for node, weight in zip(NODES, WEIGHTS, strict=True):
+            p, v, a = _reach(node * dt, rate)  # what an impulse that long ago has done
+            moments.append(
+                [weight * p * q for q in (p, v, a)] + [weight * v * v, weight * v * a, weight * a * a]
+            )
+        scale = 2.0 * rate * variance * dt
+        return tuple(scale * sum(moment) for moment in zip(*moments, strict=True))
     e, e2 = math.exp(-x), math.exp(-2.0 * x)
     pp = (1.0 - e2 + 2.0 * x + 2.0 / 3.0 * x**3 - 2.0 * x**2 - 4.0 * x * e) / rate**4
     pv = (1.0 + e2 - 2.0 * e + 2.0 * x * e - 2.0 * x + x**2) / rate**3
     pa = (1.0 - e2 - 2.0 * x * e) / rate**2
     vv = (4.0 * e - 3.0 - e2 + 2.0 * x) / rate**2
     va = (1.0 + e2 - 2.0 * e) / rate
-    return variance * np.array([[pp, pv, pa], [pv, vv, va], [pa, va, 1.0 - e2]])
+    return variance * pp, variance * pv, variance * pa, variance * vv, variance * va, variance * (1.0 - e2)
 
 
-def _reach(t: Array, rate: float) -> Array:
-    """(k, 3) what an acceleration of one, that decays at `rate`, has done to position, velocity, itself after t
-    (k,)."""
-    gone = np.expm1(-rate * t)
-    return np.stack([(rate * t + gone) / rate**2, -gone / rate, 1.0 + gone], axis=1)
+def _reach(t: float, rate: float) -> tuple[float, float, float]:
+    """What an acceleration of one, that decays at `rate`, has done to position, velocity and itself after t."""
+    gone = math.expm1(-rate * t)
+    return (rate * t + gone) / rate**2, -gone / rate, 1.0 + gone
 
 
 def acceleration_reach(dt: float, manoeuvres: Manoeuvres) -> tuple[float, float]:
     """By how much an acceleration of one moves position and velocity within dt, while it decays."""
-    position, velocity, _ = _reach(np.array([dt]), 1.0 / manoeuvres.lasting_s)[0].tolist()
+    position, velocity, _ = _reach(dt, 1.0 / manoeuvres.lasting_s)
     return position, velocity
 
 
@@ -248,8 +259,8 @@ def _turned(
     F = np.zeros((len(F4), 6, 6))
     F[:, KINEMATIC, KINEMATIC] = F4
     F[:, ACCELERATION, ACCELERATION] = J
-    F = F.reshape(-1, 2, 6, 6)
-    turned = np.empty_like(mean)
-    turned[..., KINEMATIC] = kinematic.reshape(-1, 2, 4)
-    turned[..., ACCELERATION] = (F[..., ACCELERATION, ACCELERATION] @ mean[..., ACCELERATION, None])[..., 0]
-    return turned, F @ cov @ F.swapaxes(2, 3)
+    turned = np.empty((len(F4), 6))
+    turned[:, KINEMATIC] = kinematic
+    turned[:, ACCELERATION] = (J @ mean[..., ACCELERATION].reshape(-1, 2, 1))[..., 0]
+    cov = F @ cov.reshape(-1, 6, 6) @ np.ascontiguousarray(F.swapaxes(1, 2))
+    return turned.reshape(-1, 2, 6), cov.reshape(-1, 2, 6, 6)

@@ -113,11 +113,11 @@ def propagate(
     # matmul takes twice as long for a transposed view
     cov = F @ (cov + _noise_before(dt, psd)) @ np.ascontiguousarray(F.swapaxes(-1, -2))
     if rotation_variance > 0.0:
-        _add_flow_of_error(cov, mean, rotation_variance, camera)
+        add_flow_of_error(cov, mean, rotation_variance, camera)
     return mean, cov
 
 
-def _add_flow_of_error(cov: Array, mean: Array, variance: float, camera: PinholeCamera) -> None:
+def add_flow_of_error(cov: Array, mean: Array, variance: float, camera: PinholeCamera) -> None:
     """Add variance [rad²] × flow flowᵀ of `optical_flow`, multiplied out: (1 + x² + y²) (diag(fx², fy²) + q qᵀ) for
     q = (fx x, fy y) = (u, v) off the centre.
     """
