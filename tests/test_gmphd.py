@@ -353,23 +353,6 @@ def test_without_one_to_one_a_slow_crossing_shares_the_labels_out():
     assert sum(crossed("gmphd", seed, 15.0, one_to_one=False) for seed in range(30)) < 20
 
 
-def test_detections_at_the_same_noise_one_by_one_or_all_at_once_are_the_same():
-    z = np.array([[301.0, 200.0], [305.0, 204.0], [299.0, 207.0]])
-    R = np.tile(4.0 * np.eye(2), (3, 1, 1))
-    R_almost = R.copy()
-    R_almost[2, 0, 0] *= 1.0 + 1e-12
-    means = []
-    for noise in (R, R_almost):
-        tracker, _ = make()
-        tracker.initiate(0.0, np.array([[300.0, 200.0], [303.0, 204.0]]))
-        tracker.predict(0.1)
-        tracker.update(Scan(0.1, z, noise))
-        means.append(
-            np.concatenate([np.concatenate([track.mean, track.cov.ravel()]) for track in tracker.tracks])
-        )
-    np.testing.assert_allclose(means[0], means[1], rtol=1e-8, atol=1e-8)
-
-
 @pytest.mark.parametrize(
     ("name", "value"), [("prune_below", -0.1), ("merge_distance", -1.0), ("components_per_label", 0)]
 )

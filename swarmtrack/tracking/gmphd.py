@@ -28,9 +28,8 @@ from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.association import Indices
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import of_sure_pairs
-from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.marginals import SMALL, beliefs, matching_marginals
-from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import FADED, Population
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
@@ -144,8 +143,9 @@ class GmPhd:
         newcomers, explained = self._fold_in(t, measured)
         self._drop(t)
         born = newcomers > FADED * self._sensor.birth_existence(np.ones(1))
-        self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
-        self._add_newest(int(born.sum()))
+        if born.any():
+            self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
+            self._add_newest(int(born.sum()))
         return explained
 
     def _add_newest(self, n: int) -> None:
@@ -155,10 +155,9 @@ class GmPhd:
         self.mixture = self.mixture.joined(newest)
 
     def _drop(self, t: float) -> None:
-        row = blocks(self.mixture.label).row
         stay = self._population.drop(t)
         if not stay.all():
-            self.mixture = self.mixture.select(np.flatnonzero(stay[row]))
+            self.mixture = self.mixture.select(np.flatnonzero(stay[blocks(self.mixture.label).row]))
 
     def _fold_in(self, t: float, measured: Measurements) -> tuple[Array, Explained]:
         """Mixture and table after a scan; returns the weight (m,) of a newcomer at each detection."""
@@ -288,22 +287,44 @@ def updated(
 
 
 def _corrected(prior: Mixture, measured: Measurements, i: Indices, j: Indices) -> tuple[Array, Array]:
-    """Means and covariances of components i (p,) by detections j (p,); as they were where j is −1."""
-    z, R = measured.z, measured.R
-    if not len(z):
+    """Means (p, 4) and covariances (p, 4, 4) of components i (p,) by detections j (p,); as they were where j is −1.
+
+    The velocity follows the position by B = C P⁻¹ and keeps what does not depend on it, V − B Cᵀ. So only P S⁻¹ R, the
+    position's covariance, differs from pair to pair; and it is no difference of large numbers, however small R is.
+    """
+    if not len(measured.z):
         return prior.mean[i], prior.cov[i]
-    if (R[0] != R).any():
-        mean, cov = prior.mean[i], prior.cov[i]
-        hit = np.flatnonzero(j >= 0)
-        mean[hit], cov[hit] = update(mean[hit], cov[hit], z[j[hit]], R[j[hit]])
-        return mean, cov
-    # The covariance does not depend on z: once for each component. K = P Hᵀ R⁻¹ with the posterior P.
-    k, at_rest = len(prior.label), prior.mean[:, POSITION]
-    _, posterior = update(prior.mean, prior.cov, at_rest, np.broadcast_to(R[0], (k, 2, 2)))
-    cov = np.concatenate([prior.cov, posterior]).reshape(-1, 16).take(np.where(j < 0, i, k + i), axis=0)
-    gain = (posterior[:, :, POSITION] @ np.linalg.inv(R[0])).swapaxes(1, 2).reshape(-1, 8).take(i, axis=0)
-    y = np.where((j < 0)[:, None], 0.0, z.take(j, axis=0) - at_rest.take(i, axis=0))
-    return prior.mean.take(i, axis=0) + gain[:, :4] * y[:, :1] + gain[:, 4:] * y[:, 1:], cov.reshape(-1, 4, 4)
+    P, C = prior.cov[:, POSITION, POSITION], prior.cov[:, VELOCITY, POSITION]
+    B = C @ np.linalg.inv(P)
+    rest = prior.cov[:, VELOCITY, VELOCITY] - B @ C.swapaxes(1, 2)
+    mean, hit = prior.mean.take(i, axis=0), j >= 0
+    P, B, rest, R = (_last(blocks, at) for blocks, at in ((P, i), (B, i), (rest, i), (measured.R, j)))
+    y = np.where(hit, (measured.z.take(j, axis=0) - mean[:, POSITION]).T, 0.0)
+
+    S = P + R
+    inverse = np.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / (S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0])
+    step = _product(P, _product(inverse, y[:, None]))
+    mean[:, POSITION] += step[:, 0].T
+    mean[:, VELOCITY] += _product(B, step)[:, 0].T
+    P = np.where(hit, _product(P, _product(inverse, R)), P)
+    P[0, 1] = P[1, 0] = 0.5 * (P[0, 1] + P[1, 0])
+    C = _product(B, P)
+    V = rest + _product(C, B.swapaxes(0, 1))
+    V[0, 1] = V[1, 0] = 0.5 * (V[0, 1] + V[1, 0])
+    cov = np.empty((len(i), 4, 4))
+    cov[:, POSITION, POSITION], cov[:, VELOCITY, VELOCITY] = P.transpose(2, 0, 1), V.transpose(2, 0, 1)
+    cov[:, VELOCITY, POSITION], cov[:, POSITION, VELOCITY] = C.transpose(2, 0, 1), C.transpose(2, 1, 0)
+    return mean, cov
+
+
+def _last(blocks: Array, at: Indices) -> Array:
+    """(2, 2, p) of blocks (k, 2, 2): with the index last, elementwise products of small matrices are the fastest."""
+    return blocks.reshape(-1, 4).T.copy().take(at, axis=1).reshape(2, 2, -1)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """Of p matrices each: (2, 2, p), (2, c, p) -> (2, c, p)."""
+    return np.asarray(np.einsum("ijp,jkp->ikp", a, b))
 
 
 def merge(mixture: Mixture, within: float, most: int) -> tuple[Mixture, int]:
