@@ -500,10 +500,11 @@ def _distinct(stories: list[Story], m: int) -> tuple[Story, list[Indices]]:
 
 
 def _without_doubles(cluster: Cluster, leaves: Leaves) -> Cluster:
-    """Leaves of a track that say the same become the likeliest of them."""
-    weight = np.repeat(cluster.weight, len(cluster.tracks))
+    """Leaves of a track that say the same become the one that is published, or else the likeliest of them."""
     rows, inverse = np.unique(cluster.leaf, return_inverse=True)
-    likeliest = np.argsort(-np.bincount(inverse.ravel(), weight), kind="stable")
+    weight = np.bincount(inverse.ravel(), np.repeat(cluster.weight, len(cluster.tracks)))
+    weight[np.searchsorted(rows, cluster.leaf[cluster.shown])] += 1.0
+    likeliest = np.argsort(-weight, kind="stable")
     mean, cov = manoeuvre.merged(leaves.motion.take(rows[likeliest]))
     apart = np.abs(mean[:, None] - mean[None]) / np.sqrt(np.einsum("nii->ni", cov))[None]
     owner = leaves.owner[rows[likeliest]]
