@@ -101,19 +101,15 @@ class Onboard:
         gyro: GyroHistory,
         ego: EgoHistory,
         identity: IdentityParameters,
-        measurement_sigma: float | None = None,
         estimate_gyro_bias: bool = True,
     ) -> None:
-        """measurement_sigma: px per axis, in the image as the camera gives it, of detections that bring no
-        covariance; None: the tracker's own, in undistorted pixels.
-        estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
+        """estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
         self.counters = Counters()
         self.gyro = gyro
         self.clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self._camera = camera
         self._mounting = mounting
-        self._measurement_sigma = measurement_sigma
         self._tracker = tracker
         self._ego = ego
         self._identities = Identities(
@@ -295,7 +291,7 @@ class Onboard:
         orientation = self.gyro.orientation(t)
         turn = rotation_between(self._orientation or orientation, orientation)
         self._tracker.predict(t, turn.matrix, turn.variance)
-        scan = _scan(detections, t, self._camera, self._measurement_sigma)
+        scan = _scan(detections, t, self._camera, self._tracker)
         self.clock.see(detections.t, scan, self._camera)
         self._tracker.update(scan)
         self._orientation = orientation
@@ -323,14 +319,14 @@ class Onboard:
         self._agreement.remember(self._view)
 
 
-def _scan(detections: Detections, t: float, camera: PinholeCamera, sigma: float | None) -> Scan:
-    """The detections in undistorted pixels; what the distortion cannot undo is left out. sigma: see Onboard."""
+def _scan(detections: Detections, t: float, camera: PinholeCamera, tracker: Tracker) -> Scan:
+    """The detections in undistorted pixels; what the distortion cannot undo is left out."""
     z = camera.undistort(detections.centre)
     good = np.isfinite(z).all(axis=1)
     R = detections.covariance
-    if R is None and sigma is not None and camera.distortion is not None:
+    if R is None and camera.distortion is not None:
         # Towards the border of a wide image one of its pixels is several undistorted ones.
-        R = np.broadcast_to(sigma**2 * np.eye(2), (len(z), 2, 2))
+        R = tracker.measurement_noise(detections.size, detections.score)
     if R is not None:
         J = camera.undistort_jacobian(detections.centre[good])
         R = J @ R[good] @ J.swapaxes(1, 2)

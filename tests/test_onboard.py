@@ -19,16 +19,17 @@ START = Pose(np.eye(3), np.zeros(3))
 NO_ACCEL = np.full(3, np.nan)
 
 
-def onboard(tracker="kalman", camera=CAMERA, start=START, offset=0.0, measurement_sigma=None, **identity):
+def onboard(tracker="kalman", camera=CAMERA, start=START, offset=0.0, measurement_sigma=2.0, **identity):
     return Onboard(
         1,
         camera=camera,
         mounting=Mounting(FORWARD, offset),
-        tracker=create_tracker(tracker, camera=camera, clutter_per_scan=0.5),
+        tracker=create_tracker(
+            tracker, camera=camera, clutter_per_scan=0.5, measurement_sigma=measurement_sigma
+        ),
         gyro=GyroHistory(),
         ego=EgoHistory(start=start),
         identity=IdentityParameters(**identity),
-        measurement_sigma=measurement_sigma,
     )
 
 

@@ -234,3 +234,30 @@ def test_a_box_larger_than_the_image_hides_nobody():
     usable = model.usable(Scan(0.0, np.array([[50.0, 50.0]]), size=np.array([[1e12, 20.0]])))
     assert np.isnan(usable.size).all()
     assert len(usable.z) == 1
+
+
+def test_a_larger_box_and_a_doubtful_one_are_less_precise():
+    """By hand: 2² + side² (0.01² + (0.023 q)²) with q = (1 − s) / s."""
+    size = np.array([[100.0, 50.0], [100.0, 50.0], [UNKNOWN, UNKNOWN]])
+    scan = Scan(0.0, np.full((3, 2), 100.0), size=size, score=np.array([0.99, 0.5, 0.5]))
+    R = sensor().usable(scan).R
+    assert R[0] == pytest.approx(np.diag([5.0, 4.25]), rel=1e-3)
+    assert R[1] == pytest.approx(np.diag([4.0 + 1.0 + 5.29, 4.0 + 0.25 + 1.3225]))
+    assert R[2] == pytest.approx(4.0 * np.eye(2))
+
+
+def test_noise_of_points_of_the_paper_and_of_scans_that_bring_their_own_is_as_told():
+    size, score = np.full((1, 2), 100.0), np.array([0.4])
+    z, own = np.full((1, 2), 100.0), 7.0 * np.eye(2)[None]
+    assert sensor(profile="paper").usable(Scan(0.0, z, size=size, score=score)).R[0] == pytest.approx(
+        4.0 * np.eye(2)
+    )
+    assert sensor().usable(Scan(0.0, z)).R[0] == pytest.approx(4.0 * np.eye(2))
+    assert sensor().usable(Scan(0.0, z, own, size, score)).R[0] == pytest.approx(own[0])
+    off = sensor(size_noise=0.0, score_noise=0.0).usable(Scan(0.0, z, size=size, score=score))
+    assert off.R[0] == pytest.approx(4.0 * np.eye(2))
+
+
+def test_a_share_above_one_is_refused():
+    with pytest.raises(ValueError, match=r"size_noise: found 4\.0, expected a share in 0…1"):
+        sensor(size_noise=4.0)

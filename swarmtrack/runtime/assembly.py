@@ -25,7 +25,7 @@ from swarmtrack.sensors.detection_stream import DetectionStream
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
-from swarmtrack.tracking import TRACKERS, create_tracker
+from swarmtrack.tracking import create_tracker
 from swarmtrack.transport import topology
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
@@ -153,7 +153,6 @@ def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
 
 def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
     motion = config.motion
-    tracking = TRACKERS[config.tracker.name].Parameters(**config.tracker.parameters)
     x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
     return Onboard(
         config.drone.id,
@@ -175,7 +174,6 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
             history_s=motion.history_s,
         ),
         identity=IdentityParameters(**config.identity.parameters),
-        measurement_sigma=tracking.measurement_sigma,
         estimate_gyro_bias=motion.estimate_gyro_bias,
     )
 

@@ -111,6 +111,10 @@ class Tracker:
         """Whether the filter is as good as it thinks; None while too little was detected."""
         return self._innovations.consistency()
 
+    def measurement_noise(self, size: Array, score: Array | None) -> Array:
+        """R (m, 2, 2) px² that it gives to detections without; size (m, 2) px, score (m,)."""
+        return self._sensor.measurement_noise(size, score)
+
     def initiate(self, t: float, points: Array) -> list[int]:
         """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
         self.predict(t)

@@ -108,7 +108,8 @@ class SensorModel:
             if score is not None:
                 s = np.clip(score, LEAST_SCORE, 1.0)
                 share += (told.score_noise * (1.0 - s) / s) ** 2
-            R[:, [0, 1], [0, 1]] += np.nan_to_num(size) ** 2 * share[:, None]
+            low, high = self.camera.ideal_bounds
+            R[:, [0, 1], [0, 1]] += np.clip(np.nan_to_num(size), 0.0, high - low) ** 2 * share[:, None]
         return R
 
     def visibility(
