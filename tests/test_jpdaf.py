@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.geometry.camera import PinholeCamera
@@ -85,7 +85,7 @@ def written_out(table, scan, told):
 
 
 @given(st.integers(1, 3), st.integers(0, 4), st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_an_update_is_that_of_all_joint_events_written_out(n, m, seed):
     rng = np.random.default_rng(seed)
     jpdaf, told = filter_of(

@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.tracking import marginals
 from swarmtrack.tracking.marginals import WIDEST, matching_marginals, sweep_width
 
 NEVER = -np.inf
+UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def written_out(log_ratio):
@@ -59,13 +60,14 @@ both_sweeps = pytest.mark.parametrize("solve", [matching_marginals, swept_in_ord
 
 
 @both_sweeps
+@UNHURRIED
 @given(log_ratio=ratios(columns=7))
 def test_a_pair_is_as_likely_as_the_matchings_that_have_it(solve, log_ratio):
     assert solve(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
 
 
 @both_sweeps
-@settings(max_examples=50)
+@settings(UNHURRIED, max_examples=50)
 @given(log_ratio=ratios(largest=300, columns=7))
 def test_ratios_of_any_size_are_taken_as_they_are(solve, log_ratio):
     assert solve(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
@@ -88,7 +90,7 @@ def test_all_rows_at_once_or_one_after_the_other_is_the_same(size):
         assert matching_marginals(log_ratio) == pytest.approx(swept_in_order(log_ratio), abs=1e-12)
 
 
-@settings(max_examples=50)
+@settings(UNHURRIED, max_examples=50)
 @given(ratios(largest=1e4, size=9))
 def test_nothing_overflows_however_certain_it_is(log_ratio):
     found = matching_marginals(log_ratio)
@@ -97,6 +99,7 @@ def test_nothing_overflows_however_certain_it_is(log_ratio):
     assert found.sum(axis=1).max() <= 1.0 + 1e-9
 
 
+@UNHURRIED
 @given(ratios(size=8), st.integers(1, 3))
 def test_a_row_and_a_column_have_one_partner_at_most_also_where_pairs_are_left_out(log_ratio, widest):
     for found in (matching_marginals(log_ratio), matching_marginals(log_ratio, widest)):
@@ -106,11 +109,13 @@ def test_a_row_and_a_column_have_one_partner_at_most_also_where_pairs_are_left_o
         assert not found[log_ratio == NEVER].any()
 
 
+@UNHURRIED
 @given(ratios(size=7))
 def test_tracks_are_matched_to_drones_as_drones_are_to_tracks(log_ratio):
     assert matching_marginals(log_ratio.T) == pytest.approx(matching_marginals(log_ratio).T, abs=1e-12)
 
 
+@UNHURRIED
 @given(ratios(size=7), st.randoms(use_true_random=False))
 def test_the_order_of_rows_and_columns_does_not_matter(log_ratio, random):
     rows, columns = list(range(len(log_ratio))), list(range(log_ratio.shape[1]))
