@@ -49,6 +49,8 @@ SAME = 0.25  # standard deviations within which two leaves of a track say the sa
 class MbmParameters(CommonParameters):
     """Beside the common ones: how many hypotheses, and how targets manoeuvre."""
 
+    gate_probability: float = 0.99999
+    """Wide: at the onset of a manoeuvre a target is where no model expects it, and hypotheses weigh what fits badly."""
     hypotheses: int = 20
     """Kept for each cluster of tracks in dispute; 1: the most likely one only."""
     least_weight: float = 1e-4
@@ -57,7 +59,7 @@ class MbmParameters(CommonParameters):
     """Another hypothesis is published only once it is so many times as likely as the one that was."""
     interacting: bool = True
     """Two models of motion; else one, constant velocity with `acceleration_psd`, as the other trackers have it."""
-    calm_share: float = 1e-3
+    calm_share: float = 0.05
     """Of `acceleration_psd`: what is left of it while a target keeps its velocity."""
     agile_share: float = 15.0
     """Likewise, while it manoeuvres."""
@@ -136,10 +138,19 @@ class Weighed(NamedTuple):
 
 
 class Story(NamedTuple):
-    """What leaves made of a scan: row (k,) of each leaf, and column (k,) of its detection or `NONE`."""
+    """What leaves made of a scan: row (…,) of each leaf, and column (…,) of its detection or `NONE`."""
 
     leaf: Indices
     column: Indices
+
+
+class Explanation(NamedTuple):
+    """Of a scan, by confirmed tracks. settled: the story of those beyond doubt; disputed: the clusters of the others,
+    with the columns (h, k) of their leaves; taken (m,): how surely one of them made each detection."""
+
+    settled: Story
+    disputed: list[tuple[Cluster, Indices]]
+    taken: Array
 
 
 class Mbm:
@@ -151,6 +162,7 @@ class Mbm:
         self._sensor = sensor
         self._parameters = parameters
         self._manoeuvres = parameters.manoeuvres
+        self._psd = np.array([self._manoeuvres.calm_psd, self._manoeuvres.agile_psd])
         self._turn = TURNS[parameters.profile]
         self._depth = -math.log(parameters.least_weight)
         self._population = Population(sensor, parameters)
@@ -187,17 +199,17 @@ class Mbm:
     def extrapolated(
         self, dt: float, rotation: Array | None, rotation_variance: float
     ) -> tuple[Array, Array]:
-        best = self._leaves.motion.take(self._best)
-        acceleration = manoeuvre.mean_acceleration(best)
+        published = self._published()
         position, velocity = manoeuvre.acceleration_reach(dt, self._manoeuvres)
-        mean = self.table.mean.copy()  # such that constant velocity brings it where the acceleration does
-        mean[:, VELOCITY] += velocity * acceleration
-        mean[:, POSITION] += (position - dt * velocity) * acceleration
+        # Such that constant velocity brings it where the acceleration does.
+        reach = np.array([position - dt * velocity, velocity])
+        jump = manoeuvre.mean_acceleration(published)[:, :, None] * reach
+        mean = self.table.mean + jump.reshape(-1, 4)
         return propagate(
             mean,
             self.table.cov,
             dt,
-            psd=best.mode @ [self._manoeuvres.calm_psd, self._manoeuvres.agile_psd],
+            psd=published.mode @ self._psd,
             camera=self._sensor.camera,
             rotation=rotation,
             rotation_variance=rotation_variance,
@@ -207,9 +219,9 @@ class Mbm:
     def update(self, t: float, measured: Measurements) -> Explained:
         self._drop(t)
         weighed = self._weigh(measured)
-        settled, disputed, taken = self._explain_confirmed(weighed)
-        started = self._explain_tentative(weighed, taken)
-        explained = self._go_on(t, measured, weighed, [settled, started], disputed, taken)
+        explanation = self._explain_confirmed(weighed)
+        started = self._explain_tentative(weighed, explanation.taken)
+        explained = self._go_on(t, measured, weighed, explanation, started)
         self._drop(t)
         return explained
 
@@ -248,45 +260,56 @@ class Mbm:
             return np.zeros((len(table), 2, 2))
         position = table.mean[:, POSITION]
         half = 0.5 * (position[None] - position[:, None])
-        return np.einsum("ij,ijk,ijl->ikl", overlap, half, half)
+        return np.asarray((overlap[:, :, None] * half).swapaxes(1, 2) @ half)
 
     # --- who made what ------------------------------------------------------------------------------
 
-    def _explain_confirmed(self, weighed: Weighed) -> tuple[Story, list[tuple[Cluster, Indices]], Array]:
-        """The settled tracks' story; the clusters in dispute, with the columns (h, k) of their leaves; and how surely
-        (m,) a confirmed track made each detection."""
+    def _explain_confirmed(self, weighed: Weighed) -> Explanation:
         confirmed = np.flatnonzero(self.table.confirmed)
         taken = np.zeros(weighed.gain.shape[1])
         if not len(confirmed):
-            return Story(confirmed, confirmed), [], taken
-        wanted = self._wanted(weighed)[confirmed]
-        label = clusters.components(self._related(confirmed, wanted))
-        single = np.bincount(label, minlength=len(label))[label] == 1
-        single[np.isin(confirmed, [track for cluster in self._clusters for track in cluster.tracks])] = False
-        settled, doubtful = self._settle(self._best[confirmed[single]], weighed)
+            return Explanation(Story(confirmed, confirmed), [], taken)
+        alone, groups = self._groups(confirmed, weighed)
+        settled, doubtful = self._settle(self._best[alone], weighed)
         taken[settled.column[settled.column >= 0]] = 1.0
 
         disputed = []
-        groups = [confirmed[~single][label[~single] == first] for first in np.unique(label[~single])]
         for tracks in [*groups, *self._leaves.owner[doubtful][:, None]]:
             cluster, column = self._explain_cluster(self._cluster_of(tracks), weighed)
             disputed.append((cluster, column))
             for track in range(column.shape[1]):
                 made = column[:, track] >= 0
                 np.add.at(taken, column[made, track], cluster.weight[made])
-        return settled, disputed, taken
+        return Explanation(settled, disputed, taken)
+
+    def _groups(self, confirmed: Indices, weighed: Weighed) -> tuple[Indices, list[Indices]]:
+        """Tracks with one leaf whose detections nobody else wants; and the others, by what they have to do with each
+        other."""
+        wanted = self._wanted(weighed)[confirmed]
+        shared = wanted[:, wanted.sum(axis=0) > 1]
+        if not (shared.shape[1] or self._clusters):
+            return confirmed, []
+        label = clusters.components(self._related(confirmed, shared))
+        alone = np.bincount(label, minlength=len(label))[label] == 1
+        for cluster in self._clusters:
+            alone[np.searchsorted(confirmed, cluster.tracks)] = False
+        others, label = confirmed[~alone], label[~alone]
+        return confirmed[alone], [others[label == first] for first in np.unique(label)]
 
     def _wanted(self, weighed: Weighed) -> NDArray[np.bool_]:
         """(n, m) detections that some leaf of a track may have made."""
+        wanted = weighed.gain > -np.inf
+        if not self._clusters:
+            return wanted
         first = np.searchsorted(self._leaves.owner, np.arange(len(self.table)))
-        return np.asarray(np.logical_or.reduceat(weighed.gain > -np.inf, first, axis=0))
+        return np.asarray(np.logical_or.reduceat(wanted, first, axis=0))
 
-    def _related(self, confirmed: Indices, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, n) confirmed tracks that want the same detection, or that are in dispute already."""
+    def _related(self, confirmed: Indices, shared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n, n) confirmed tracks that want the same of the shared detections (n, s), or that are in dispute
+        already."""
         related = np.eye(len(confirmed), dtype=np.bool_)
-        shared = wanted[:, wanted.sum(axis=0) > 1]
         if shared.shape[1]:
-            related |= (shared[:, None] & shared[None]).any(axis=2)
+            related |= shared @ shared.T
         for cluster in self._clusters:
             rows = np.searchsorted(confirmed, cluster.tracks)
             related[np.ix_(rows, rows)] = True
@@ -340,11 +363,13 @@ class Mbm:
     def _explain_tentative(self, weighed: Weighed, taken: Array) -> Story:
         """Each makes the detection, or none, that together is most likely of what the confirmed ones left."""
         leaves = self._best[~self.table.confirmed]
+        if not len(leaves):
+            return Story(leaves, leaves)
         left = np.flatnonzero(taken < 1.0 - LEAST_AVAILABLE)
         p_detection = weighed.visibility.p_detection[self._leaves.owner[leaves]]
         with np.errstate(divide="ignore"):
             odds = np.log(p_detection / (1.0 - p_detection))
-        ratio = weighed.ratio[np.ix_(leaves, left)] + odds[:, None] + np.log(1.0 - taken[left])
+        ratio = weighed.ratio[leaves[:, None], left] + odds[:, None] + np.log(1.0 - taken[left])
         rows, columns = most_likely_matching(ratio)
         column = np.full(len(leaves), NONE)
         column[rows] = left[columns]
@@ -357,28 +382,28 @@ class Mbm:
         t: float,
         measured: Measurements,
         weighed: Weighed,
-        settled: list[Story],
-        disputed: list[tuple[Cluster, Indices]],
-        taken: Array,
+        explanation: Explanation,
+        started: Story,
     ) -> Explained:
         """The leaves, hypotheses and tracks after the scan; births from what nobody made."""
-        stories = [*settled, *(Story(cluster.leaf.ravel(), column.ravel()) for cluster, column in disputed)]
-        told, rows = _distinct(stories, len(measured.z))
+        _, disputed, taken = explanation
+        stories = [Story(cluster.leaf, column) for cluster, column in disputed]
+        told, rows = _distinct([explanation.settled, started, *stories], *weighed.gain.shape)
         leaves, distance = self._continued(told, measured, weighed, taken)
-        undisputed = np.concatenate(rows[: len(settled)])
+        undisputed = np.concatenate(rows[:2])
         continued = [
-            cluster._replace(leaf=of_cluster.reshape(cluster.leaf.shape))
-            for (cluster, _), of_cluster in zip(disputed, rows[len(settled) :], strict=True)
+            cluster._replace(leaf=leaf) for (cluster, _), leaf in zip(disputed, rows[2:], strict=True)
         ]
         hit = told.column >= 0
         confirmed_before = self.table.confirmed[leaves.owner]
-        lone = (weighed.gain > -np.inf).sum(axis=1) == 1
-        sure = np.isin(np.arange(len(hit)), undisputed) & confirmed_before & lone[told.leaf]
+        sure = np.zeros(len(hit), np.bool_)
+        sure[undisputed] = True
+        sure &= confirmed_before & ((weighed.gain > -np.inf).sum(axis=1) == 1)[told.leaf]
         nis = distance[sure[hit]]
-        started = hit & ~confirmed_before
+        tentative = hit & ~confirmed_before
         free = 1.0 - taken
-        free[told.column[started]] = 0.0
-        clutter = free.sum() + (1.0 - leaves.existence[started]).sum()
+        free[told.column[tentative]] = 0.0
+        clutter = free.sum() + (1.0 - leaves.existence[tentative]).sum()
 
         shown = self._keep(leaves, undisputed, continued)
         seen = hit[shown]
@@ -433,6 +458,9 @@ class Mbm:
         track the row of the leaf that is published, among those given."""
         best = np.full(len(self.table), NONE)
         best[leaves.owner[settled]] = settled
+        if not continued:  # one leaf a track, in the table's order
+            self._leaves, self._best, self._clusters = leaves, best, []
+            return best
         disputed = []
         for cluster in continued:
             unique = clusters.merged(_without_doubles(cluster, leaves))
@@ -449,13 +477,20 @@ class Mbm:
     def _show_best(self) -> None:
         """The table's rows are the leaves of the best hypothesis."""
         table = self.table
-        table.mean, table.cov = manoeuvre.merged(self._leaves.motion.take(self._best))
+        table.mean, table.cov = manoeuvre.merged(self._published())
         table.size = self._leaves.size[self._best]
+
+    def _published(self) -> ModeMixture:
+        """Of each track, the leaf of the best hypothesis; the only one where nothing is in dispute."""
+        motion = self._leaves.motion
+        return motion.take(self._best) if self._clusters else motion
 
     def _grow_leaves(self) -> None:
         """One for each row that the table has gained."""
         table, leaves = self.table, self._leaves
         new = np.arange(len(self._best), len(table))
+        if not len(new):
+            return
         born = Leaves(
             new,
             manoeuvre.begun(table.mean[new], table.cov[new], self._manoeuvres),
@@ -490,13 +525,15 @@ class Mbm:
         self._keep(leaves._replace(owner=row[leaves.owner]), best, remaining)
 
 
-def _distinct(stories: list[Story], m: int) -> tuple[Story, list[Indices]]:
-    """Every story once, ordered by leaf; and for each of the given ones its rows among them."""
-    code = np.concatenate([story.leaf * (m + 1) + story.column + 1 for story in stories])
-    unique, inverse = np.unique(code, return_inverse=True)
-    leaf, column = np.divmod(unique, m + 1)
-    ends = np.cumsum([len(story.leaf) for story in stories])
-    return Story(leaf, column - 1), np.split(inverse, ends[:-1])
+def _distinct(stories: list[Story], count: int, m: int) -> tuple[Story, list[Indices]]:
+    """What `count` leaves make of m detections in any of these stories, once each and ordered by leaf; and for each
+    of the given ones its rows among them."""
+    told = np.zeros((count, m + 1), np.bool_)
+    for leaf, column in stories:
+        told[leaf, column + 1] = True
+    row = told.cumsum().reshape(told.shape) - 1
+    leaf, column = told.nonzero()
+    return Story(leaf, column - 1), [row[leaf, column + 1] for leaf, column in stories]
 
 
 def _without_doubles(cluster: Cluster, leaves: Leaves) -> Cluster:
