@@ -48,6 +48,7 @@ GATE = 16.0  # squared innovations over their variance, at whichever offset suit
 LIKELY = 30.0  # log-likelihood below the best, down to which an offset's gates stay open
 ESTABLISHED = 3  # detections in a row, until then clutter is as likely
 SCALE_STEP = 0.05  # of the gate's own scale, for each innovation
+LEAST_SCALE = 1e-9  # of the variances: a simulation without noise is no reason to divide by zero
 MAX_LAPSE = 0.5  # s without a detection: the target is followed anew
 MAX_TURN_VARIANCE = 3e-3**2  # rad²: a gap in the gyro's samples, and nothing is known across it
 MAX_TARGETS = 8
@@ -178,7 +179,7 @@ class TimeOffset:
         if self._seconds < MIN_EVIDENCE or self._components < MIN_COMPONENTS:
             return None
         # The likelihood with the best common scale of all variances put in.
-        scale = self._cost / self._components
+        scale = np.maximum(self._cost / self._components, LEAST_SCALE)
         surprise = 0.5 * (self._components * np.log(scale) + self._log_det[:, None])
         q, k = divmod(int(surprise.argmin()), len(_GRID))
         self._agility, self._likely = q, surprise[q] < surprise[q, k] + LIKELY
