@@ -6,13 +6,15 @@ a new one,
 
     w_j(z) = p_D w_j N(z; H m_j, S_j) / (κ(z) + b(z) + Σ_l p_D w_l N(z; H m_l, S_l)),
 
-leaves (1 − p_D) w_j of the old one, and starts a label of weight b(z) over the same sum: where a track explains the
-detection next to nothing, else the odds of a newcomer to clutter. So a detection adds one to Σw, clutter included.
+leaves (1 − p_D) w_j of the old one, and starts a label of weight b(z) over the same sum: next to nothing where a track
+explains the detection, else the odds of a newcomer to clutter. So Σw stays the expected number of targets.
 
-The sum knows that a detection has one source, but not that a target makes one detection: of two targets that pass each
-other each label soon has half its weight on either, and stays so (their first moment is right, only the names are
-lost); and what a missed target gives up goes to whoever is seen beside it. `one_to_one` makes the detections compete
-for the labels as the labels do for the detections.
+The sum knows that a detection has one source, but not that a target makes one detection. A track that was surely
+detected keeps (1 − p_D) of its prediction as well, which pulls its estimate back; and of two targets that pass each
+other slowly each label soon has half its weight on either, for good: the intensity is right, the names are lost.
+`one_to_one` makes the detections compete for a label as the labels do for a detection. Each label is then a target
+that exists with probability Σw: that goes beyond Vo & Ma, towards the labelled multi-Bernoulli filter (Reuter, Vo, Vo &
+Dietmayer, IEEE Trans. SP 62(12), 2014).
 """
 
 from __future__ import annotations
@@ -36,9 +38,7 @@ from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.table import TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
 
-ROUNDING = (
-    1e-9  # of a correlation: added to its diagonal, so that it is positive definite to the computer, too
-)
+ROUNDING = 1e-9  # added to the diagonal of a correlation: positive definite to the computer, too
 LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain, and doubles end at 709
 
 
@@ -46,8 +46,8 @@ LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain
 class GmPhdParameters(CommonParameters):
     one_to_one: bool = True
     """A label has one detection at most, as a detection has one label: the weights are those of one-to-one
-    associations, by loopy belief propagation. A penalised PHD filter (Yazdian-Dehkordi, Azimifar & Masnadi-Shirazi,
-    Signal Processing 92, 2012) with a penalty that is derived. Not in the profile `paper`."""
+    associations, by loopy belief propagation where many compete. What penalised PHD filters aim at (Yazdian-Dehkordi,
+    Azimifar & Masnadi-Shirazi, Signal Processing 92, 2012). Not in the profile `paper`."""
     prune_below: float = 1e-4
     """Weight of a component that is given up, unless it is the heaviest of its label."""
     merge_distance: float = 4.0
