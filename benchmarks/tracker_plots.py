@@ -219,6 +219,7 @@ def _cost(result: Result) -> Any:
         panel.set(xscale="log", yscale="log", xlabel="targets N (and detections)", title=label)
         ticks = sorted({cost.targets for cost in result.costs if cost.layout == layout})
         panel.set_xticks(ticks, [str(tick) for tick in ticks])
+        panel.minorticks_off()
         panel.tick_params(axis="x", which="minor", bottom=False)
         panel.grid(alpha=0.25, which="both")
     axes[0].set_ylabel("a scan, ms of one core")
