@@ -408,7 +408,7 @@ class Mbm:
         shown = self._keep(leaves, undisputed, continued)
         seen = hit[shown]
         self._show_best()
-        self._weigh_existence(Story(told.leaf[shown], told.column[shown]), weighed)
+        self._weigh_existence(Story(told.leaf[shown], told.column[shown]), weighed, taken)
         self.table.fit[leaves.owner[hit]] |= measured.fit[told.column[hit]]
         self._population.judge(t, seen, weighed.visibility)
         free[self._population.shadowed(measured.z, seen)] = 0.0
@@ -444,13 +444,15 @@ class Mbm:
         )  # whether it made it, the hypotheses' weights tell
         return Leaves(owner, motion, existence, size), distance
 
-    def _weigh_existence(self, shown: Story, weighed: Weighed) -> None:
-        """Of each track, as its published story tells it; under other hypotheses its target may be another's."""
+    def _weigh_existence(self, shown: Story, weighed: Weighed, taken: Array) -> None:
+        """Of each track, as its published story tells it; under other hypotheses its target may be another's. Tentative
+        ones have what confirmed ones left of a detection."""
         p_detection = weighed.visibility.p_detection
         likelihood = 1.0 - p_detection
         hit = np.flatnonzero(shown.column >= 0)
         ratio = weighed.ratio[shown.leaf[hit], shown.column[hit]]
-        likelihood[hit] += p_detection[hit] * np.exp(np.minimum(ratio, LARGEST_LOG_RATIO))
+        left = np.where(self.table.confirmed[hit], 1.0, 1.0 - taken[shown.column[hit]])
+        likelihood[hit] += p_detection[hit] * np.exp(np.minimum(ratio, LARGEST_LOG_RATIO)) * left
         self.table.existence = lifecycle.reweigh(self.table.existence, likelihood)
 
     def _keep(self, leaves: Leaves, settled: Indices, continued: list[Cluster]) -> Indices:
