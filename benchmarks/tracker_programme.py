@@ -13,9 +13,8 @@ from swarmtrack.benchmarks.tracker_play import ORACLES, SMOOTHER, Score
 from swarmtrack.benchmarks.tracker_results import Row
 from swarmtrack.benchmarks.tracker_scenes import SCENES, find_scene
 from swarmtrack.benchmarks.tracker_timing import Cost, Enumeration
-from swarmtrack.tracking import TRACKERS
+from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
-DEFAULT_TRACKER = "mbm"
 QUICK_RUNS = 2
 QUICK_SCENES = (
     "control", "clutter10", "noise.75", "pd.80", "crossing", "crossing_merged", "slow", "slow_merged", "births",

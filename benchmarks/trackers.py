@@ -39,13 +39,15 @@ BLOCK = 5  # runs that one process does at a time
 PEER_FAMILIES = ("paper", "crossing")
 ABLATION_SCENES = ("slow", "slow_merged", "pd.80", "crossing")
 QUICK_ABLATION_SCENES = ("slow_merged",)
-ABLATION_RUNS = 60
+ABLATION_RUNS = 100
 ABLATIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("as it is", {}),
     ("one hypothesis", {"hypotheses": 1}),
     ("five hypotheses", {"hypotheses": 5}),
     ("hundred hypotheses", {"hypotheses": 100}),
-    ("one motion model", {"calm_share": 1.0}),
+    ("one motion model", {"interacting": False}),
+    ("as soon as likelier", {"changeover": 1.0}),
+    ("narrow gate", {"gate_probability": 0.999}),
     ("no resolution model", {"resolution_px": 0.0}),
     ("clutter rate as told", {"learn_clutter": False}),
     ("no occlusion", {"occlusion": False}),
