@@ -298,7 +298,7 @@ def _corrected(prior: Mixture, measured: Measurements, i: Indices, j: Indices) -
     B = C @ np.linalg.inv(P)
     rest = prior.cov[:, VELOCITY, VELOCITY] - B @ C.swapaxes(1, 2)
     mean, hit = prior.mean.take(i, axis=0), j >= 0
-    P, B, rest, R = (_last(blocks, at) for blocks, at in ((P, i), (B, i), (rest, i), (measured.R, j)))
+    P, B, rest, R = _last(P, i), _last(B, i), _last(rest, i), _last(measured.R, j)
     y = np.where(hit, (measured.z.take(j, axis=0) - mean[:, POSITION]).T, 0.0)
 
     S = P + R
@@ -317,9 +317,9 @@ def _corrected(prior: Mixture, measured: Measurements, i: Indices, j: Indices) -
     return mean, cov
 
 
-def _last(blocks: Array, at: Indices) -> Array:
-    """(2, 2, p) of blocks (k, 2, 2): with the index last, elementwise products of small matrices are the fastest."""
-    return blocks.reshape(-1, 4).T.copy().take(at, axis=1).reshape(2, 2, -1)
+def _last(matrices: Array, at: Indices) -> Array:
+    """(2, 2, p) of matrices (k, 2, 2): small ones are multiplied fastest with their number last."""
+    return matrices.reshape(-1, 4).T.copy().take(at, axis=1).reshape(2, 2, -1)
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -379,9 +379,7 @@ def moments(mixture: Mixture, of: Blocks) -> tuple[Array, Array]:
         return mixture.mean, mixture.cov
     share = mixture.weight / sums(mixture.weight, starts).take(row)
     mean = sums(share[:, None] * mixture.mean, starts)
-    d = (
-        mixture.mean - mean.take(row, axis=0)
-    ).T.copy()  # its rows are as long as the mixture: ten times faster
+    d = (mixture.mean - mean.take(row, axis=0)).T.copy()  # (4, k): ten times faster in what follows
     spread = np.add.reduceat((share * d)[:, None] * d, starts, axis=2)
     cov = sums(share[:, None] * mixture.cov.reshape(-1, 16), starts).reshape(-1, 4, 4)
     return mean, cov + spread.transpose(2, 0, 1)
