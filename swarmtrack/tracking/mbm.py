@@ -87,8 +87,10 @@ class MbmParameters(CommonParameters):
         if not self.changeover >= 1.0:
             raise ValueError(f"tracker.changeover: found {self.changeover!r}, expected a number from 1 on")
         for name in ("agile_share", "lasting_s", "calm_s", "agile_s"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a number above 0")
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"tracker.{name}: found {getattr(self, name)!r}, expected a finite number above 0"
+                )
 
     @property
     def manoeuvres(self) -> Manoeuvres:
