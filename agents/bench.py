@@ -25,7 +25,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     recognition = names.add_parser("recognition", help="who is who over a hundred flights, in one process")
     swarm = names.add_parser("swarm", help="whole local swarms: who knows whom, and at what cost")
     trackers = names.add_parser("trackers", help="every tracker: the paper's figures, and harder scenes")
-    for name in (agent, clips, rotation, offset, clients, flood, identity, recognition, swarm, trackers):
+    soak = names.add_parser("soak", help="every tracker under a million random scans")
+    for name in (
+        agent,
+        clips,
+        rotation,
+        offset,
+        clients,
+        flood,
+        identity,
+        recognition,
+        swarm,
+        trackers,
+        soak,
+    ):
         name.add_argument(
             "--out",
             type=Path,
@@ -33,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        if name not in (clients, flood, identity, trackers):
+        if name not in (offset, clients, flood, identity, trackers, soak):
             name.add_argument(
                 "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
             )
@@ -119,7 +132,7 @@ def _rotation(args: argparse.Namespace) -> None:
 def _offset(args: argparse.Namespace) -> None:
     from swarmtrack.benchmarks import time_offset
 
-    time_offset.run(args.out, tracker=args.tracker, seeds=4 if args.quick else 100)
+    time_offset.run(args.out, seeds=4 if args.quick else 100)
 
 
 def _clients(args: argparse.Namespace) -> None:
@@ -172,6 +185,12 @@ def _trackers(args: argparse.Namespace) -> None:
     )
 
 
+def _soak(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import soak
+
+    soak.run(args.out, scans=soak.QUICK_SCANS if args.quick else soak.SCANS)
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
     "clients": _clients,
@@ -181,6 +200,7 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "offset": _offset,
     "recognition": _recognition,
     "rotation": _rotation,
+    "soak": _soak,
     "swarm": _swarm,
     "trackers": _trackers,
 }

@@ -29,9 +29,9 @@ from swarmtrack.benchmarks.tracker_play import (
     record,
     score,
 )
-from swarmtrack.benchmarks.tracker_programme import DEFAULT_TRACKER, Played, Programme, Result
+from swarmtrack.benchmarks.tracker_programme import Played, Programme, Result
 from swarmtrack.benchmarks.tracker_scenes import SCENES, film
-from swarmtrack.tracking import TRACKERS
+from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
 NAME = "trackers"
 PEER_RUNS = 25  # they cost a hundred times as much

@@ -1,0 +1,154 @@
+"""Trackers under a million random scans: does anything ever become NaN, lose its positive covariance, or grow?
+
+A scan may hold anything: targets, clutter, nothing, the same detection ten times, NaN, infinity, points a million
+pixels off, noise of a thousandth and of a thousand pixels. Time steps are between a microsecond and three seconds, some
+scans are late, and the camera turns, now and then by more than it can see. After every scan every number of every
+track is looked at; memory is looked at in between.
+
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Array, Track
+from swarmtrack.tracking import TRACKERS, Scan, create_tracker
+
+NAME = "soak"
+SCANS = 1_000_000
+QUICK_SCANS = 4_000
+CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
+TARGETS = 6
+WARM_UP = 0.2  # share of the scans after which memory must not grow
+MAX_GROWTH_MB = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Endurance:
+    """What one tracker did. Faults are tracks, counted once a scan; grown_mb: resident memory, from `WARM_UP` on."""
+
+    tracker: str
+    scans: int
+    tracks_seen: int
+    not_finite: int
+    not_positive: int
+    not_a_probability: int
+    grown_mb: float
+
+    @property
+    def ok(self) -> bool:
+        faults = self.not_finite + self.not_positive + self.not_a_probability
+        return faults == 0 and self.grown_mb < MAX_GROWTH_MB
+
+
+def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
+    rng = np.random.default_rng(seed)
+    tracker = create_tracker(tracker_name, camera=CAMERA, clutter_per_scan=3.0, lag_s=0.3)
+    place = rng.uniform([0.0, 0.0], [640.0, 480.0], (TARGETS, 2))
+    t, seen, faults, settled_mb = 0.0, 0, np.zeros(3, np.int64), 0.0
+    for k in range(scans):
+        t += float(rng.choice([1e-6, 1 / 60, 1 / 15, 1 / 7, 3.0], p=[0.01, 0.3, 0.4, 0.28, 0.01]))
+        angle = rng.normal(0.0, rng.choice([0.0, 0.02, 1.5], p=[0.5, 0.48, 0.02]), 3)
+        tracker.predict(t, rotation.exp(angle), float(rng.choice([0.0, 1e-6, 1e-2])))
+        place = np.where(
+            rng.random((TARGETS, 1)) < 0.002, rng.uniform([0.0, 0.0], [640.0, 480.0], (TARGETS, 2)), place
+        ) + rng.normal(0.0, 2.0, (TARGETS, 2))
+        tracker.update(_scan(t if rng.random() < 0.99 else t - 1.0, place, rng))
+        tracks = (*tracker.tracks, *tracker.smoothed, *tracker.at(t + 0.1, rotation.exp(angle)))
+        seen += len(tracks)
+        faults += _faults(tracks)
+        if k == int(WARM_UP * scans):
+            settled_mb = _resident_mb()
+    return Endurance(tracker_name, scans, seen, *(int(f) for f in faults), _resident_mb() - settled_mb)
+
+
+def _scan(t: float, place: Array, rng: np.random.Generator) -> Scan:
+    z = place[rng.random(len(place)) < 0.85]
+    z = z + rng.normal(0.0, 1.5, z.shape)
+    z = np.concatenate([z, rng.uniform([-50.0, -50.0], [690.0, 530.0], (rng.poisson(3.0), 2))])
+    mischief = rng.random()
+    if mischief < 0.02:
+        z = z[:0]
+    elif mischief < 0.04 and len(z):
+        z = np.concatenate([z, np.repeat(z[:1], 10, axis=0)])
+    elif mischief < 0.08:
+        z = np.concatenate([z, [[np.nan, 1.0], [np.inf, -np.inf], [1e6, -1e6], [1e300, 0.0]]])
+    m = len(z)
+    R = score = size = None
+    if rng.random() < 0.3:
+        R = (10.0 ** rng.uniform(-6.0, 6.0, m))[:, None, None] * np.eye(2)
+    if rng.random() < 0.5:
+        score = rng.uniform(0.0, 1.0, m)
+        size = rng.choice([np.nan, 0.0, 8.0, 30.0, 1e4], (m, 2))
+    return Scan(t, z, R, size, score)
+
+
+def _faults(tracks: Sequence[Track]) -> Array:
+    """(3,) how many are not finite, have no positive covariance, or an existence that is no probability."""
+    if not tracks:
+        return np.zeros(3, np.int64)
+    mean, cov = np.array([track.mean for track in tracks]), np.array([track.cov for track in tracks])
+    existence = np.array([track.probability for track in tracks])
+    finite = np.isfinite(mean).all(axis=1) & np.isfinite(cov).all(axis=(1, 2))
+    cov = cov[finite]
+    scale = np.sqrt(np.einsum("nii->ni", np.maximum(cov, 1e-300)))
+    correlation = cov / (scale[:, :, None] * scale[:, None])
+    positive = np.linalg.eigvalsh(correlation)[:, 0] > 0.0
+    return np.array([(~finite).sum(), (~positive).sum(), (~((existence >= 0.0) & (existence <= 1.0))).sum()])
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def run(out: Path, *, scans: int = SCANS, trackers: Sequence[str] = tuple(TRACKERS)) -> dict[str, Any]:
+    """`scans` in all, shared by the trackers, each in a process of its own."""
+    each = scans // len(trackers)
+    with report.progress("soak", len(trackers)) as advance, ProcessPoolExecutor() as pool:
+        jobs = {name: pool.submit(endure, name, each) for name in trackers}
+        rows = []
+        for name, job in jobs.items():
+            rows.append(job.result())
+            advance(name)
+    result = {"rows": [{**asdict(row), "ok": row.ok} for row in rows]}
+    report.write(out, NAME, result, _markdown(rows))
+    return result
+
+
+def _markdown(rows: Sequence[Endurance]) -> str:
+    header = [
+        "tracker",
+        "scans",
+        "tracks looked at",
+        "not finite",
+        "not positive",
+        "no probability",
+        "memory, MB",
+        "",
+    ]
+    cells = [
+        [
+            row.tracker,
+            f"{row.scans:,}",
+            f"{row.tracks_seen:,}",
+            str(row.not_finite),
+            str(row.not_positive),
+            str(row.not_a_probability),
+            f"{row.grown_mb:+.1f}",
+            "holds" if row.ok else "**fails**",
+        ]
+        for row in rows
+    ]
+    about = (__doc__ or "").split("\n", 2)[2].strip()
+    return f"# Soak\n\n{about}\n\n{report.table(header, cells)}"
