@@ -131,6 +131,36 @@ def test_what_is_left_in_dispute_says_the_same_of_those_who_are(k, h, seed):
     )
 
 
+def shown(cluster):
+    """The leaf of each track that is published."""
+    return dict(zip(cluster.tracks.tolist(), cluster.leaf[cluster.shown].tolist(), strict=True))
+
+
+@given(
+    a=st.integers(1, 5),
+    b=st.integers(1, 5),
+    which=st.tuples(st.integers(0, 4), st.integers(0, 4)),
+    seed=seeds,
+)
+def test_who_is_published_stays_so_when_clusters_join_are_sifted_and_settle(a, b, which, seed):
+    rng = np.random.default_rng(seed)
+    first, second = random_cluster(rng, [4, 1], a, leaves_each=2), random_cluster(rng, [2], b, leaves_each=2)
+    first = first._replace(shown=min(which[0], a - 1))
+    second = second._replace(shown=min(which[1], b - 1))
+    both = product(first, second, 100)
+    assert shown(both) == shown(first) | shown(second)
+    single = merged(both)
+    assert shown(single) == shown(both)
+    left = in_dispute(single)
+    if left is not None:
+        assert shown(left).items() <= shown(single).items()
+
+
+def test_if_what_was_published_is_dropped_the_best_is():
+    first = cluster_of([0], [[0], [1]], [0.999, 0.001])._replace(shown=1)
+    assert shown(product(first, cluster_of([1], [[10], [11]], [0.6, 0.4]), 2)) == {0: 0, 1: 10}
+
+
 @given(st.lists(st.floats(-800.0, 800.0), min_size=1, max_size=10))
 def test_weights_of_any_size_come_to_add_up_to_one(log_weight):
     result = normalised(np.array(log_weight))

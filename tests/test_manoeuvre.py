@@ -464,6 +464,21 @@ def test_it_stays_sound_whatever_happens_for_twenty_thousand_steps():
                 mixture = joined(mixture.take(np.flatnonzero(~gone)), fresh(int(gone.sum())))
 
 
+@pytest.mark.parametrize("scale", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("variance", [1e-2, 1e-6])
+def test_a_detection_of_next_to_no_noise_leaves_a_positive_covariance(scale, variance):
+    """Where P − K S Kᵀ is rounding alone: as sure as the detection, and no surer."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(0.0, scale, (50, 2, 6, 6))
+    known_to_little = ModeMixture(np.zeros((50, 2, 6)), A @ A.swapaxes(2, 3), np.full((50, 2), 0.5))
+    R = np.tile(variance * np.eye(2), (50, 1, 1))
+    after, _ = update(known_to_little, rng.normal(0.0, scale, (50, 2)), R)
+    assert_positive(after.cov)
+    assert after.cov[:, :, 0:4:2, 0:4:2] == pytest.approx(
+        np.tile(R[:, None], (1, 2, 1, 1)), rel=1e-2, abs=1e-3 * variance
+    )
+
+
 def test_a_mode_that_was_ruled_out_can_come_back():
     """A second unseen, then 300 px off: the calm model's probability is e⁻¹⁰⁰⁰⁰. No time passes until the next."""
     told = Manoeuvres(agile_psd=150_000.0, calm_psd=10.0, lasting_s=2.0, calm_s=4.0, agile_s=2.0)
