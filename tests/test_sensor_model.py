@@ -237,12 +237,13 @@ def test_a_box_larger_than_the_image_hides_nobody():
 
 
 def test_a_larger_box_and_a_doubtful_one_are_less_precise():
-    """By hand: 2² + side² (0.01² + (0.023 q)²) with q = (1 − s) / s."""
+    """By hand: 2² + side² (0.01² + (0.02 q)²) with q = (1 − s) / s."""
+    model = sensor(size_noise=0.01, score_noise=0.02)
     size = np.array([[100.0, 50.0], [100.0, 50.0], [UNKNOWN, UNKNOWN]])
     scan = Scan(0.0, np.full((3, 2), 100.0), size=size, score=np.array([0.99, 0.5, 0.5]))
-    R = sensor().usable(scan).R
+    R = model.usable(scan).R
     assert R[0] == pytest.approx(np.diag([5.0, 4.25]), rel=1e-3)
-    assert R[1] == pytest.approx(np.diag([4.0 + 1.0 + 5.29, 4.0 + 0.25 + 1.3225]))
+    assert R[1] == pytest.approx(np.diag([4.0 + 1.0 + 4.0, 4.0 + 0.25 + 1.0]))
     assert R[2] == pytest.approx(4.0 * np.eye(2))
 
 

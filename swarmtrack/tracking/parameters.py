@@ -16,11 +16,12 @@ class CommonParameters:
     """`paper`: its motion model (optical flow instead of the exact rotation), and no use of scores, box sizes, overlaps
     or a learned clutter rate."""
     measurement_sigma: float = 2.0
-    """px, per axis, where a scan brings no R of its own: of a point, or of the smallest box."""
-    size_noise: float = 0.01
+    """px, per axis, where a scan brings no R of its own: of a point, or of the smallest box. From frame to frame the
+    shipped detector is ten times better, but only this much keeps tracks whose boxes stay beside the drone."""
+    size_noise: float = 0.008
     """What comes to it for a larger box, as a share of its side: of the shipped detector, surely seen. Measured by
     `python -m swarmtrack.benchmarks.detection_noise`, as is the next one."""
-    score_noise: float = 0.023
+    score_noise: float = 0.022
     """Likewise, times (1 − score) / score: of a box that is doubtful."""
     acceleration_psd: float = 10_000.0
     """px²/s³, continuous white noise: 3 m/s² for half a second at 10 m and f = 430 px."""

@@ -1,0 +1,278 @@
+"""How far the shipped detector's boxes are off, by their size and by their score, on labelled clips.
+
+Labels jitter, too, and drones shake, so the difference of the two is not the detector's noise. Third differences over
+four frames in a row leave nothing of a smooth flight; what they hold of the shaking s is in detections d and labels l
+alike, what they hold of the jitter in one of them only:
+
+    var d = s² + σ_d²    var l = s² + σ_l²    cov(d, l) = s²    (each times 20, the sum of 1, 9, 9, 1)
+
+So σ_d² = var d − cov(d, l), if detector and labels jitter independently. What stays for longer than a few frames (a box
+that is centred beside the drone, a label that is loose) is in none of them: a tracker takes it for the target's place,
+and so does its innovation.
+
+How the noise depends on the score is judged box by box: the error against the label, less the median error of the
+frames within 0.2 s; by its median, as the worst of doubtful boxes are those of something else.
+
+The fit is that of the trackers' `measurement_noise`: σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²).
+
+    python -m swarmtrack.benchmarks.detection_noise DATA --out DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks.report import number
+from swarmtrack.benchmarks.tracker_clips import look
+from swarmtrack.detection.detector import Detector
+from swarmtrack.errors import SwarmtrackError
+from swarmtrack.evaluation.clip_score import TrackPoints, TruthBoxes, match_hits
+from swarmtrack.evaluation.intervals import Interval
+from swarmtrack.messages import Array, Detections
+
+NAME = "detection_noise"
+THIRD = np.array([1.0, -3.0, 3.0, -1.0])
+GAIN = float(THIRD @ THIRD)
+SIDES = (0.0, 20.0, 27.0, 35.0, 45.0, 60.0, 80.0, 1000.0)  # px
+SCORES = (0.33, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8, 0.9, 1.0)
+SURE = 0.6  # score from which on a box counts as surely seen
+NEAR_S = 0.2  # s within which slow errors are the same
+FEWEST = 40  # boxes that make a figure
+WORST = 5.0  # robust standard deviations beyond which a pair of box and label is of two things
+RESAMPLES = 200
+NORMAL_MAD = 1.4826  # standard deviation over median absolute value, of a normal distribution
+
+
+class Sightings(NamedTuple):
+    """One labelled drone and what was found of it. frame (n,); box, label (n, 2) px, their centres; size (n, 2) px of
+    the box; score (n,)."""
+
+    frame: Array
+    box: Array
+    label: Array
+    size: Array
+    score: Array
+    fps: float
+
+
+class Jitter(NamedTuple):
+    """Third differences over four frames, an axis a row: of boxes and labels [px], beside the box's side there [px]."""
+
+    box: Array
+    label: Array
+    side: Array
+
+    def within(self, low: float, high: float) -> Jitter:
+        rows = (self.side >= low) & (self.side < high)
+        return Jitter(self.box[rows], self.label[rows], self.side[rows])
+
+
+class Residuals(NamedTuple):
+    """Errors less those around them, an axis a row: as a share of the box's side, beside its score."""
+
+    share: Array
+    score: Array
+
+
+def pair(seen: Sequence[Detections], truth: dict[int, TruthBoxes], fps: float) -> list[Sightings]:
+    """The boxes that hit a label, by labelled drone."""
+    found: dict[int, list[tuple[float, ...]]] = {}
+    for detections in seen:
+        labelled = truth.get(detections.sequence)
+        if labelled is None:
+            continue
+        boxes = TrackPoints(np.arange(len(detections)), detections.centre)
+        for row, column, _ in zip(*match_hits(labelled, boxes), strict=True):
+            entry = (
+                detections.sequence, *detections.centre[column], *labelled.centre[row], *detections.size[column],
+                detections.score[column],
+            )  # fmt: skip
+            found.setdefault(int(labelled.id[row]), []).append(entry)
+    tables = [np.array(rows) for rows in found.values()]
+    return [Sightings(t[:, 0], t[:, 1:3], t[:, 3:5], t[:, 5:7], t[:, 7], fps) for t in tables]
+
+
+def jitter(drone: Sightings) -> Jitter:
+    """Of all that was surely seen in four frames in a row."""
+    runs = np.lib.stride_tricks.sliding_window_view(np.arange(len(drone.frame)), len(THIRD))
+    in_a_row = drone.frame[runs[:, -1]] - drone.frame[runs[:, 0]] == len(THIRD) - 1
+    runs = runs[in_a_row & (drone.score[runs].min(axis=1) >= SURE)]
+    box, label = (np.einsum("k,nka->na", THIRD, centre[runs]).ravel() for centre in (drone.box, drone.label))
+    return Jitter(box, label, drone.size[runs].mean(axis=1).ravel())
+
+
+def residuals(drone: Sightings) -> Residuals:
+    error, reach = drone.box - drone.label, NEAR_S * drone.fps
+    share, score = [], []
+    for i, frame in enumerate(drone.frame):
+        around = np.abs(drone.frame - frame) <= reach
+        around[i] = False
+        if around.sum() >= reach:
+            usual = np.median(error[around], axis=0)
+            share.append((error[i] - usual) / np.median(drone.size[around], axis=0))
+            score.append([drone.score[i]] * 2)
+    return Residuals(np.array(share).ravel(), np.array(score).ravel())
+
+
+def separated(found: Jitter) -> tuple[float, float, float]:
+    """Variances px² of boxes, of labels, and of what both show; without pairs of box and label of different things."""
+    apart = np.abs(found.box - found.label)
+    good = apart <= WORST * NORMAL_MAD * np.median(apart)
+    box, label = found.box[good], found.label[good]
+    shaking = float(np.mean(box * label))
+    return (
+        (float(np.mean(box**2)) - shaking) / GAIN,
+        (float(np.mean(label**2)) - shaking) / GAIN,
+        shaking / GAIN,
+    )
+
+
+def by_side(found: Jitter) -> list[dict[str, float]]:
+    rows = []
+    for low, high in pairwise(SIDES):
+        part = found.within(low, high)
+        if len(part.side) >= FEWEST:
+            box, label, shaking = separated(part)
+            rows.append(
+                {
+                    "pairs": len(part.side),
+                    "side_px": float(part.side.mean()),
+                    "box_px": _root(box),
+                    "label_px": _root(label),
+                    "shaking_px": _root(shaking),
+                }
+            )
+    return rows
+
+
+def by_score(found: Residuals) -> list[dict[str, float]]:
+    rows = []
+    for low, high in pairwise(SCORES):
+        share = found.share[(found.score >= low) & (found.score < high)]
+        if len(share) >= FEWEST:
+            score = float(found.score[(found.score >= low) & (found.score < high)].mean())
+            noise = float(NORMAL_MAD * np.median(np.abs(share)))
+            rows.append({"pairs": len(share), "score": score, "share_of_side": noise})
+    return rows
+
+
+def fit(sides: list[dict[str, float]], scores: list[dict[str, float]]) -> dict[str, float]:
+    """floor px, size_noise and score_noise: the least squares of relative errors of the variances in both tables."""
+    side = np.array([row["side_px"] for row in sides])
+    variance = np.array([row["box_px"] ** 2 for row in sides])
+    floor, size_noise = _two_terms(np.ones_like(side), side**2, variance, [row["pairs"] for row in sides])
+    doubt = np.array([((1.0 - row["score"]) / row["score"]) ** 2 for row in scores])
+    share = np.array([row["share_of_side"] ** 2 for row in scores])
+    _, score_noise = _two_terms(np.ones_like(doubt), doubt, share, [row["pairs"] for row in scores])
+    return {"floor_px": floor, "size_noise": size_noise, "score_noise": score_noise}
+
+
+def _two_terms(a: Array, b: Array, variance: Array, count: Sequence[float]) -> tuple[float, float]:
+    """The roots of x, y ≥ 0 with x a + y b ≈ variance, whose relative error goes as 1 / sqrt(count)."""
+    weight = np.sqrt(np.asarray(count)) / np.maximum(variance, 1e-12)
+    A = np.column_stack([a, b]) * weight[:, None]
+    solution = np.linalg.lstsq(A, variance * weight, rcond=None)[0]
+    return _root(float(solution[0])), _root(float(solution[1]))
+
+
+def _root(value: float) -> float:
+    return float(np.sqrt(max(value, 0.0)))
+
+
+def measure(drones: Sequence[Sightings]) -> dict[str, Any]:
+    """Both tables and the fit, with 95 % intervals over drones drawn with replacement."""
+    jitters, rests = [jitter(drone) for drone in drones], [residuals(drone) for drone in drones]
+
+    def tables(drawn: Sequence[int]) -> tuple[list[dict[str, float]], list[dict[str, float]]]:
+        together = Jitter(*(np.concatenate(part) for part in zip(*(jitters[i] for i in drawn), strict=True)))
+        rest = Residuals(*(np.concatenate(part) for part in zip(*(rests[i] for i in drawn), strict=True)))
+        return by_side(together), by_score(rest)
+
+    n, rng = len(drones), np.random.default_rng(0)
+    sides, scores = tables(range(n))
+    drawn = [fit(*tables(rng.integers(n, size=n).tolist())) for _ in range(RESAMPLES)]
+    fitted = {}
+    for name, value in fit(sides, scores).items():
+        low, high = np.percentile([each[name] for each in drawn], [2.5, 97.5])
+        fitted[name] = Interval(value, float(low), float(high))._asdict()
+    return {"sides": sides, "scores": scores, **fitted}
+
+
+def run(out: Path, data: Path) -> dict[str, Any]:
+    """Look at every clip below `data`; detection_noise.json and .md into `out`, and return what is in the JSON."""
+    clips = real_clips.find_clips(data)
+    detector = Detector()
+    drones: list[Sightings] = []
+    with report.progress("detection noise", len(clips)) as advance:
+        for clip in clips:
+            drones += pair(look(clip, detector), real_clips.read_truth(clip.truth), clip.fps)
+            advance(clip.name)
+    result = {"clips": [clip.name for clip in clips], "drones": len(drones), **measure(drones)}
+    report.write(out, NAME, result, _markdown(result))
+    return result
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    sides = [
+        [
+            number(row["side_px"], 0),
+            str(row["pairs"]),
+            *(number(row[key]) for key in ("box_px", "label_px", "shaking_px")),
+        ]
+        for row in result["sides"]
+    ]
+    scores = [
+        [number(row["score"]), str(row["pairs"]), number(100.0 * row["share_of_side"], 1)]
+        for row in result["scores"]
+    ]
+    fitted = [
+        [name, *(number(result[name][key], 4) for key in ("value", "low", "high"))]
+        for name in ("floor_px", "size_noise", "score_noise")
+    ]
+    return "\n".join(
+        [
+            "# Detection noise",
+            "",
+            f"{result['drones']} labelled drones in {len(result['clips'])} clips, frame to frame, per axis.",
+            "",
+            f"By the box's side, of score {SURE:g} and more:",
+            "",
+            report.table(
+                ["side, px", "pairs", "σ of boxes, px", "σ of labels, px", "shaking of both, px"], sides
+            ),
+            "",
+            "By score, all sizes, beside the error of the frames around:",
+            "",
+            report.table(["score", "pairs", "σ, % of the side"], scores),
+            "",
+            "σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²), 95 % over drones:",
+            "",
+            report.table(["", "fit", "from", "to"], fitted),
+        ]
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="detection_noise", description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("data", type=Path, help="folder with NAME.mp4 and NAME_gt.csv")
+    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
+    options = parser.parse_args(arguments)
+    try:
+        run(options.out, options.data)
+    except SwarmtrackError as error:
+        print(f"detection_noise: {error}", file=sys.stderr)
+        return 2
+    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
