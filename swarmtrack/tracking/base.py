@@ -159,6 +159,8 @@ class Tracker:
             return ()
         mean, cov = self._filter.extrapolated(t - self._t, rotation, rotation_variance)
         tracks = self._filter.table.tracks(t, mean, cov)
-        if np.abs(mean[:, POSITION]).max(initial=0.0) < self._surely_before:
+        camera = self._sensor.camera
+        placed = lifecycle.is_placed(cov, camera)
+        if np.abs(mean[:, POSITION]).max(initial=0.0) < self._surely_before and placed.all():
             return tracks
-        return tuple(compress(tracks, lifecycle.within_reach(mean, self._sensor.camera)))
+        return tuple(compress(tracks, placed & lifecycle.within_reach(mean, camera)))

@@ -23,6 +23,7 @@ LOST_BELOW = 0.1  # existence of a missed track: rather hidden or gone than ther
 # Tangent of 80 degrees off the axis. A pixel further out covers next to nothing, and every turn of the camera would
 # multiply the covariance of what is there, without bound, until it comes back.
 MAX_SLANT = 5.7
+MAX_SIGMA = 10.0  # times the longer side of the image: who may be anywhere is nowhere
 SURELY = 8.5  # sigmas inside the image, where a double tells the probability from one no more
 
 
@@ -64,3 +65,9 @@ def within_reach(mean: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
     low, high = camera.ideal_bounds
     shown = ((mean[:, POSITION] >= low) & (mean[:, POSITION] <= high)).all(axis=1)
     return np.asarray(near | shown)
+
+
+def is_placed(cov: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
+    """(n,) that something is known of where a target is. Beyond that, products of covariances lose their sign."""
+    variance = (MAX_SIGMA * max(camera.width, camera.height)) ** 2
+    return np.asarray((cov[:, 0, 0] < variance) & (cov[:, 2, 2] < variance))
