@@ -31,7 +31,7 @@ from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
 from swarmtrack.tracking.manoeuvre import Manoeuvres, ModeMixture
-from swarmtrack.tracking.motion_model import POSITION, VELOCITY, propagate
+from swarmtrack.tracking.motion_model import POSITION, propagate
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import Population, blend_sizes
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
@@ -232,7 +232,7 @@ class Mbm:
     def _weigh(self, measured: Measurements) -> Weighed:
         table, leaves = self.table, self._leaves
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
-        shift = self._shift_of_merged()
+        shift = self._shift_of_merged(visibility.overlap)
         mean, cov, mode = leaves.motion
         cov = cov[:, :, manoeuvre.KINEMATIC, manoeuvre.KINEMATIC].copy()
         cov[:, :, POSITION, POSITION] += shift[leaves.owner][:, None]
@@ -248,19 +248,16 @@ class Mbm:
         # To confirmed tracks the tentative ones are more clutter, as much as they claim: else a track that was lost
         # would sooner or later be found in whatever looks a little like a drone, again and again.
         confirmed = table.confirmed[leaves.owner]
-        claims = p_detected[~confirmed, None] * np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
-        gain[confirmed] -= np.log1p(claims.sum(axis=0))
-        hopeless = gain < -self._depth  # to have made none is likelier by more than what is kept
-        gain[hopeless] = -np.inf
+        claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
+        gain[confirmed] -= np.log1p(p_detected[~confirmed] @ claim)
+        gain[gain < -self._depth] = -np.inf  # to have made none is likelier by more than what is kept
         return Weighed(visibility, shift, ratio, gain, missed)
 
-    def _shift_of_merged(self) -> Array:
+    def _shift_of_merged(self, overlap: Array) -> Array:
         """(n, 2, 2) px²: where two targets may give one detection it lies between them, half their distance off."""
-        table = self.table
-        overlap = self._sensor.overlap(table.mean, table.cov, table.size)
         if not overlap.any():
-            return np.zeros((len(table), 2, 2))
-        position = table.mean[:, POSITION]
+            return np.zeros((len(self.table), 2, 2))
+        position = self.table.mean[:, POSITION]
         half = 0.5 * (position[None] - position[:, None])
         return np.asarray((overlap[:, :, None] * half).swapaxes(1, 2) @ half)
 

@@ -43,10 +43,12 @@ class Measurements(NamedTuple):
 
 
 class Visibility(NamedTuple):
-    """Of n targets. p_detection (n,): that this scan detects it; in_view (n,): that it lies inside the image."""
+    """Of n targets. p_detection (n,): that this scan detects it; in_view (n,): that it lies inside the image; overlap
+    (n, n): that i and j are not resolved in it, but one detection."""
 
     p_detection: Array
     in_view: Array
+    overlap: Array
 
 
 class Likelihoods(NamedTuple):
@@ -120,14 +122,14 @@ class SensorModel:
         in_view = probability_in_view(mean, cov, self.camera)
         p_detection = self.parameters.p_detection * in_view
         if size is None:
-            return Visibility(p_detection, in_view)
-        hidden = self.overlap(mean, cov, size)
-        if hidden.any():
-            hidden *= hidden_behind(size, self.parameters.size_sigma)
+            return Visibility(p_detection, in_view, np.zeros((len(mean), len(mean))))
+        overlap = self.overlap(mean, cov, size)
+        if overlap.any():
+            hidden = overlap * hidden_behind(size, self.parameters.size_sigma)
             if existence is not None:
                 hidden *= existence
             p_detection = p_detection * (1.0 - hidden).prod(axis=1)
-        return Visibility(p_detection, in_view)
+        return Visibility(p_detection, in_view, overlap)
 
     def overlap(self, mean: Array, cov: Array, size: Array) -> Array:
         """(n, n) that i and j are not resolved in this scan, but one detection; of means (n, 4), covariances (n, 4, 4)
