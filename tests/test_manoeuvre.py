@@ -455,7 +455,7 @@ def test_it_stays_sound_whatever_happens_for_twenty_thousand_steps():
                 mixture, _ = update(mixture, z, np.tile(sigma**2 * np.eye(2), (n, 1, 1)))
             assert np.isfinite(mixture.mean).all()
             assert mixture.mode.min() > 0.0
-            assert mixture.mode.sum(axis=1) == pytest.approx(np.ones(n), abs=1e-9)
+            assert np.abs(mixture.mode.sum(axis=1) - 1.0).max() < 1e-9
             if step % 10 == 0:
                 assert_positive(mixture.cov)
                 assert_positive(merged(mixture)[1])
