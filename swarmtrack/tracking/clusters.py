@@ -46,14 +46,15 @@ def product(first: Cluster, second: Cluster, count: int) -> Cluster:
 
 def merged(cluster: Cluster) -> Cluster:
     """Without doubles: hypotheses that take the same leaves are one."""
-    leaves, first, inverse = np.unique(cluster.leaf, axis=0, return_index=True, return_inverse=True)
-    if len(leaves) == len(cluster.leaf):
+    first: dict[bytes, int] = {}
+    double_of = np.array([first.setdefault(row.tobytes(), i) for i, row in enumerate(cluster.leaf)])
+    if len(first) == len(cluster.leaf):
         return cluster
-    log_weight = np.full(len(leaves), -np.inf)
-    np.logaddexp.at(log_weight, inverse.ravel(), cluster.log_weight)
-    order = np.argsort(-log_weight, kind="stable")
-    shown = int((order == inverse.ravel()[cluster.shown]).argmax())
-    return Cluster(cluster.tracks, cluster.leaf[first[order]], normalised(log_weight[order]), shown)
+    log_weight = np.full(len(double_of), -np.inf)
+    np.logaddexp.at(log_weight, double_of, cluster.log_weight)
+    order = np.argsort(-log_weight, kind="stable")[: len(first)]
+    shown = int((order == double_of[cluster.shown]).argmax())
+    return Cluster(cluster.tracks, cluster.leaf[order], normalised(log_weight[order]), shown)
 
 
 def in_dispute(cluster: Cluster) -> Cluster | None:
