@@ -32,7 +32,6 @@ from swarmtrack.tracking.table import TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
 
 LEAST_EXISTENCE = 1e-12
-LARGEST_LOG_RATIO = 300.0  # of a tentative track's claim: nothing is as certain, and doubles end at 709
 DOUBTFUL = 0.95  # existence of a confirmed track below which it may be a double of another
 ONE_PLACE = 4.0  # squared distance, in the sigmas of two tracks, of which half of all pairs on one target are below 3.4
 SEEN = 0.5  # share of all detections, from which on a scan counts as having detected a track
@@ -148,21 +147,19 @@ class Jpdaf:
     def _shares(self, log_ratio: Array, detectable: Array) -> Array:
         """β (n, m) without "none". log_ratio (n, m): N(y; 0, S) over clutter and newcomers; detectable (n,): r p_D.
 
-        To confirmed tracks the tentative ones are more clutter, as much as they claim; those then share what is left.
+        Confirmed tracks come first, tentative ones share what they leave: a track that was led astray by clutter must
+        not find its target taken by the one that was just born there.
         """
         with np.errstate(divide="ignore"):
             weight = log_ratio + np.log(detectable / (1.0 - detectable))[:, None]
         sure = self.table.confirmed
         if sure.all():
             return self._marginals(weight)
-        claims = detectable[~sure, None] * np.exp(np.minimum(log_ratio[~sure], LARGEST_LOG_RATIO))
-        clutter = 1.0 + claims.sum(axis=0)
         share = np.empty_like(log_ratio)
-        share[sure] = self._marginals(weight[sure] - np.log(clutter))
-        left = np.maximum(1.0 - share[sure].sum(axis=0), 0.0)
+        share[sure] = self._marginals(weight[sure])
         with np.errstate(divide="ignore"):
-            free = np.log(left / (left + clutter * (1.0 - left)))
-        share[~sure] = matching_marginals(weight[~sure] + free, self._parameters.exact_width, beliefs)
+            left = np.log(np.maximum(1.0 - share[sure].sum(axis=0), 0.0))
+        share[~sure] = matching_marginals(weight[~sure] + left, self._parameters.exact_width, beliefs)
         return share
 
     def _marginals(self, log_ratio: Array) -> Array:
