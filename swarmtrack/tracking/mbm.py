@@ -59,7 +59,7 @@ class MbmParameters(CommonParameters):
     """Another hypothesis is published only once it is so many times as likely as the one that was."""
     interacting: bool = True
     """Two models of motion; else one, constant velocity with `acceleration_psd`, as the other trackers have it."""
-    calm_share: float = 0.05
+    calm_share: float = 0.1
     """Of `acceleration_psd`: what is left of it while a target keeps its velocity."""
     agile_share: float = 15.0
     """Likewise, while it manoeuvres."""
