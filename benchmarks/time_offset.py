@@ -3,8 +3,8 @@
 Simulated flights of thirty seconds: a gyro with bias and noise, attitudes, and detections with misses, clutter and
 noise, stamped wrong by a known offset, go to the two estimators as Onboard feeds them (neither asks the tracker). In
 *looking round* the observer of the crossing scenario turns to another heading every few seconds, as a pilot or a search
-does; it flies every seed with each of five offsets. Of the scenarios as they are shipped, and of an observer that stands
-still, each seed flies with one of the five.
+does; it flies every seed with each of five offsets. Of the scenarios as they are shipped, and of an observer that
+stands still, each seed flies with one of the five.
 
 Beside each stands what an estimator could reach that knew where all targets truly are, so that the pixels' noise
 alone was left. Nobody can: a target moves as it likes, and slow turns look like a target's own motion.
@@ -35,7 +35,7 @@ from swarmtrack.motion.gyro_bias import GyroBias
 from swarmtrack.motion.time_offset import SURE, CameraClock
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.sensors import EgoParameters, Imu, detect, ego_pose, visible
+from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
 from swarmtrack.simulation.trajectory import Hover, SteadyYaw, Trajectory, YawProfile
 from swarmtrack.simulation.world import World
 
@@ -45,6 +45,7 @@ BEGINS_S = 5.0  # of the world's time: everybody has taken off
 SECONDS = 30.0
 LATENCY_S = 0.050  # from exposure to Onboard
 ATTITUDES_HZ = 10.0
+IMU_HZ = 100.0  # as slow as autopilots' links often are
 WITHIN_S = 2e-3  # the claim, one sigma
 WITHIN_RAD_S = 2e-3  # likewise of the gyro's bias, every axis
 
@@ -146,9 +147,18 @@ def _sense(condition: Condition, seed: int, seconds: float) -> Sensed:
     if condition.observer is not None:
         changed = condition.observer(world, world.drones[observer])
         world = replace(world, drones={**world.drones, observer: changed})
-    imu, begins, ends = Imu(world, observer), BEGINS_S - 0.5, BEGINS_S + seconds
-    rate = imu.parameters.rate_hz
-    samples = [imu.sample(k) for k in range(int(begins * rate), int((ends + 0.5) * rate))]
+    imu, begins, ends = (
+        Imu(world, observer, ImuParameters(rate_hz=IMU_HZ)),
+        BEGINS_S - 0.5,
+        BEGINS_S + seconds,
+    )
+    times = np.arange(int(begins * IMU_HZ), int((ends + 0.5) * IMU_HZ)) / IMU_HZ
+    # All noise from one generator: one for each sample, as `Imu.sample` has it, takes longer than the rest of it.
+    white = world.chance("imu", observer).standard_normal((len(times), 2, 3))
+    samples = [
+        ImuSample(t, *imu.measure(world.drones[observer].motion(t), w))
+        for t, w in zip(times.tolist(), white, strict=True)
+    ]
     ego = EgoParameters(rate_hz=ATTITUDES_HZ)
     poses = [
         ego_pose(world, observer, k, ego) for k in range(int(begins * ego.rate_hz), int(ends * ego.rate_hz))

@@ -1,5 +1,6 @@
 """The camera's clock against the gyro's: found where the camera turns, unknown where it does not, used with care."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmtrack.benchmarks import time_offset
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -302,3 +304,14 @@ def test_what_lies_beyond_the_search_is_unknown_and_changes_nothing():
     )
     assert drone.clock.found is None or drone.clock.found.sigma_s > SURE
     assert drone.clock.used_s == 0.0
+
+
+def test_the_benchmark_writes_what_it_found(tmp_path):
+    result = time_offset.run(tmp_path, seeds=2, seconds=12.0, names=("fast-yaw", "standing still"))
+    turning, still = (result["by_condition"][name] for name in ("fast-yaw", "standing still"))
+    assert turning["rms_ms"]["value"] < 2.0
+    assert (turning["sure"], still["sure"], still["claimed"]) == (1.0, 0.0, 0.0)
+    assert turning["bias"]["worst_rad_s"] < 2e-3
+    assert json.loads((tmp_path / "offset.json").read_text(encoding="utf-8"))["seeds"] == 2
+    assert "fast-yaw" in (tmp_path / "offset.md").read_text(encoding="utf-8")
+    assert (tmp_path / "offset.png").stat().st_size > 1000
