@@ -56,6 +56,8 @@ def assert_hangs_together(tracker):
     np.testing.assert_allclose(motion.mode.sum(axis=1), 1.0, rtol=1e-9)
     assert ((leaves.existence >= 0.0) & (leaves.existence <= lifecycle.MAX_EXISTENCE)).all()
     assert ((table.existence >= 0.0) & (table.existence < 1.0)).all()
+    known = leaves.existence[table.confirmed[leaves.owner]]
+    assert known.min(initial=1.0) >= lifecycle.MIN_CONFIRMED_EXISTENCE
     side = np.sqrt(np.einsum("njii->nji", motion.cov))
     assert np.linalg.eigvalsh(motion.cov / side[..., :, None] / side[..., None, :]).min(initial=1.0) > 0.0
     # what is published is the leaf that is shown; a tentative track's is all there is of it
@@ -284,6 +286,40 @@ def test_existence_of_a_lone_target_follows_the_integrated_pda_through_misses():
         watch(tracker, 0.05 * k, [])
         r = r * 0.4 / (1.0 - 0.6 * r)
         assert tracker.tracks[0].probability == pytest.approx(max(r, 0.05), rel=1e-6)
+
+
+def test_a_newcomer_takes_nothing_from_who_is_known():
+    """Beside a known track that has its own detection, a tentative one gets none, and ends."""
+    tracker, (known,) = hovering([[200.0, 200.0]])
+    watch(tracker, 0.0, [[200.0, 200.0], [207.0, 200.0]])
+    assert len(tracker.tracks) == 2
+    for k in range(1, 8):
+        watch(tracker, k / 15, [[202.0, 200.0]])
+        assert [track.id for track in tracker.tracks if track.status == "confirmed"] == [known]
+    assert len(tracker.tracks) == 1
+
+
+@pytest.mark.parametrize("off", [0.0, 3.0, 9.0])
+def test_a_detection_is_as_likely_as_both_models_together_say(off):
+    """log Σ mode N(z; H x, H P Hᵀ + R) / κ, and the gain p_D r / (1 − p_D r) times that."""
+    tracker, _ = hovering([[300.0, 200.0]], p_detection=0.8, learn_clutter=False)
+    for k in range(1, 15):
+        watch(tracker, k / 15, [[300.0, 200.0]])
+    tracker.predict(tracker.t + 0.4)
+    state = tracker._filter
+    (mean,), (cov,), (mode,) = state._leaves.motion
+    z, R = mean[0, 0:4:2] + [off, 0.0], 4.0 * np.eye(2)
+    weighed = state._weigh(state._sensor.usable(Scan(tracker.t, z[None])))
+    density = 0.0
+    for j in range(2):
+        y, S = z - mean[j, 0:4:2], cov[j, 0:4:2, 0:4:2] + R
+        density += (
+            mode[j] * np.exp(-0.5 * y @ np.linalg.solve(S, y)) / np.sqrt(np.linalg.det(2.0 * np.pi * S))
+        )
+    detected = 0.8 * state._leaves.existence[0]
+    assert weighed.ratio[0, 0] == pytest.approx(np.log(density * 640.0 * 480.0 / 1.0), rel=1e-9)
+    assert weighed.gain[0, 0] == pytest.approx(weighed.ratio[0, 0] + np.log(detected / (1.0 - detected)))
+    assert weighed.missed[0] == pytest.approx(np.log(1.0 - detected))
 
 
 @pytest.mark.parametrize("apart", [0.0, 1.0, 3.0, 6.0])
