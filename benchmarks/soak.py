@@ -55,7 +55,8 @@ def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
     rng = np.random.default_rng(seed)
     tracker = create_tracker(tracker_name, camera=CAMERA, clutter_per_scan=3.0, lag_s=0.3)
     place = rng.uniform([0.0, 0.0], [640.0, 480.0], (TARGETS, 2))
-    t, seen, faults, settled_mb = 0.0, 0, np.zeros(3, np.int64), 0.0
+    t, seen, settled_mb = 0.0, 0, 0.0
+    not_finite = not_positive = not_a_probability = 0
     for k in range(scans):
         t += float(rng.choice([1e-6, 1 / 60, 1 / 15, 1 / 7, 3.0], p=[0.01, 0.3, 0.4, 0.28, 0.01]))
         angle = rng.normal(0.0, rng.choice([0.0, 0.02, 1.5], p=[0.5, 0.48, 0.02]), 3)
@@ -66,10 +67,13 @@ def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
         tracker.update(_scan(t if rng.random() < 0.99 else t - 1.0, place, rng))
         tracks = (*tracker.tracks, *tracker.smoothed, *tracker.at(t + 0.1, rotation.exp(angle)))
         seen += len(tracks)
-        faults += _faults(tracks)
+        finite, positive, probability = _faults(tracks)
+        not_finite, not_positive = not_finite + finite, not_positive + positive
+        not_a_probability += probability
         if k == int(WARM_UP * scans):
             settled_mb = _resident_mb()
-    return Endurance(tracker_name, scans, seen, *(int(f) for f in faults), _resident_mb() - settled_mb)
+    grown_mb = _resident_mb() - settled_mb
+    return Endurance(tracker_name, scans, seen, not_finite, not_positive, not_a_probability, grown_mb)
 
 
 def _scan(t: float, place: Array, rng: np.random.Generator) -> Scan:
@@ -93,10 +97,10 @@ def _scan(t: float, place: Array, rng: np.random.Generator) -> Scan:
     return Scan(t, z, R, size, score)
 
 
-def _faults(tracks: Sequence[Track]) -> Array:
-    """(3,) how many are not finite, have no positive covariance, or an existence that is no probability."""
+def _faults(tracks: Sequence[Track]) -> tuple[int, int, int]:
+    """How many are not finite, have no positive covariance, or an existence that is no probability."""
     if not tracks:
-        return np.zeros(3, np.int64)
+        return 0, 0, 0
     mean, cov = np.array([track.mean for track in tracks]), np.array([track.cov for track in tracks])
     existence = np.array([track.probability for track in tracks])
     finite = np.isfinite(mean).all(axis=1) & np.isfinite(cov).all(axis=(1, 2))
@@ -104,7 +108,8 @@ def _faults(tracks: Sequence[Track]) -> Array:
     scale = np.sqrt(np.einsum("nii->ni", np.maximum(cov, 1e-300)))
     correlation = cov / (scale[:, :, None] * scale[:, None])
     positive = np.linalg.eigvalsh(correlation)[:, 0] > 0.0
-    return np.array([(~finite).sum(), (~positive).sum(), (~((existence >= 0.0) & (existence <= 1.0))).sum()])
+    sound = (existence >= 0.0) & (existence <= 1.0)
+    return int((~finite).sum()), int((~positive).sum()), int((~sound).sum())
 
 
 def _resident_mb() -> float:

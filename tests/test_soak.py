@@ -35,4 +35,4 @@ def test_what_is_unsound_is_noticed():
         track(probability=1.5),
         track(probability=np.nan),
     ]
-    assert soak._faults(tracks).tolist() == [1, 1, 2]
+    assert soak._faults(tracks) == (1, 1, 2)

@@ -79,8 +79,8 @@ class Population:
         table.lost = ~seen & ((table.existence < lifecycle.LOST_BELOW) | (visibility.in_view < 0.5))
 
     def drop(self, t: float) -> NDArray[np.bool_]:
-        """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that may be
-        anywhere; returns which (n,) stay."""
+        """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that
+        may be anywhere; returns which (n,) stay."""
         table = self.table
         coasted = t - table.last_seen >= self._parameters.max_coast_s - ROUNDING_S
         faded = table.existence < FADED * self._sensor.birth_existence(np.ones(1))
