@@ -44,6 +44,9 @@ LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GmPhdParameters(CommonParameters):
+    gate_probability: float = 0.99999
+    """That a true detection falls inside its target's gate. Wide: the weights tell what is unlikely, and a target that
+    brakes out of its gate loses its label to the newcomer that its detection starts."""
     one_to_one: bool = True
     """A label has one detection at most, as a detection has one label: the weights are those of one-to-one
     associations, by loopy belief propagation where many compete. What penalised PHD filters aim at (Yazdian-Dehkordi,
