@@ -1,4 +1,4 @@
-"""How far the shipped detector's boxes are off, by their size and by their score, on labelled clips.
+"""How far the shipped detector's boxes are off, by their size and by their score, and which pairs it tells apart.
 
 Labels jitter, too, and drones shake, so the difference of the two is not the detector's noise. Third differences over
 four frames in a row leave nothing of a smooth flight; what they hold of the shaking s is in detections d and labels l
@@ -12,6 +12,9 @@ and so does its innovation.
 
 How the noise depends on the score is judged box by box: the error against the label, less the median error of the
 frames within 0.2 s; by its median, as the worst of doubtful boxes are those of something else.
+
+Two drones are told apart where both labels are hit; their distance is in mean sides of their boxes, each axis in its
+own.
 
 The fit is that of the trackers' `measurement_noise`: σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²).
 
@@ -43,6 +46,7 @@ THIRD = np.array([1.0, -3.0, 3.0, -1.0])
 GAIN = float(THIRD @ THIRD)
 SIDES = (0.0, 20.0, 27.0, 35.0, 45.0, 60.0, 80.0, 1000.0)  # px
 SCORES = (0.33, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8, 0.9, 1.0)
+APART = (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5)  # distances of two drones, in mean sides of their boxes
 SURE = 0.6  # score from which on a box counts as surely seen
 NEAR_S = 0.2  # s within which slow errors are the same
 FEWEST = 40  # boxes that make a figure
@@ -187,6 +191,32 @@ def _root(value: float) -> float:
     return float(np.sqrt(max(value, 0.0)))
 
 
+def told_apart(seen: Sequence[Detections], truth: dict[int, TruthBoxes]) -> Array:
+    """(k, 2) of each two labelled drones in a frame: their distance in mean sides, and whether both are hit."""
+    rows = []
+    for detections in seen:
+        labelled = truth.get(detections.sequence)
+        if labelled is None:
+            continue
+        hits = match_hits(labelled, TrackPoints(np.arange(len(detections)), detections.centre))[0]
+        i, j = np.triu_indices(len(labelled.id), 1)
+        sides = 0.5 * (labelled.size[i] + labelled.size[j])
+        apart = np.linalg.norm((labelled.centre[i] - labelled.centre[j]) / sides, axis=1)
+        rows.append(np.column_stack([apart, np.isin(i, hits) & np.isin(j, hits)]))
+    return np.concatenate([np.empty((0, 2)), *rows])
+
+
+def by_distance(pairs: Array) -> list[dict[str, float]]:
+    """pairs (k, 2): see `told_apart`."""
+    rows = []
+    for low, high in pairwise(APART):
+        part = pairs[(pairs[:, 0] >= low) & (pairs[:, 0] < high)]
+        if len(part):
+            apart, both = part.mean(axis=0).tolist()
+            rows.append({"pairs": len(part), "sides_apart": apart, "both_found": both})
+    return rows
+
+
 def measure(drones: Sequence[Sightings]) -> dict[str, Any]:
     """Both tables and the fit, with 95 % intervals over drones drawn with replacement."""
     jitters, rests = [jitter(drone) for drone in drones], [residuals(drone) for drone in drones]
@@ -211,11 +241,19 @@ def run(out: Path, data: Path) -> dict[str, Any]:
     clips = real_clips.find_clips(data)
     detector = Detector()
     drones: list[Sightings] = []
+    pairs = []
     with report.progress("detection noise", len(clips)) as advance:
         for clip in clips:
-            drones += pair(look(clip, detector), real_clips.read_truth(clip.truth), clip.fps)
+            seen, truth = look(clip, detector), real_clips.read_truth(clip.truth)
+            drones += pair(seen, truth, clip.fps)
+            pairs.append(told_apart(seen, truth))
             advance(clip.name)
-    result = {"clips": [clip.name for clip in clips], "drones": len(drones), **measure(drones)}
+    result = {
+        "clips": [clip.name for clip in clips],
+        "drones": len(drones),
+        **measure(drones),
+        "apart": by_distance(np.concatenate(pairs)),
+    }
     report.write(out, NAME, result, _markdown(result))
     return result
 
@@ -232,6 +270,10 @@ def _markdown(result: dict[str, Any]) -> str:
     scores = [
         [number(row["score"]), str(row["pairs"]), number(100.0 * row["share_of_side"], 1)]
         for row in result["scores"]
+    ]
+    apart = [
+        [number(row["sides_apart"]), str(row["pairs"]), number(100.0 * row["both_found"], 0)]
+        for row in result["apart"]
     ]
     fitted = [
         [name, *(number(result[name][key], 4) for key in ("value", "low", "high"))]
@@ -256,6 +298,10 @@ def _markdown(result: dict[str, Any]) -> str:
             "σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²), 95 % over drones:",
             "",
             report.table(["", "fit", "from", "to"], fitted),
+            "",
+            "Of two labelled drones, by their distance, both found:",
+            "",
+            report.table(["mean sides apart", "pairs", "both found, %"], apart),
         ]
     )
 

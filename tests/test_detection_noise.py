@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from swarmtrack.benchmarks.detection_noise import Sightings, fit, jitter, measure, pair, separated
+from swarmtrack.benchmarks.detection_noise import (
+    Sightings,
+    by_distance,
+    fit,
+    jitter,
+    measure,
+    pair,
+    separated,
+    told_apart,
+)
 from swarmtrack.evaluation.clip_score import TruthBoxes
 from swarmtrack.messages import Detections
 
@@ -71,3 +80,17 @@ def test_boxes_are_paired_with_the_labels_they_hit_frame_by_frame():
     assert drone.frame.tolist() == [0, 1, 2, 3, 4]
     assert drone.box - drone.label == pytest.approx(np.tile([0.5, 0.0], (5, 1)))
     assert drone.score == pytest.approx(np.full(5, 0.9))
+
+
+def test_two_are_told_apart_where_both_labels_are_hit():
+    size = np.full((2, 2), [20.0, 10.0])
+    truth = {
+        k: TruthBoxes(np.array([1, 2]), np.array([[100.0, 50.0], [105.0, 50.0]]), size) for k in range(2)
+    }
+    seen = [
+        Detections(0.0, 0, np.array([[100.0, 50.0], [105.0, 50.0]]), size, np.full(2, 0.9)),
+        Detections(0.1, 1, np.array([[102.0, 50.0]]), size[:1], np.full(1, 0.9)),
+    ]
+    assert told_apart(seen, truth) == pytest.approx(np.array([[0.25, 1.0], [0.25, 0.0]]))
+    (row,) = by_distance(told_apart(seen, truth))
+    assert row == {"pairs": 2, "sides_apart": pytest.approx(0.25), "both_found": pytest.approx(0.5)}

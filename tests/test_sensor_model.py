@@ -103,10 +103,15 @@ def test_what_leaves_the_image_is_less_and_less_expected():
     assert seen.p_detection == pytest.approx(0.9 * seen.in_view, abs=1e-6)
 
 
-def test_resolution_is_the_boxes_half_or_the_points_whichever_is_larger():
+def test_resolution_is_a_share_of_the_box_or_that_of_points_whichever_is_larger():
     size = np.array([[40.0, 10.0], [UNKNOWN, UNKNOWN]])
-    assert resolutions(size, 8.0) == pytest.approx(np.array([[20.0, 8.0], [8.0, 8.0]]))
-    assert resolutions(size, 0.0) == pytest.approx(np.array([[20.0, 5.0], [0.0, 0.0]]))
+    assert resolutions(size, 8.0) == pytest.approx(np.array([[18.0, 8.0], [8.0, 8.0]]))
+    assert resolutions(size, 0.0) == pytest.approx(np.array([[18.0, 4.5], [0.0, 0.0]]))
+
+
+def test_of_two_boxes_0_38_sides_apart_half_the_scans_show_one():
+    mean, cov = targets((100.0, 100.0), (115.2, 100.0), sigma=1e-3)
+    assert sensor().overlap(mean, cov, np.full((2, 2), 40.0))[0, 1] == pytest.approx(0.5, abs=0.02)
 
 
 def test_unknown_sizes_hide_either():

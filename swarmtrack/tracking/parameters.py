@@ -53,8 +53,8 @@ class CommonParameters:
     occlusion: bool = True
     """Expect fewer detections of targets that overlap."""
     resolution_px: float = 0.0
-    """Two points that are nearer may come back as one detection between them; boxes, also where they overlap by half.
-    """
+    """Two points that are nearer may come back as one detection between them; boxes, also where they overlap by half
+    or more."""
     lag_s: float = 0.0
     """s: how much later than its scan a smoothed estimate comes (`Tracker.smoothed`); 0: none does."""
 
