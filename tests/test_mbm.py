@@ -161,7 +161,8 @@ def test_between_equal_stories_the_one_that_was_told_goes_on():
 
 
 def hovering(points, **parameters):
-    tracker = mbm(measurement_sigma=2.0, acceleration_psd=100.0, birth_speed_sigma=5.0, **parameters)
+    told = {"measurement_sigma": 2.0, "acceleration_psd": 100.0, "birth_speed_sigma": 5.0}
+    tracker = mbm(**{**told, **parameters})
     ids = tracker.initiate(0.0, np.array(points, dtype=float))
     return tracker, ids
 
@@ -297,6 +298,16 @@ def test_a_newcomer_takes_nothing_from_who_is_known():
         watch(tracker, k / 15, [[202.0, 200.0]])
         assert [track.id for track in tracker.tracks if track.status == "confirmed"] == [known]
     assert len(tracker.tracks) == 1
+
+
+def test_what_targets_make_is_no_clutter():
+    """One that is settled, two in dispute: of three detections a scan none is counted as false."""
+    tracker, _ = hovering(
+        [[200.0, 200.0], [400.0, 200.0], [405.0, 200.0]], measurement_sigma=1.0, p_detection=0.98
+    )
+    for k in range(1, 30):
+        watch(tracker, k / 15, [[200.0, 200.0], [400.0, 200.0], [405.0, 200.0]])
+    assert tracker._filter._sensor.clutter_per_scan < 0.3
 
 
 @pytest.mark.parametrize("off", [0.0, 3.0, 9.0])
