@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from swarmtrack.codec import decode_health, encode_health
+from swarmtrack.codec import GyroBiasHealth, TimeOffsetHealth, decode_health, encode_health
 from swarmtrack.config import load_config
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import Health
@@ -341,14 +341,28 @@ def test_its_health_can_be_sent_before_the_autopilot_was_ever_heard(tmp_path):
         autopilot.link = "udpin:127.0.0.1:14999"
         [camera]
         source = "v4l2:///dev/video97"
+        time_offset_s = 0.012
         {LENS}
+        [motion]
+        gyro_bias_rad_s = [0.01, 0.0, -0.02]
         """,
     )
     health = Health(assemble(load_config(config)))
     sent = decode_health(encode_health(health.message()))
     assert sent.clock_offset_s is None
     assert sent.clock_offset_sigma_s is None
+    assert sent.time_offset == TimeOffsetHealth(None, None, 0.012)
+    assert sent.gyro_bias == GyroBiasHealth(None, None, pytest.approx((0.01, 0.0, -0.02)))
+    assert sent.consistency is None
     assert "autopilot" in {link.name for link in sent.links}
+
+
+def test_what_is_found_in_flight_can_be_switched_off(tmp_path):
+    text = f'drone.id = 1\nnetwork.transport = "memory"\n[camera]\nsource = "v4l2:///dev/video97"\n{LENS}\n'
+    off = text + "estimate_time_offset = false\n[motion]\nestimate_gyro_bias = false\n"
+    for config, on in ((text, True), (off, False)):
+        onboard = assemble(load_config(write(tmp_path, config))).onboard
+        assert (onboard.clock._evidence is not None, onboard._bias._estimates) == (on, on)
 
 
 def teammate(tmp_path, drone_id, team):
