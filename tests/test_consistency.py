@@ -81,15 +81,15 @@ def test_a_band_that_knows_nothing_of_a_tight_gate_would_raise_false_alarms():
 
 @pytest.mark.parametrize("name", TRACKERS)
 def test_a_filter_told_the_truth_lies_in_its_band(name):
-    """99 % of the time: of 40, more than three outside would be one chance in ten thousand."""
-    found = [shown(name, seed) for seed in range(40)]
+    """99 % of the time: of 30, more than three outside would be one chance in ten thousand."""
+    found = [shown(name, seed) for seed in range(30)]
     assert sum(not each.low < each.nis < each.high for each in found) <= 3
 
 
 @pytest.mark.parametrize("name", TRACKERS)
 def test_clutter_does_not_disturb_it(name):
     told = {"clutter": 10.0, "clutter_per_scan": 10.0}
-    found = [shown(name, seed, n=4, scans=70, spacing=2500.0, **told) for seed in range(20)]
+    found = [shown(name, seed, n=4, scans=70, spacing=2500.0, **told) for seed in range(12)]
     assert sum(not each.low < each.nis < each.high for each in found) <= 2
 
 
