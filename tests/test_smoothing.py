@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from swarmtrack.benchmarks import fixed_lag
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker, smoothing
@@ -217,3 +218,12 @@ def test_memory_is_bounded_whatever_the_rate(monkeypatch):
 def test_a_lag_out_of_range_is_refused():
     with pytest.raises(ValueError, match=r"lag_s: found 60\.0, expected seconds in 0…10"):
         create_tracker("kalman", camera=CAMERA, lag_s=60.0)
+
+
+def test_the_benchmark_of_the_lag_judges_both_at_the_same_places(tmp_path):
+    result = fixed_lag.run(tmp_path, runs=2, tracker="kalman", scenes=["noise.75"])
+    (row,) = result["rows"]
+    assert 1.4 < row["at_once_px"] < 2.0
+    assert 0.5 < row["ratio"]["value"] < 0.7
+    assert "noise.75" in (tmp_path / "fixed_lag.md").read_text(encoding="utf-8")
+    assert fixed_lag.main(["--out", str(tmp_path), "--scene", "births"]) == 2
