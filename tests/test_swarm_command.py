@@ -191,7 +191,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
         "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "agents", "passed",
     ]  # fmt: skip
     assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, 4.0)
-    assert (result["seed"], result["tracker"], result["detector"]) == (1, "kalman", "oracle")
+    assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
     assert list(result["identity"]) == ["time_to_identify_s", "correct", "wrong", "unknown", "agreement"]
     assert set(result["identity"]["time_to_identify_s"]) == {"1", "2"}
     assert list(result["tracking"]) == ["rmse_px", "recall", "false_tracks_per_s", "switches"]
