@@ -434,7 +434,7 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
             )
     right.axhline(1e3 * SURE, color="0.3", linestyle=":", linewidth=0.8)
     right.set(xlabel="time, s", ylabel="RMS error (dashed: median σ claimed), ms", yscale="log")
-    right.legend(loc="upper right")
+    right.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.savefig(path, dpi=130)
     pyplot.close(figure)
 
