@@ -200,6 +200,8 @@ class TimeOffset:
         weight /= weight.sum()
         spread = math.sqrt(float(weight @ (_GRID - weight @ _GRID) ** 2))
         sigma = max(math.sqrt(scatter) / signal, spread)
+        if sigma > REACH:
+            return None
         return OffsetEstimate(float(self.start_s + _GRID[k] - 0.5 * slope / curvature), float(sigma))
 
     def _take(self, scan: _Bearings, gyro: GyroHistory) -> None:
