@@ -37,7 +37,7 @@ NAME = "trackers"
 PEER_RUNS = 25  # they cost a hundred times as much
 BLOCK = 5  # runs that one process does at a time
 PEER_FAMILIES = ("paper", "crossing")
-ABLATION_SCENES = ("slow", "slow_merged", "pd.80", "crossing")
+ABLATION_SCENES = ("slow", "slow_merged", "pd.80", "crossing", "told_wrong_R_quarter_noise.50")
 QUICK_ABLATION_SCENES = ("slow_merged",)
 ABLATION_RUNS = 100
 ABLATIONS: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -47,9 +47,11 @@ ABLATIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("hundred hypotheses", {"hypotheses": 100}),
     ("one motion model", {"interacting": False}),
     ("as soon as likelier", {"changeover": 1.0}),
+    ("doubts do not fade", {"doubt_s": 1e9}),
     ("narrow gate", {"gate_probability": 0.999}),
     ("no resolution model", {"resolution_px": 0.0}),
     ("clutter rate as told", {"learn_clutter": False}),
+    ("noise as told", {"learn_noise": False}),
     ("no occlusion", {"occlusion": False}),
 )
 """Improvements of the default tracker, switched off one at a time; what it has no parameter for is left out."""

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from swarmtrack.tracking.clusters import Cluster, components, in_dispute, merged, normalised, product
+from swarmtrack.tracking.clusters import Cluster, components, faded, in_dispute, merged, normalised, product
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -159,6 +159,25 @@ def test_who_is_published_stays_so_when_clusters_join_are_sifted_and_settle(a, b
 def test_if_what_was_published_is_dropped_the_best_is():
     first = cluster_of([0], [[0], [1]], [0.999, 0.001])._replace(shown=1)
     assert shown(product(first, cluster_of([1], [[10], [11]], [0.6, 0.4]), 2)) == {0: 0, 1: 10}
+
+
+@given(h=st.integers(1, 6), shown=st.integers(0, 5), by=st.floats(0.0, 20.0), seed=seeds)
+def test_doubts_fade_beside_what_is_published(h, shown, by, seed):
+    cluster = random_cluster(np.random.default_rng(seed), [1, 2], h)._replace(shown=shown % h)
+    after = faded(cluster, by)
+    published = after.leaf[after.shown].tolist()
+    assert published == cluster.leaf[cluster.shown].tolist()
+    assert (np.diff(after.log_weight) <= 0.0).all()
+    assert after.weight.sum() == pytest.approx(1.0)
+    odds = (1.0 - cluster.weight[cluster.shown]) / cluster.weight[cluster.shown] * math.exp(-by)
+    assert after.weight[after.shown] == pytest.approx(1.0 / (1.0 + odds))
+
+
+def test_a_doubt_that_no_detection_settles_does_not_last():
+    cluster = cluster_of([0, 1], [[0, 10], [1, 11]], [0.999, 0.001])
+    for _ in range(300):
+        cluster = faded(cluster, 0.033 / 10.0)
+    assert cluster.weight[1] == pytest.approx(0.001 / 0.999 * math.exp(-0.99), rel=1e-3)
 
 
 @given(st.lists(st.floats(-800.0, 800.0), min_size=1, max_size=10))

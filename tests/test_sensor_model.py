@@ -173,6 +173,53 @@ def test_learning_can_be_switched_off(off):
     assert model.clutter_per_scan == 0.5
 
 
+def learned_noise(*, factor, seeds=8, seconds=20.0, clutter=1.0):
+    """The scales that a Kalman tracker has learned after so long, at 15 Hz, of three targets whose detections are
+    `factor` times as far off as it was told."""
+    scales = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        told = KalmanParameters(measurement_sigma=1.5, clutter_per_scan=clutter, acceleration_psd=1.0)
+        model = SensorModel(CAMERA, told)
+        tracker = Tracker(model, Kalman(model, told))
+        position = rng.uniform([100, 100], [540, 380], (3, 2))
+        tracker.initiate(0.0, position)
+        for k in range(1, int(15 * seconds)):
+            seen = position + rng.normal(0.0, 1.5 * factor, position.shape)
+            false = rng.uniform([0, 0], [640, 480], (rng.poisson(clutter), 2))
+            tracker.update(Scan(k / 15, np.concatenate([seen, false])))
+        scales.append(model.noise_scale)
+        assert sum(track.status == "confirmed" for track in tracker.tracks) == 3
+    return scales
+
+
+def test_noise_that_is_larger_than_told_is_found():
+    assert np.median(learned_noise(factor=2.0)) == pytest.approx(4.0, rel=0.25)
+
+
+def test_noise_told_right_or_too_large_stays_as_told():
+    assert np.median(learned_noise(factor=1.0)) < 1.1
+    assert learned_noise(factor=0.5, seeds=2) == [1.0, 1.0]
+
+
+def test_a_larger_noise_is_that_of_every_detection():
+    model = sensor(measurement_sigma=2.0)
+    own = np.array([[9.0, 1.0], [1.0, 4.0]])
+    scans = [Scan(0.0, np.array([[10.0, 20.0]])), Scan(0.0, np.array([[10.0, 20.0]]), R=own[None])]
+    before = [model.usable(scan).R[0] for scan in scans]
+    model.learn_noise([50.0] * 100)
+    assert model.noise_scale == 10.0
+    for scan, R in zip(scans, before, strict=True):
+        assert model.usable(scan).R[0] == pytest.approx(10.0 * R)
+
+
+@pytest.mark.parametrize("off", [{"learn_noise": False}, {"profile": "paper"}])
+def test_learning_the_noise_can_be_switched_off(off):
+    model = sensor(**off)
+    model.learn_noise([50.0] * 100)
+    assert model.noise_scale == 1.0
+
+
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-300, 1e12, 1e300])
 PIXEL = st.floats(-2000.0, 2000.0) | ODD
 

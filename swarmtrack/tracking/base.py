@@ -108,7 +108,8 @@ class Tracker:
 
     @property
     def consistency(self) -> Consistency | None:
-        """Whether the filter is as good as it thinks; None while too little was detected."""
+        """Whether the filter, with the numbers that it was told, is as good as it thinks; None while too little was
+        detected. Of a noise that was told too small it says so, although `learn_noise` mends it."""
         return self._innovations.consistency()
 
     def measurement_noise(self, size: Array, score: Array | None) -> Array:
@@ -147,8 +148,12 @@ class Tracker:
         self._smoother.expect(self._filter.table)
         explained = self._filter.update(scan.t, self._sensor.usable(scan))
         self._smoother.note(scan.t, self._filter.table)
+        told_R = (
+            explained.nis * self._sensor.noise_scale
+        )  # the window judges what was told, not what was learned
+        self._innovations.add(told_R.tolist())
         self._sensor.learn_clutter(explained.clutter)
-        self._innovations.add(explained.nis.tolist())
+        self._sensor.learn_noise(explained.nis.tolist())
         return True
 
     def at(

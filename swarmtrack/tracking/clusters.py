@@ -65,6 +65,15 @@ def in_dispute(cluster: Cluster) -> Cluster | None:
     return cluster._replace(tracks=cluster.tracks[differs], leaf=cluster.leaf[:, differs])
 
 
+def faded(cluster: Cluster, by: float) -> Cluster:
+    """The hypotheses that are not published have lost `by` of their log weight, in order of weight as before."""
+    log_weight = cluster.log_weight - by
+    log_weight[cluster.shown] += by
+    order = np.argsort(-log_weight, kind="stable")
+    shown = int((order == cluster.shown).argmax())
+    return Cluster(cluster.tracks, cluster.leaf[order], normalised(log_weight[order]), shown)
+
+
 def normalised(log_weight: Array) -> Array:
     top = log_weight.max()
     return np.asarray(log_weight - top - np.log(np.exp(log_weight - top).sum()))

@@ -188,7 +188,7 @@ class GmPhd:
         )
         self.counters["components_over_cap"] += over_cap
         table.mean, table.cov = moments(self.mixture, blocks(self.mixture.label))
-        births = np.where(self._population.shadowed(measured.z, seen), 0.0, shares.free * newcomer)
+        births = np.where(self._population.shadowed(t, measured, seen), 0.0, shares.free * newcomer)
         self._join_twins(seen)
         return births, Explained(nis, float((shares.free * (1.0 - newcomer)).sum()))
 

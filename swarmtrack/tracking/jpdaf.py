@@ -23,6 +23,7 @@ import numpy as np
 from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.base import Explained
+from swarmtrack.tracking.consistency import of_sure_pairs
 from swarmtrack.tracking.marginals import beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.parameters import CommonParameters
@@ -35,7 +36,6 @@ LEAST_EXISTENCE = 1e-12
 DOUBTFUL = 0.95  # existence of a confirmed track below which it may be a double of another
 ONE_PLACE = 4.0  # squared distance, in the sigmas of two tracks, of which half of all pairs on one target are below 3.4
 SEEN = 0.5  # share of all detections, from which on a scan counts as having detected a track
-SURELY = 0.9  # share of one detection, above which it tells whether the filter is consistent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,6 +97,7 @@ class Jpdaf:
         table = self.table
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         distance, log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured)
+        nis = of_sure_pairs(distance, log_ratio, table.confirmed * table.existence)
         newcomer = self._sensor.birth_existence(measured.odds)
         detectable = table.existence * visibility.p_detection
         share = self._shares(log_ratio + np.log1p(-newcomer), detectable)
@@ -117,9 +118,8 @@ class Jpdaf:
             best = share[seen].argmax(axis=1)
             self._population.learn_looks(seen, measured.select(best))
         self._population.judge(t, seen, visibility)
-        nis = distance[(share > SURELY) & table.confirmed[:, None]]
         unexplained = np.maximum(1.0 - share.sum(axis=0), 0.0)
-        births = np.where(self._population.shadowed(measured.z, seen), 0.0, unexplained * newcomer)
+        births = np.where(self._population.shadowed(t, measured, seen), 0.0, unexplained * newcomer)
         return births, Explained(nis, float((unexplained * (1.0 - newcomer)).sum()))
 
     def _doubles(self, existence: Array) -> tuple[list[int], list[int]]:

@@ -85,7 +85,7 @@ class Kalman:
         seen[rows], taken[columns] = True, True
         self._population.judge(t, seen, visibility)
         clutter = len(z) - float(table.existence[rows].sum())
-        return taken | self._population.shadowed(z, seen), Explained(nis, clutter)
+        return taken | self._population.shadowed(t, measured, seen), Explained(nis, clutter)
 
     def _match(self, log_ratio: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Confirmed tracks choose first, weighed by their existence; tentative ones share what is left."""

@@ -29,6 +29,7 @@ from swarmtrack.tracking import clusters, lifecycle, manoeuvre
 from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
+from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
 from swarmtrack.tracking.manoeuvre import Manoeuvres, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, propagate
@@ -57,6 +58,9 @@ class MbmParameters(CommonParameters):
     """A hypothesis so much less likely than the best is dropped."""
     changeover: float = 10.0
     """Another hypothesis is published only once it is so many times as likely as the one that was."""
+    doubt_s: float = 10.0
+    """s: time constant with which the hypotheses beside the published one fade. Of two drones that met and parted no
+    detection tells any more who was who: without it they would stay in dispute as long as they fly."""
     interacting: bool = True
     """Two models of motion; else one, constant velocity with `acceleration_psd`, as the other trackers have it."""
     calm_share: float = 0.1
@@ -86,7 +90,7 @@ class MbmParameters(CommonParameters):
                 )
         if not self.changeover >= 1.0:
             raise ValueError(f"tracker.changeover: found {self.changeover!r}, expected a number from 1 on")
-        for name in ("agile_share", "lasting_s", "calm_s", "agile_s"):
+        for name in ("doubt_s", "agile_share", "lasting_s", "calm_s", "agile_s"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(
                     f"tracker.{name}: found {getattr(self, name)!r}, expected a finite number above 0"
@@ -195,6 +199,9 @@ class Mbm:
         )
         existence = lifecycle.survive(leaves.existence, dt, self._parameters.p_survival)
         self._leaves = leaves._replace(motion=motion, existence=existence)
+        self._clusters = [
+            clusters.faded(cluster, dt / self._parameters.doubt_s) for cluster in self._clusters
+        ]
         self._population.survive(dt)
         self._show_best()
 
@@ -395,10 +402,7 @@ class Mbm:
         ]
         hit = told.column >= 0
         confirmed_before = self.table.confirmed[leaves.owner]
-        sure = np.zeros(len(hit), np.bool_)
-        sure[undisputed] = True
-        sure &= confirmed_before & ((weighed.gain > -np.inf).sum(axis=1) == 1)[told.leaf]
-        nis = distance[sure[hit]]
+        nis = distance[self._alone(weighed)[told.leaf[hit], told.column[hit]]]
         tentative = hit & ~confirmed_before
         free = 1.0 - taken
         free[told.column[tentative]] = 0.0
@@ -410,10 +414,19 @@ class Mbm:
         self._weigh_existence(Story(told.leaf[shown], told.column[shown]), weighed, taken)
         self.table.fit[leaves.owner[hit]] |= measured.fit[told.column[hit]]
         self._population.judge(t, seen, weighed.visibility)
-        free[self._population.shadowed(measured.z, seen)] = 0.0
+        free[self._population.shadowed(t, measured, seen)] = 0.0
         self._population.give_birth(t, measured.select(free > 0.5))
         self._grow_leaves()
         return Explained(nis, float(clutter))
+
+    def _alone(self, weighed: Weighed) -> NDArray[np.bool_]:
+        """(L, m) detections in the gate of one confirmed track only, which has one leaf, and no other in it: it
+        surely made them, however badly they fit."""
+        gated = weighed.ratio > -np.inf
+        gated &= self.table.confirmed[self._leaves.owner][:, None]
+        gated &= (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
+        gated[self._leaves.existence <= SURELY_THERE] = False
+        return gated
 
     def _continued(
         self, told: Story, measured: Measurements, weighed: Weighed, taken: Array

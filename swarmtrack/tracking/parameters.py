@@ -33,6 +33,8 @@ class CommonParameters:
     """Expected false detections in one image; where `learn_clutter`, to begin with."""
     learn_clutter: bool = True
     """Follow the rate of false detections, within a factor of ten of the one told."""
+    learn_noise: bool = True
+    """Where detections lie further off than they should, take their noise for larger, by up to ten times R."""
     gate_probability: float = 0.999
     """That a true detection falls inside its target's gate."""
     birth_per_scan: float = 0.02

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
+from swarmtrack.tracking.association import gate_threshold
+from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
@@ -14,9 +16,12 @@ from swarmtrack.tracking.table import TrackTable
 
 SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxes jitter, drones grow slowly
 UNKNOWN_BOX_SIGMAS = 6.0  # side of a box that no detector told, in sigmas of its centre
-SURELY_SEEN = 0.95  # existence, after a detection, that says the track was there: clutter keeps nobody alive
+SURELY_SEEN = 0.997  # existence, after a detection, that says the track was there: clutter keeps nobody alive
 DOUBT = 0.9  # of `max_coast_s`, that a doubtful detection is counted as older than it is
 ROUNDING_S = 1e-6  # of times that are sums of frame periods
+OUTLYING = (
+    4.0  # times the gate, in squared sigmas: where a track's own detection may yet be that seemed not its own
+)
 FADED = 0.05  # share of its existence at birth, below which a tentative track ends
 
 
@@ -27,6 +32,7 @@ class Population:
         self.table = TrackTable.empty()
         self._sensor = sensor
         self._parameters = parameters
+        self._gate = gate_threshold(parameters.gate_probability)
         self._next_id = 1
 
     def initiate(self, t: float, points: Array) -> list[int]:
@@ -91,14 +97,21 @@ class Population:
             table.keep(stay)
         return stay
 
-    def shadowed(self, z: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(m,) detections inside the box of a confirmed track that was seen elsewhere in it: doubles, not births."""
-        table = self.table
+    def shadowed(self, t: float, measured: Measurements, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(m,) detections of the scan just judged that are no births: those inside the box of a confirmed track that
+        was seen elsewhere in it, its doubles; and those not far beyond the gate of one that was seen until now, its
+        outliers, for the noise may be larger than was told. The next scan will tell."""
+        table, z = self.table, measured.z
+        startled = table.confirmed & (table.missed_since == t)
+        outlying: NDArray[np.bool_] = np.zeros(len(z), np.bool_)
+        if startled.any():
+            distance, _ = innovations(table.mean[startled], table.cov[startled], z, measured.R)
+            outlying = np.asarray((distance < OUTLYING * self._gate).any(axis=0))
         found = seen & table.confirmed
         unknown = UNKNOWN_BOX_SIGMAS * self._parameters.measurement_sigma
         half = 0.5 * np.where(np.isnan(table.size[found]), unknown, table.size[found])
         inside = np.abs(z[None] - table.mean[found][:, None, POSITION]) < half[:, None]
-        return np.asarray(inside.all(axis=2).any(axis=0))
+        return np.asarray(outlying | inside.all(axis=2).any(axis=0))
 
 
 def blend_sizes(old: Array, new: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,9 @@ SCORES = (0.01, 0.99)  # a detector that is surer than that is not believed
 PRIOR_SCANS, PRIOR_CLUTTER = 20.0, 8.0
 CLUTTER_MEMORY_SCANS = 200.0
 CLUTTER_BOUND = 10.0  # at most so many times the rate that was told, or so many times less
+# Likewise of the noise: after this many detections a new one counts for a quarter of a percent.
+PRIOR_DETECTIONS, NOISE_MEMORY_DETECTIONS = 20.0, 400.0
+NOISE_BOUND = 10.0
 
 
 class Measurements(NamedTuple):
@@ -71,6 +75,10 @@ class SensorModel:
         """As learned until now."""
         self._scans_learned = min(PRIOR_SCANS, PRIOR_CLUTTER / parameters.clutter_per_scan)
         self._learns = parameters.learn_clutter and parameters.profile != "paper"
+        self.noise_scale = 1.0
+        """By which every R is multiplied, as learned until now."""
+        self._detections_learned = PRIOR_DETECTIONS
+        self._learns_noise = parameters.learn_noise and parameters.profile != "paper"
         self.parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
         self._uses_boxes = parameters.profile != "paper"
@@ -97,7 +105,10 @@ class SensorModel:
             R, sound = _sound_covariances(scan.R, largest=float((high - low).max()))
             good &= sound
         self.counters["unusable_detections"] += m - int(good.sum())
-        return Measurements(scan.z, R, size, odds, fit).select(good)
+        if self.noise_scale > 1.0:
+            R = R * self.noise_scale
+        measured = Measurements(scan.z, R, size, odds, fit)
+        return measured if good.all() else measured.select(good)
 
     def measurement_noise(self, size: Array, score: Array | None) -> Array:
         """R (m, 2, 2) px² of detections that bring none; size (m, 2) px, NaN while unknown; score (m,).
@@ -105,13 +116,15 @@ class SensorModel:
         σ² = measurement_sigma² + side² (size_noise² + (score_noise (1 − s) / s)²) along each side of the box.
         """
         R, told = np.tile(self.R, (len(size), 1, 1)), self.parameters
-        if self._uses_boxes:
+        known = ~np.isnan(size)
+        if self._uses_boxes and known.any():
             share = np.full(len(size), told.size_noise**2)
             if score is not None:
                 s = np.clip(score, LEAST_SCORE, 1.0)
                 share += (told.score_noise * (1.0 - s) / s) ** 2
             low, high = self.camera.ideal_bounds
-            R[:, [0, 1], [0, 1]] += np.clip(np.nan_to_num(size), 0.0, high - low) ** 2 * share[:, None]
+            side = np.clip(np.where(known, size, 0.0), 0.0, high - low)
+            R[:, [0, 1], [0, 1]] += side**2 * share[:, None]
         return R
 
     def visibility(
@@ -158,6 +171,20 @@ class SensorModel:
         self._scans_learned = min(self._scans_learned + 1.0, CLUTTER_MEMORY_SCANS)
         learned = self.clutter_per_scan + (found - self.clutter_per_scan) / self._scans_learned
         self.clutter_per_scan = min(max(learned, told / CLUTTER_BOUND), told * CLUTTER_BOUND)
+
+    def learn_noise(self, nis: Iterable[float]) -> None:
+        """Squared Mahalanobis distances of detections from the targets that made them, of which 2 is expected.
+
+        Stochastic approximation (Robbins & Monro, 1951) of the scale of R that makes them so, as far as R is what they
+        depend on. Never below what was told: too large an R makes tracks sluggish, too small a one loses targets; and
+        the noise of real detectors has a small core and heavy tails, which a scale fitted to the core would cut off.
+        """
+        if not self._learns_noise:
+            return
+        for distance in nis:
+            self._detections_learned = min(self._detections_learned + 1.0, NOISE_MEMORY_DETECTIONS)
+            learned = self.noise_scale * (1.0 + (0.5 * distance - 1.0) / self._detections_learned)
+            self.noise_scale = min(max(learned, 1.0), NOISE_BOUND)
 
     def log_clutter_intensity(self, odds: Array) -> Array:
         """log κ (m,) per px²: uniform over the image, less for what the detector is sure of."""
