@@ -15,11 +15,10 @@ import numpy as np
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
-from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.smoothing import FixedLag
-from swarmtrack.tracking.table import TrackTable
+from swarmtrack.tracking.table import Shown, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
 
 
@@ -79,10 +78,12 @@ class Tracker:
         self._surely_before = lifecycle.MAX_SLANT * min(camera.fx, camera.fy) / 2.0 - max(
             camera.cx, camera.cy
         )
+        self._surely_placed = lifecycle.largest_variance(camera)
         self._smoother = FixedLag(sensor.parameters.lag_s, camera, TURNS[sensor.parameters.profile])
         self._t: float | None = None
         self._last_scan: float | None = None
         self._late_scans = 0
+        self._shown: Shown | None = None  # of the state as it stands, once somebody asked
 
     @property
     def t(self) -> float | None:
@@ -94,7 +95,12 @@ class Tracker:
         if self._t is None:
             return ()
         table = self._filter.table
-        return table.tracks(self._t, table.mean.copy(), table.cov.copy())  # filters write into theirs
+        return self._show().tracks(self._t, table.mean.copy(), table.cov.copy())  # filters write into theirs
+
+    def _show(self) -> Shown:
+        if self._shown is None:
+            self._shown = self._filter.table.shown()
+        return self._shown
 
     @property
     def smoothed(self) -> tuple[Track, ...]:
@@ -120,6 +126,7 @@ class Tracker:
         """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
         self.predict(t)
         self._smoother.expect(self._filter.table)
+        self._shown = None
         ids = self._filter.initiate(t, np.asarray(points, dtype=float).reshape(-1, 2))
         self._smoother.note(t, self._filter.table)
         return ids
@@ -133,6 +140,7 @@ class Tracker:
             return  # to the time of a late scan, which `update` will refuse: the rotation leads away from our state
         dt = 0.0 if self._t is None else t - self._t
         self._smoother.move(self._filter.table, dt, rotation)
+        self._shown = None
         self._filter.predict(dt, rotation, rotation_variance)
         self._t = t
 
@@ -146,6 +154,7 @@ class Tracker:
             self.predict(scan.t)
         self._last_scan = scan.t
         self._smoother.expect(self._filter.table)
+        self._shown = None
         explained = self._filter.update(scan.t, self._sensor.usable(scan))
         self._smoother.note(scan.t, self._filter.table)
         told_R = (
@@ -163,9 +172,10 @@ class Tracker:
         if self._t is None:
             return ()
         mean, cov = self._filter.extrapolated(t - self._t, rotation, rotation_variance)
-        tracks = self._filter.table.tracks(t, mean, cov)
-        camera = self._sensor.camera
-        placed = lifecycle.is_placed(cov, camera)
-        if np.abs(mean[:, POSITION]).max(initial=0.0) < self._surely_before and placed.all():
+        tracks = self._show().tracks(t, mean, cov)
+        if np.abs(mean).max(initial=0.0) < self._surely_before and cov.max(initial=0.0) < self._surely_placed:
             return tracks
-        return tuple(compress(tracks, placed & lifecycle.within_reach(mean, camera)))
+        camera = self._sensor.camera
+        return tuple(
+            compress(tracks, lifecycle.is_placed(cov, camera) & lifecycle.within_reach(mean, camera))
+        )

@@ -145,7 +145,7 @@ class GmPhd:
         self._drop(t)  # before the weights: after a long silence a label could take whatever comes next
         newcomers, explained = self._fold_in(t, measured)
         self._drop(t)
-        born = newcomers > FADED * self._sensor.birth_existence(np.ones(1))
+        born = newcomers > FADED * self._sensor.usual_birth
         if born.any():
             self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
             self._add_newest(int(born.sum()))

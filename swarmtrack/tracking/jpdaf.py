@@ -24,6 +24,7 @@ from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import of_sure_pairs
+from swarmtrack.tracking.gaussian import inverse
 from swarmtrack.tracking.marginals import beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.parameters import CommonParameters
@@ -88,8 +89,9 @@ class Jpdaf:
         self._population.drop(t)
         newcomers, explained = self._associate(t, measured)
         self._population.drop(t)
-        born = newcomers > FADED * self._sensor.birth_existence(np.ones(1))
-        self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
+        born = newcomers > FADED * self._sensor.usual_birth
+        if born.any():
+            self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
         return explained
 
     def _associate(self, t: float, measured: Measurements) -> tuple[Array, Explained]:
@@ -195,7 +197,7 @@ def combined(mean: Array, cov: Array, z: Array, R: Array, share: Array) -> tuple
     posterior = prior @ ((1.0 - sums[:, :1, None]) * np.eye(2) + sums[:, 7:].reshape(-1, 2, 2))
     posterior += sums[:, 3:7].reshape(-1, 2, 2) - step[:, :, None] * step[:, None]
     posterior = 0.5 * (posterior + posterior.swapaxes(1, 2))
-    follows = C[rows] @ np.linalg.inv(prior)
+    follows = C[rows] @ inverse(prior)
     change = np.empty((len(rows), 4))
     change[:, POSITION], change[:, VELOCITY] = step, (follows @ step[:, :, None])[:, :, 0]
     across = follows @ posterior

@@ -67,7 +67,12 @@ def within_reach(mean: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
     return np.asarray(near | shown)
 
 
+def largest_variance(camera: PinholeCamera) -> float:
+    """px² of a position that is known at all."""
+    return float((MAX_SIGMA * max(camera.width, camera.height)) ** 2)
+
+
 def is_placed(cov: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
     """(n,) that something is known of where a target is. Beyond that, products of covariances lose their sign."""
-    variance = (MAX_SIGMA * max(camera.width, camera.height)) ** 2
+    variance = largest_variance(camera)
     return np.asarray((cov[:, 0, 0] < variance) & (cov[:, 2, 2] < variance))

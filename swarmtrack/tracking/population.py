@@ -89,7 +89,7 @@ class Population:
         may be anywhere; returns which (n,) stay."""
         table = self.table
         coasted = t - table.last_seen >= self._parameters.max_coast_s - ROUNDING_S
-        faded = table.existence < FADED * self._sensor.birth_existence(np.ones(1))
+        faded = table.existence < FADED * self._sensor.usual_birth
         camera = self._sensor.camera
         gone = ~(lifecycle.within_reach(table.mean, camera) & lifecycle.is_placed(table.cov, camera))
         stay = ~(coasted | faded | gone)

@@ -191,6 +191,12 @@ class SensorModel:
         area = self.camera.width * self.camera.height
         return np.asarray(math.log(self.clutter_per_scan / area) - np.log(odds))
 
+    @property
+    def usual_birth(self) -> float:
+        """`birth_existence` of a detection that brings no score."""
+        birth = self.parameters.birth_per_scan
+        return min(birth / (birth + self.clutter_per_scan), self.parameters.confirm_probability)
+
     def birth_existence(self, odds: Array) -> Array:
         """(m,) that a detection which no track explains is of a new target."""
         birth = self.parameters.birth_per_scan * odds

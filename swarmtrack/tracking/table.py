@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from functools import partial
 from itertools import repeat
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +68,8 @@ class TrackTable:
             joined = np.concatenate([getattr(self, column.name), getattr(other, column.name)])
             setattr(self, column.name, joined)
 
-    def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
-        """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
+    def shown(self) -> Shown:
+        """What does not change from scan to scan, to make tracks of for any time between."""
         n = len(self.id)
         status: list[TrackStatus] = [CONFIRMED] * n  # most are, and detected: only the others cost anything
         missed: list[float | None] = [None] * n
@@ -79,5 +80,25 @@ class TrackTable:
         for i in np.isfinite(self.missed_since).nonzero()[0].tolist():
             missed[i] = self.missed_since.item(i)
         size = self.size.copy()  # what was handed out does not change with the next scan
-        columns = (self.id.tolist(), repeat(t, n), mean, cov, status, self.existence.tolist(), size, missed)
+        return Shown(self.id.tolist(), status, self.existence.tolist(), list(size), missed)
+
+    def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
+        """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
+        return self.shown().tracks(t, mean, cov)
+
+
+class Shown(NamedTuple):
+    """Columns of n tracks as messages have them."""
+
+    id: list[int]
+    status: list[TrackStatus]
+    probability: list[float]
+    size: list[Array]
+    coasting_since: list[float | None]
+
+    def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
+        """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
+        columns = (
+            self.id, repeat(t, len(self.id)), mean, cov, self.status, self.probability, self.size, self.coasting_since
+        )  # fmt: skip
         return tuple(map(_track, zip(*columns, strict=False)))  # strict costs a fifth, and all have n
