@@ -250,6 +250,31 @@ class DetectorSection(Section):
         description="size of the detector's input by the image's: below 1 faster, above 1 sees farther",
     )
     threads: Count = Field(default=1, description="of inference; more than one is slower on a busy machine")
+    providers: tuple[Literal["cpu", "xnnpack", "openvino", "cuda", "tensorrt", "qnn", "coreml"], ...] = Field(
+        default=("cpu",),
+        min_length=1,
+        description="of ONNX Runtime, best first; what is not installed is skipped",
+    )
+    engine_cache: Path | None = Field(
+        default=None,
+        description="folder for engines that TensorRT or OpenVINO compile, instead of ~/.cache/swarmtrack",
+    )
+    head: Literal["auto", "centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr"] = Field(
+        default="auto", description="how the outputs of a foreign net are read"
+    )
+    names: tuple[Text, ...] = Field(default=(), description="of a foreign net's classes, where it tells none")
+    classes: tuple[Text, ...] = Field(default=(), description="that are drones; by default those named so")
+    veto: tuple[Text, ...] = Field(
+        default=(),
+        description="classes that speak against a drone in the same place; by default bird, airplane, ...",
+    )
+    channel_order: Literal["BGR", "RGB"] | None = Field(
+        default=None, description="that a foreign net was trained on"
+    )
+    scale: tuple[Number, Number, Number] | None = Field(
+        default=None, description="a foreign net is fed scale * (pixel - mean) of each channel"
+    )
+    mean: tuple[Number, Number, Number] | None = Field(default=None, description="see scale")
 
 
 class TrackerSection(ParameterSection):

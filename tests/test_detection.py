@@ -12,28 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmtrack.detection import letterbox
+from swarmtrack.detection.description import Description
 from swarmtrack.detection.detector import SMALLEST, Detector
-from swarmtrack.detection.heads import Candidates, centernet, suppress
-from swarmtrack.detection.model import Metadata, model_path
+from swarmtrack.detection.heads import Candidates, centernet, read, suppress
+from swarmtrack.detection.model import model_path
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training import evaluate, render
 
 TRACKS = Path(__file__).resolve().parents[2] / "shared" / "data" / "drones_real" / "tracks"
 
-METADATA = Metadata(
-    head="centernet",
-    stride=4,
-    multiple=32,
-    size_encoding="log_cells",
-    names=("drone",),
-    score_threshold=0.3,
-    scale=1 / 255,
-    mean=(0.0, 0.0, 0.0),
-    channel_order="BGR",
-    pad_value=114,
-    entries={},
-)
+DESCRIPTION = Description(head="centernet", stride=4, source="this test", entries={})
+INPUT = (80, 64)
+ONE_CLASS = np.zeros(50, np.intp)
 
 
 def frame_of(image: np.ndarray, t: float = 1.5, sequence: int = 7) -> Frame:
@@ -103,14 +94,14 @@ def heads_with(peaks: list[tuple[int, int, float]], h: int = 16, w: int = 20) ->
 def test_peaks_of_a_heat_map_become_centres_and_sizes_best_first():
     outputs = heads_with([(3, 5, 0.6), (10, 12, 0.9), (8, 2, 0.1)])
     outputs[0][0, 0, 10, 13] = 0.8  # the flank of a peak is no peak
-    found = centernet(outputs, METADATA, 0.3)
+    found = centernet(outputs, DESCRIPTION, 0.3, INPUT)
     assert found.score == pytest.approx([0.9, 0.6])
     assert found.centre == pytest.approx(np.array([[49.0, 38.0], [21.0, 10.0]]))
     assert found.size == pytest.approx(np.array([[20.0, 12.0], [20.0, 12.0]]))
 
 
 def test_an_empty_heat_map_holds_nothing():
-    found = suppress(centernet(heads_with([]), METADATA, 0.3), limit=10)
+    found = suppress(centernet(heads_with([]), DESCRIPTION, 0.3, INPUT), limit=10)
     assert found.centre.shape == (0, 2)
     assert found.size.shape == (0, 2)
     assert found.score.shape == (0,)
@@ -118,19 +109,26 @@ def test_an_empty_heat_map_holds_nothing():
 
 def test_outputs_of_another_head_are_refused_with_their_shapes():
     with pytest.raises(ModelError, match=r"\(1, 84, 8400\)"):
-        centernet([np.zeros((1, 84, 8400), np.float32)], METADATA, 0.3)
+        read([np.zeros((1, 84, 8400), np.float32)], DESCRIPTION, 0.3, INPUT)
 
 
 def test_a_split_peak_is_one_drone_and_two_neighbours_stay_two():
     centre = np.array([[100.0, 100.0], [104.0, 101.0], [130.0, 100.0]])
-    found = suppress(Candidates(centre, np.full((3, 2), 30.0), np.array([0.9, 0.8, 0.7])), limit=10)
+    found = suppress(
+        Candidates(centre, np.full((3, 2), 30.0), np.array([0.9, 0.8, 0.7]), ONE_CLASS[:3]), limit=10
+    )
     assert found.centre[:, 0].tolist() == [100.0, 130.0]
 
 
 def test_no_more_than_the_limit_are_kept():
     centre = np.stack([np.arange(50) * 100.0, np.zeros(50)], axis=1)
     assert (
-        len(suppress(Candidates(centre, np.full((50, 2), 10.0), np.linspace(1, 0, 50)), limit=8).score) == 8
+        len(
+            suppress(
+                Candidates(centre, np.full((50, 2), 10.0), np.linspace(1, 0, 50), ONE_CLASS), limit=8
+            ).score
+        )
+        == 8
     )
 
 
@@ -283,9 +281,20 @@ def test_wrong_metadata_is_named_with_what_was_expected(tmp_path, key, value, ex
         Detector(altered(tmp_path, set_metadata(key, value)))
 
 
-def test_a_model_without_metadata_is_refused(tmp_path):
-    with pytest.raises(ModelError, match=r"swarmtrack\.head is missing .*no metadata at all"):
-        Detector(altered(tmp_path, lambda model: model.ClearField("metadata_props")))
+def test_metadata_that_miss_an_entry_are_refused(tmp_path):
+    def alter(model) -> None:
+        entries = [entry for entry in model.metadata_props if entry.key != "swarmtrack.head"]
+        model.ClearField("metadata_props")
+        model.metadata_props.extend(entries)
+
+    with pytest.raises(ModelError, match=r"swarmtrack\.head is missing .*expected one of centernet"):
+        Detector(altered(tmp_path, alter))
+
+
+def test_a_centernet_without_metadata_is_recognised_by_its_three_maps(tmp_path):
+    bare = Detector(altered(tmp_path, lambda model: model.ClearField("metadata_props")))
+    assert (bare.description.head, bare.description.stride) == ("centernet", 4)
+    assert bare.description.source == "the shapes of its outputs"
 
 
 def test_a_model_of_a_future_opset_is_refused(tmp_path):

@@ -52,8 +52,10 @@ def test_targets_decode_to_the_boxes_they_were_made_of():
     """The trainer's encoding and the detector's decoding are written apart; they must be inverses."""
     boxes = np.array([[30.3, 41.8, 24.0, 15.0], [101.2, 90.5, 60.0, 33.0]])
     wanted = dataset.targets(boxes, 160, 4)
-    metadata = Detector("default").metadata
-    found = centernet([wanted.heat[None], wanted.offset[None], wanted.log_size[None]], metadata, 0.9)
+    description = Detector("default").description
+    found = centernet(
+        [wanted.heat[None], wanted.offset[None], wanted.log_size[None]], description, 0.9, (160, 160)
+    )
     order = np.argsort(found.centre[:, 0])
     assert found.centre[order] == pytest.approx(boxes[:, :2], abs=1e-4)
     assert found.size[order] == pytest.approx(boxes[:, 2:], rel=1e-4)
@@ -171,9 +173,9 @@ def test_a_training_of_a_few_steps_writes_a_model_that_loads_and_is_the_same_twi
     for path in out:
         common = ["train", "--data", str(root), "--out", str(path), "--licence", "CC0-1.0"]
         assert main([*common, "--iterations", "3", "--batch", "4", "--network", "nano", "--crop", "96"]) == 0
-    metadata = Detector(out[0]).metadata
-    assert metadata.entries["licence"] == "CC0-1.0"
-    assert metadata.entries["data_sha256"] == dataset.data_hash(dataset.load_frames(root))
+    description = Detector(out[0]).description
+    assert description.entries["licence"] == "CC0-1.0"
+    assert description.entries["data_sha256"] == dataset.data_hash(dataset.load_frames(root))
     assert out[0].read_bytes() == out[1].read_bytes()
     assert main(["evaluate", str(out[0]), str(root)]) == 0
     assert '"centre_ap"' in capsys.readouterr().out

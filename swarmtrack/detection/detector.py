@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.detection import letterbox
-from swarmtrack.detection.heads import HEADS, Candidates, suppress
-from swarmtrack.detection.letterbox import Letterbox
-from swarmtrack.detection.model import Metadata, check_input, model_path, open_session, read_metadata
+from swarmtrack.detection.description import Declared, Description
+from swarmtrack.detection.heads import Candidates
+from swarmtrack.detection.model import model_path, open_session, runs_on
+from swarmtrack.detection.net import TRIAL_SIZE, Net, Seconds
 from swarmtrack.errors import ModelError
-from swarmtrack.messages import Detections, Frame, LinkStatus
+from swarmtrack.messages import Detections, Frame, Image, LinkStatus
 from swarmtrack.runtime.clock import Clock, SystemClock
 
+NOTHING_DECLARED = Declared()
 WINDOW = 256  # frames over which latency is reported: about ten seconds of video
 SMALLEST, LARGEST = 8, 8192  # px: sides of an image that make sense
 
@@ -43,7 +43,8 @@ class Detector:
 
     model: a shipped model's name or a file. score_threshold: instead of the model's own. input_scale: enlarge images
     before looking, for drones of few pixels (the time grows with its square). providers: ONNX Runtime's, by short name,
-    best first. A model that cannot work raises `ModelError` here; a bad frame later is counted and yields nothing.
+    best first; cache: folder of the engines that some of them compile. declared: what the file does not say of the net,
+    or says wrongly. A model that cannot work raises `ModelError` here; a bad frame later is counted and yields nothing.
     """
 
     def __init__(
@@ -54,6 +55,8 @@ class Detector:
         input_scale: float = 1.0,
         threads: int = 1,
         providers: Sequence[str] = ("cpu",),
+        cache: Path | None = None,
+        declared: Declared = NOTHING_DECLARED,
         max_detections: int = 64,
         clock: Clock | None = None,
     ) -> None:
@@ -68,19 +71,24 @@ class Detector:
                 f"detector threads, max_detections: found {threads}, {max_detections}, expected at least 1"
             )
         self._path = model_path(model)
-        self._session = open_session(self._path, threads, providers)
-        self._fixed_size = check_input(self._path, self._session)
-        self.metadata: Metadata = read_metadata(self._path, self._session, list(HEADS))
-        self._input_name = self._session.get_inputs()[0].name
-        self.score_threshold = self.metadata.score_threshold if score_threshold is None else score_threshold
+        self._clock = clock or SystemClock()
+        self._session = open_session(self._path, threads, providers, cache)
+        self._net = Net(self._path, self._session, declared, self._clock)
+        self.score_threshold = (
+            self.description.score_threshold if score_threshold is None else score_threshold
+        )
         self._input_scale = input_scale
         self._limit = max_detections
-        self._clock = clock or SystemClock()
         self._seconds = np.zeros((WINDOW, 3))  # ring of (pre, infer, post)
         self._frames = self._found = self._refused = self._broken = 0
         self._trouble = ""
         # Once now, on a small image: a net whose outputs are not understood must not be discovered in flight.
-        self._look(np.full((64, 96, 3), self.metadata.pad_value, np.uint8))
+        self.warm_up(*(self._net.fixed_size or TRIAL_SIZE))
+
+    @property
+    def description(self) -> Description:
+        """What is known of the net, and who said it."""
+        return self._net.description
 
     def detect(self, frame: Frame) -> Detections | None:
         """All drones in the frame, best first, in pixels of the image as given.
@@ -108,7 +116,7 @@ class Detector:
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""
         for _ in range(2):
-            self._look(np.full((height, width, 3), self.metadata.pad_value, np.uint8))
+            self._look(np.full((height, width, 3), self.description.pad_value, np.uint8))
 
     @property
     def latency(self) -> Latency:
@@ -123,9 +131,8 @@ class Detector:
     def status(self) -> LinkStatus:
         """One line and the counters for the health message; not ok while the newest frame could not be used."""
         latency = self.latency
-        runs_on = ", ".join(name.removesuffix("ExecutionProvider") for name in self._session.get_providers())
         pace = f", {1e3 * latency.infer.p50:.1f} ms a frame" if self._frames else ""
-        text = self._trouble or f"{self._path.name} on {runs_on}{pace}"
+        text = self._trouble or f"{self._path.name} on {', '.join(runs_on(self._session))}{pace}"
         counters = [
             ("frames", self._frames),
             ("detections", self._found),
@@ -139,37 +146,8 @@ class Detector:
         ]
         return LinkStatus("detector", not self._trouble, text, (*counters, *times))
 
-    def _look(self, image: NDArray[np.uint8]) -> tuple[Candidates, tuple[float, float, float]]:
-        """Candidates in pixels of the image, and the seconds spent on (pre, infer, post)."""
-        started = self._clock.now()
-        height, width = image.shape[:2]
-        box = self._letterbox(width, height)
-        meta = self.metadata
-        blob = cv2.dnn.blobFromImage(
-            box.to_input(image, meta.pad_value),
-            scalefactor=meta.scale,
-            mean=meta.mean,
-            swapRB=meta.channel_order == "RGB",
-        )
-        prepared = self._clock.now()
-        outputs = self._session.run(None, {self._input_name: blob})
-        answered = self._clock.now()
-        if not all(np.isfinite(output).all() for output in outputs):
-            raise ModelError(
-                f"{self._path}: the net answered NaN or infinity for an image of {width}x{height}"
-            )
-        found = HEADS[meta.head](outputs, meta, self.score_threshold)
-        centre, size = box.points_to_image(found.centre), box.sizes_to_image(found.size)
-        # The padding is not part of the image, and what is found there is not in the world.
-        inside = ((centre > -0.5) & (centre < [width - 0.5, height - 0.5])).all(axis=1)
-        found = suppress(Candidates(centre[inside], size[inside], found.score[inside]), limit=self._limit)
-        return found, (prepared - started, answered - prepared, self._clock.now() - answered)
-
-    def _letterbox(self, width: int, height: int) -> Letterbox:
-        if self._fixed_size is not None:
-            w, h = self._fixed_size
-            return letterbox.fit_fixed(width, height, input_width=w, input_height=h)
-        return letterbox.fit(width, height, scale=self._input_scale, multiple=self.metadata.multiple)
+    def _look(self, image: Image) -> tuple[Candidates, Seconds]:
+        return self._net.look(image, self._input_scale, self.score_threshold, self._limit)
 
 
 def _unusable(image: NDArray[np.uint8]) -> str:

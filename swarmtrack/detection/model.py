@@ -1,19 +1,18 @@
-"""A model file: the ONNX session and what the file says about itself."""
+"""A model file and the ONNX session that runs it, on whatever this machine has."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
+import numpy as np
 import onnxruntime as ort
 
 from swarmtrack.errors import ModelError
 
-PREFIX = "swarmtrack."
 SHIPPED = ("default",)
 
 PROVIDERS: dict[str, str] = {
@@ -26,28 +25,18 @@ PROVIDERS: dict[str, str] = {
     "coreml": "CoreMLExecutionProvider",
 }
 
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class Metadata:
-    """What a detector must know of a net, read from the `swarmtrack.*` metadata of its file.
-
-    stride: input px per cell; multiple: input sides are multiples of this; scale, mean: the net is fed
-    scale · (pixel − mean), mean in the order of the channels; pad_value 0…255; entries: all of it, as written.
-    """
-
-    head: str
-    stride: int
-    multiple: int
-    size_encoding: str
-    names: tuple[str, ...]
-    score_threshold: float
-    scale: float
-    mean: tuple[float, float, float]
-    channel_order: str
-    pad_value: int
-    entries: Mapping[str, str]
+ENGINE_CACHES: dict[str, dict[str, str]] = {
+    "tensorrt": {
+        "trt_engine_cache_enable": "True",
+        "trt_engine_cache_path": "{cache}",
+        "trt_timing_cache_enable": "True",
+        "trt_timing_cache_path": "{cache}",
+    },
+    "openvino": {"cache_dir": "{cache}"},
+    "coreml": {"ModelCacheDirectory": "{cache}"},
+}
+ELEMENTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+"""Types of input that a net may have."""
 
 
 def model_path(model: str | Path) -> Path:
@@ -57,15 +46,25 @@ def model_path(model: str | Path) -> Path:
     return Path(model)
 
 
-def open_session(path: Path, threads: int, providers: Sequence[str]) -> ort.InferenceSession:
-    """Load a model on the first of `providers` (names of `PROVIDERS`) that this machine has."""
+def cache_folder() -> Path:
+    """Where engines that a provider compiles are kept: minutes on a Jetson, once and not at every start."""
+    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(base).expanduser() / "swarmtrack" / "engines"
+
+
+def open_session(
+    path: Path, threads: int, providers: Sequence[str], cache: Path | None = None
+) -> ort.InferenceSession:
+    """Load a model on the first of `providers` (names of `PROVIDERS`) that this machine has and that can run it;
+    the others, and the CPU in any case, take over what it cannot. cache: of compiled engines, instead of
+    `cache_folder`."""
     unknown = [name for name in providers if name not in PROVIDERS]
     if unknown or not providers:
         raise ModelError(
             f"detector providers: found {list(providers)}, expected some of {', '.join(PROVIDERS)}"
         )
     available = ort.get_available_providers()
-    usable = [PROVIDERS[name] for name in providers if PROVIDERS[name] in available]
+    usable = [name for name in providers if PROVIDERS[name] in available]
     if not usable:
         have = ", ".join(name for name, long in PROVIDERS.items() if long in available)
         raise ModelError(f"detector providers: none of {', '.join(providers)} is installed here, only {have}")
@@ -80,95 +79,38 @@ def open_session(path: Path, threads: int, providers: Sequence[str]) -> ort.Infe
     # Spinning threads burn a core between frames, which the tracker and the links need.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 4  # the exception says it; the C++ log would only repeat it on stderr
+    chosen = [(PROVIDERS[name], _options(name, cache or cache_folder(), threads)) for name in usable]
     try:
-        return ort.InferenceSession(str(path), options, providers=usable)
+        return ort.InferenceSession(str(path), options, providers=chosen)
     except Exception as error:  # ONNX Runtime's exceptions have no common base but this
         raise ModelError(
             f"{path}: not a model that ONNX Runtime {ort.__version__} can load: {error}"
         ) from error
 
 
+def _options(provider: str, cache: Path, threads: int) -> Mapping[str, Any]:
+    """What each provider must be told, by the names of its own documentation."""
+    if provider in ENGINE_CACHES:
+        cache.mkdir(parents=True, exist_ok=True)
+        return {key: value.format(cache=cache) for key, value in ENGINE_CACHES[provider].items()}
+    return {"intra_op_num_threads": str(threads)} if provider == "xnnpack" else {}
+
+
+def runs_on(session: ort.InferenceSession) -> tuple[str, ...]:
+    """The providers that really run a session, by short name, the first one first."""
+    short = {long: name for name, long in PROVIDERS.items()}
+    return tuple(short.get(long, long) for long in session.get_providers())
+
+
 def check_input(path: Path, session: ort.InferenceSession) -> tuple[int, int] | None:
     """The fixed (width, height) of the net's input in px, or None where any size will do."""
     inputs = session.get_inputs()
     shape = inputs[0].shape if inputs else []
-    good = len(inputs) == 1 and inputs[0].type == "tensor(float)" and len(shape) == 4 and shape[1] == 3
+    good = len(inputs) == 1 and inputs[0].type in ELEMENTS and len(shape) == 4 and shape[1] == 3
     if not good or (isinstance(shape[0], int) and shape[0] != 1):
         found = "; ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs) or "none"
         raise ModelError(
-            f"{path}: inputs are {found}; expected one of type float and shape [1, 3, height, width]"
+            f"{path}: inputs are {found}; expected one of type {' or '.join(ELEMENTS)} and shape [1, 3, height, width]"
         )
     height, width = shape[2], shape[3]
     return (width, height) if isinstance(width, int) and isinstance(height, int) else None
-
-
-def read_metadata(path: Path, session: ort.InferenceSession, heads: Sequence[str]) -> Metadata:
-    """Parse the file's metadata; each missing or wrong entry is named."""
-    written = session.get_modelmeta().custom_metadata_map
-    entries = {key.removeprefix(PREFIX): text for key, text in written.items() if key.startswith(PREFIX)}
-
-    def entry(key: str, parse: Callable[[str], T], expected: str) -> T:
-        if key not in entries:
-            found = ", ".join(sorted(written)) or "no metadata at all"
-            raise ModelError(
-                f"{path}: metadata {PREFIX}{key} is missing (found {found}), expected {expected}"
-            )
-        try:
-            return parse(entries[key])
-        except (ValueError, TypeError, KeyError):
-            raise ModelError(
-                f"{path}: metadata {PREFIX}{key} is {entries[key]!r}, expected {expected}"
-            ) from None
-
-    return Metadata(
-        head=entry("head", _one_of(heads), f"one of {', '.join(heads)}"),
-        stride=entry("stride", _positive, "a positive whole number of pixels"),
-        multiple=entry("multiple", _positive, "a positive whole number of pixels"),
-        size_encoding=entry("size_encoding", _one_of(["log_cells"]), "log_cells"),
-        names=entry("names", _names, "a JSON list of class names"),
-        score_threshold=entry("score_threshold", _fraction, "a number in 0…1"),
-        scale=entry("scale", float, "a number"),
-        mean=entry("mean", _three, "a JSON list of three numbers"),
-        channel_order=entry("channel_order", _one_of(["BGR", "RGB"]), "BGR or RGB"),
-        pad_value=entry("pad_value", _byte, "a whole number in 0…255"),
-        entries=entries,
-    )
-
-
-def _one_of(allowed: Sequence[str]) -> Callable[[str], str]:
-    def parse(text: str) -> str:
-        if text not in allowed:
-            raise ValueError(text)
-        return text
-
-    return parse
-
-
-def _positive(text: str) -> int:
-    if (value := int(text)) < 1:
-        raise ValueError(text)
-    return value
-
-
-def _byte(text: str) -> int:
-    if not 0 <= (value := int(text)) <= 255:
-        raise ValueError(text)
-    return value
-
-
-def _fraction(text: str) -> float:
-    if not 0 <= (value := float(text)) <= 1:
-        raise ValueError(text)
-    return value
-
-
-def _three(text: str) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in json.loads(text))
-    return x, y, z
-
-
-def _names(text: str) -> tuple[str, ...]:
-    names: Any = json.loads(text)
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise ValueError(text)
-    return tuple(names)

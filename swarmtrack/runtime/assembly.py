@@ -214,6 +214,7 @@ def _in_step(link: str) -> str:
 def _detector(config: DroneConfig) -> Detector | None:
     if config.camera.detects_by_itself:
         return None
+    from swarmtrack.detection.description import Declared  # noqa: PLC0415
     from swarmtrack.detection.detector import Detector  # noqa: PLC0415
 
     section = config.detector
@@ -222,6 +223,17 @@ def _detector(config: DroneConfig) -> Detector | None:
         score_threshold=section.score_threshold,
         input_scale=section.input_scale,
         threads=section.threads,
+        providers=section.providers,
+        cache=section.engine_cache,
+        declared=Declared(
+            head=None if section.head == "auto" else section.head,
+            names=section.names,
+            classes=section.classes,
+            veto=section.veto,
+            channel_order=section.channel_order,
+            scale=section.scale,
+            mean=section.mean,
+        ),
     )
 
 

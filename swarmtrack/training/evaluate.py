@@ -129,7 +129,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Look at all images and clips under `data`; numbers by scene, by clip and in all."""
     detector = Detector(model, score_threshold=LOWEST, input_scale=input_scale)
-    threshold = detector.metadata.score_threshold if threshold is None else threshold
+    threshold = detector.description.score_threshold if threshold is None else threshold
     report: dict[str, Any] = {"model": str(model), "threshold": threshold, "input_scale": input_scale}
     if (data / "images.csv").is_file():
         by_scene: dict[str, list[Looked]] = {}

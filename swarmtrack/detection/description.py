@@ -1,0 +1,310 @@
+"""What a detector must know of a net: read from the file's own metadata, else recognised, else told.
+
+Four sources, the surest first: what a config declares, our own `swarmtrack.*` metadata, those that Ultralytics writes,
+and the shapes of the outputs. A net that none of them explains is refused in a sentence that says what was seen.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeVar
+
+from swarmtrack.errors import ModelError
+
+PREFIX = "swarmtrack."
+HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr")
+STRIDES = (8, 16, 32)  # of YOLO's three maps
+ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
+FOREIGN_THRESHOLD = 0.25  # of nets that tell none: what Ultralytics' own predictor takes
+DRONES = ("drone", "uav", "quadcopter", "quadrotor", "multirotor", "multicopter")
+LOOK_ALIKES = ("bird", "airplane", "aeroplane", "plane", "helicopter", "kite", "balloon")
+
+Shape = tuple[int, ...]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declared:
+    """What a config says of a net, over what the net says of itself. None or empty: nothing."""
+
+    head: str | None = None
+    classes: tuple[str, ...] = ()
+    veto: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    scale: tuple[float, float, float] | None = None
+    mean: tuple[float, float, float] | None = None
+    channel_order: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Description:
+    """head: how its outputs are to be read, one of `HEADS`; stride: input px per cell of a CenterNet; multiple: input
+    sides are multiples of this; names: of its classes, in their order; drones, vetoes: which of them are what we look
+    for, and which speak against it where both are seen.
+
+    The net is fed scale · (pixel − mean), both in the order of its channels; pad_value 0…255. calibration (a, b): the
+    probability that a detection is a drone is σ(a logit(score) + b). source: who said all this; entries: our metadata
+    as written.
+    """
+
+    head: str
+    stride: int = 1
+    multiple: int = 32
+    names: tuple[str, ...] = ("drone",)
+    drones: frozenset[int] = frozenset({0})
+    vetoes: frozenset[int] = frozenset()
+    score_threshold: float = FOREIGN_THRESHOLD
+    scale: tuple[float, float, float] = (1 / 255, 1 / 255, 1 / 255)
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    channel_order: str = "RGB"
+    pad_value: int = 114
+    calibration: tuple[float, float] = (1.0, 0.0)
+    source: str
+    entries: Mapping[str, str]
+
+
+class Trial(NamedTuple):
+    """What the net answered to an empty image: input (width, height) px, and its outputs' shapes, in their order."""
+
+    input_size: tuple[int, int]
+    shapes: tuple[Shape, ...]
+
+
+def describe(path: str, written: Mapping[str, str], trial: Trial, declared: Declared) -> Description:
+    """written: the file's metadata. Raises `ModelError` where something is missing or wrong, naming it."""
+    if any(key.startswith(PREFIX) for key in written):
+        description = _ours(path, written)
+    elif written.get("author") == "Ultralytics" or {"names", "stride"} <= written.keys():
+        description = _ultralytics(path, written, trial, declared)
+    else:
+        description = _recognised(path, trial, declared)
+    return _with_classes(path, _with_declared(description, declared), declared)
+
+
+# --- our own metadata ---------------------------------------------------------------------------------
+
+
+def _ours(path: str, written: Mapping[str, str]) -> Description:
+    entries = {key.removeprefix(PREFIX): text for key, text in written.items() if key.startswith(PREFIX)}
+
+    def entry(key: str, parse: Callable[[str], T], expected: str, default: T | None = None) -> T:
+        if key not in entries:
+            if default is not None:
+                return default
+            raise ModelError(
+                f"{path}: metadata {PREFIX}{key} is missing (found {', '.join(sorted(written))}), expected {expected}"
+            )
+        try:
+            return parse(entries[key])
+        except (ValueError, TypeError, KeyError):
+            raise ModelError(
+                f"{path}: metadata {PREFIX}{key} is {entries[key]!r}, expected {expected}"
+            ) from None
+
+    head = entry("head", _one_of(HEADS), f"one of {', '.join(HEADS)}")
+    if head == "centernet":
+        entry("size_encoding", _one_of(["log_cells"]), "log_cells")
+    return Description(
+        head=head,
+        stride=entry("stride", _positive, "a positive whole number of pixels"),
+        multiple=entry("multiple", _positive, "a positive whole number of pixels"),
+        names=entry("names", _names, "a JSON list of class names"),
+        score_threshold=entry("score_threshold", _fraction, "a number in 0…1"),
+        scale=entry("scale", _one_or_three, "a number, or a JSON list of three"),
+        mean=entry("mean", _three, "a JSON list of three numbers"),
+        channel_order=entry("channel_order", _one_of(["BGR", "RGB"]), "BGR or RGB"),
+        pad_value=entry("pad_value", _byte, "a whole number in 0…255"),
+        calibration=entry("calibration", _two, "a JSON list of two numbers", (1.0, 0.0)),
+        source="its metadata",
+        entries=entries,
+    )
+
+
+def _one_of(allowed: Sequence[str]) -> Callable[[str], str]:
+    def parse(text: str) -> str:
+        if text not in allowed:
+            raise ValueError(text)
+        return text
+
+    return parse
+
+
+def _positive(text: str) -> int:
+    if (value := int(text)) < 1:
+        raise ValueError(text)
+    return value
+
+
+def _byte(text: str) -> int:
+    if not 0 <= (value := int(text)) <= 255:
+        raise ValueError(text)
+    return value
+
+
+def _fraction(text: str) -> float:
+    if not 0 <= (value := float(text)) <= 1:
+        raise ValueError(text)
+    return value
+
+
+def _two(text: str) -> tuple[float, float]:
+    x, y = (float(value) for value in json.loads(text))
+    return x, y
+
+
+def _three(text: str) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in json.loads(text))
+    return x, y, z
+
+
+def _one_or_three(text: str) -> tuple[float, float, float]:
+    value = json.loads(text)
+    return _three(text) if isinstance(value, list) else (float(value),) * 3
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names: Any = json.loads(text)
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise ValueError(text)
+    return tuple(names)
+
+
+# --- other people's nets ------------------------------------------------------------------------------
+
+
+def _ultralytics(path: str, written: Mapping[str, str], trial: Trial, declared: Declared) -> Description:
+    """Their exporter writes `task`, `stride` and `names`, as Python literals; their nets eat RGB / 255, padded with
+    114."""
+    task = written.get("task", "detect")
+    if task != "detect":
+        raise ModelError(f"{path}: an Ultralytics net for task {task!r}, expected one for 'detect'")
+    try:
+        named: Any = ast.literal_eval(written["names"])
+        names = tuple(str(named[i]) for i in range(len(named)))
+        multiple = int(float(written["stride"]))
+    except (ValueError, SyntaxError, KeyError, TypeError):
+        found = {key: written.get(key) for key in ("names", "stride")}
+        raise ModelError(
+            f"{path}: Ultralytics metadata are {found}, expected names like {{0: 'drone'}} and a stride"
+        ) from None
+    head = declared.head or _head_of(trial, len(names))
+    if head is None:
+        raise _unknown(path, trial)
+    return Description(
+        head=head, multiple=multiple, names=names, source="Ultralytics' metadata", entries=dict(written)
+    )
+
+
+def _recognised(path: str, trial: Trial, declared: Declared) -> Description:
+    head = declared.head or _head_of(trial, len(declared.names) or None)
+    if head is None:
+        raise _unknown(path, trial)
+    classes = class_count(head, trial.shapes)
+    if classes is None:
+        raise _unknown(path, trial, f"; as head {head} they make no sense")
+    names = declared.names or (("drone",) if classes == 1 else tuple(f"class_{i}" for i in range(classes)))
+    stride = trial.input_size[0] // trial.shapes[0][-1] if head == "centernet" else 1
+    return Description(head=head, stride=stride, names=names, source="the shapes of its outputs", entries={})
+
+
+def _head_of(trial: Trial, classes: int | None) -> str | None:
+    """By the outputs' shapes: a YOLO has as many rows as its input has cells, which no other has."""
+    shapes = trial.shapes
+    if _is_centernet(shapes):
+        return "centernet"
+    if any(len(shape) != 3 or shape[0] != 1 for shape in shapes):
+        return None
+    if len(shapes) == 2 and shapes[0][1] == shapes[1][1] and 4 in (shapes[0][2], shapes[1][2]):
+        return "detr"
+    if len(shapes) != 1:
+        return None
+    rows, columns = shapes[0][1:]
+    cells = sum((trial.input_size[0] // stride) * (trial.input_size[1] // stride) for stride in STRIDES)
+    if columns == cells and rows > 4:
+        return "yolo_v8"
+    if rows == ANCHORS_V5 * cells and columns > 5:
+        return "yolo_v5"
+    if columns == 6 and rows != cells:
+        return "end_to_end"
+    return "detr" if classes is not None and columns == 4 + classes and rows != cells else None
+
+
+def _is_centernet(shapes: Sequence[Shape]) -> bool:
+    if len(shapes) != 3 or any(len(shape) != 4 for shape in shapes):
+        return False
+    h, w = shapes[0][2:]
+    return list(shapes) == [(1, 1, h, w), (1, 2, h, w), (1, 2, h, w)]
+
+
+def class_count(head: str, shapes: Sequence[Shape]) -> int | None:
+    """How many classes the outputs (of these shapes) of a net with this head tell apart; None: they are not of such."""
+    if head == "centernet":
+        return 1 if _is_centernet(shapes) else None
+    if not shapes or any(len(shape) != 3 or shape[0] != 1 for shape in shapes):
+        return None
+    count: int | None = None
+    if head == "detr":
+        if len(shapes) == 2 and shapes[0][1] == shapes[1][1] and 4 in (shapes[0][2], shapes[1][2]):
+            count = shapes[0][2] if shapes[1][2] == 4 else shapes[1][2]
+        elif len(shapes) == 1:
+            count = shapes[0][2] - 4
+    elif len(shapes) == 1:
+        rows, columns = shapes[0][1:]
+        of_head = {"yolo_v8": rows - 4, "yolo_v5": columns - 5, "end_to_end": 1 if columns == 6 else 0}
+        count = of_head[head]
+    return count if count is not None and count >= 1 else None
+
+
+def _unknown(path: str, trial: Trial, more: str = "") -> ModelError:
+    width, height = trial.input_size
+    shapes = ", ".join(str(shape) for shape in trial.shapes) or "none"
+    return ModelError(
+        f"{path}: cannot tell how to read its outputs, which are {shapes} for an input of {width}x{height}{more}; "
+        f"known are (1, 4 + classes, cells) as of YOLOv8, (1, 3 cells, 5 + classes) as of YOLOv5, (1, n, 6), two of "
+        f"(1, n, 4) and (1, n, classes), and a CenterNet's three maps; set detector.head to one of {', '.join(HEADS)}"
+    )
+
+
+# --- what the config says -----------------------------------------------------------------------------
+
+
+def _with_declared(description: Description, declared: Declared) -> Description:
+    told = {
+        key: value
+        for key in ("head", "names", "scale", "mean", "channel_order")
+        if (value := getattr(declared, key))
+    }
+    return (
+        replace(description, **told, source=f"{description.source} and the config") if told else description
+    )
+
+
+def _with_classes(path: str, description: Description, declared: Declared) -> Description:
+    """Which classes are drones and which veto: those declared, else by their names, else the only one there is."""
+    names = [name.lower() for name in description.names]
+    for key, asked in (("classes", declared.classes), ("veto", declared.veto)):
+        missing = [name for name in asked if name.lower() not in names]
+        if missing:
+            raise ModelError(
+                f"{path}: detector.{key} names {', '.join(missing)}, but its classes are {_listed(description.names)}"
+            )
+    wanted = [name.lower() for name in declared.classes] or [name for name in names if name in DRONES]
+    drones = frozenset(i for i, name in enumerate(names) if name in wanted)
+    if not drones and len(names) == 1:
+        drones = frozenset({0})
+    if not drones:
+        raise ModelError(
+            f"{path}: none of its classes is called drone; they are {_listed(description.names)}; say in "
+            "detector.classes which of them to look for"
+        )
+    against: list[str] = [name.lower() for name in declared.veto] or [*LOOK_ALIKES]
+    vetoes = frozenset(i for i, name in enumerate(names) if name in against) - drones
+    return replace(description, drones=drones, vetoes=vetoes)
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

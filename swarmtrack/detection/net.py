@@ -1,0 +1,123 @@
+"""One network that looks at one image: fitted into its input, run, and read in pixels of the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from swarmtrack.detection import letterbox
+from swarmtrack.detection.description import Declared, Description, Trial, describe
+from swarmtrack.detection.heads import Candidates, Output, read, suppress
+from swarmtrack.detection.letterbox import Letterbox
+from swarmtrack.detection.model import ELEMENTS, check_input
+from swarmtrack.errors import ModelError
+from swarmtrack.messages import Image
+from swarmtrack.runtime.clock import Clock
+
+TRIAL_SIZE = (96, 64)  # px, where the net's input may have any size
+SURELY = 1e-6  # a score is not nearer to 0 or 1 than that
+
+
+class Seconds(NamedTuple):
+    """pre: letterbox and layout; infer: the net; post: decoding and suppression."""
+
+    pre: float
+    infer: float
+    post: float
+
+
+class Net:
+    """An ONNX session and how to talk to it. A net that cannot be understood raises `ModelError` here."""
+
+    def __init__(self, path: Path, session: ort.InferenceSession, declared: Declared, clock: Clock) -> None:
+        self._path = path
+        self._session = session
+        self._clock = clock
+        self.fixed_size = check_input(path, session)
+        """(width, height) px of the only input that it takes; None: any."""
+        entry = session.get_inputs()[0]
+        self._input_name, self._element = entry.name, ELEMENTS[entry.type]
+        written = session.get_modelmeta().custom_metadata_map
+        self.description: Description = describe(str(path), written, self._try_out(), declared)
+
+    def look(self, image: Image, scale: float, threshold: float, limit: int) -> tuple[Candidates, Seconds]:
+        """Drones in (h, w) grey or (h, w, 3) BGR, in pixels of it, best first; at most `limit`, of at least the score
+        `threshold`. scale: input px per image px, where the input's size is free."""
+        started = self._clock.now()
+        height, width = image.shape[:2]
+        box = self._letterbox(width, height, scale)
+        blob = self._blob(box.to_input(image, self.description.pad_value))
+        prepared = self._clock.now()
+        outputs = self._answer(blob)
+        answered = self._clock.now()
+        size = (box.input_width, box.input_height)
+        found = read(outputs, self.description, self._raw(threshold), size)
+        centre, sizes = box.points_to_image(found.centre), box.sizes_to_image(found.size)
+        # The padding is not part of the image, and what is found there is not in the world.
+        inside = np.asarray(((centre > -0.5) & (centre < [width - 0.5, height - 0.5])).all(axis=1))
+        found = found._replace(centre=centre, size=sizes, score=self._calibrated(found.score)).take(inside)
+        found = self._drones(found, limit)
+        return found, Seconds(prepared - started, answered - prepared, self._clock.now() - answered)
+
+    def _drones(self, found: Candidates, limit: int) -> Candidates:
+        """Those of the classes we look for, where nothing that looks alike is seen more surely."""
+        net = self.description
+        rivals = np.isin(found.label, [*net.drones, *net.vetoes])
+        kept = suppress(found.take(rivals), limit=limit)
+        return kept.take(np.isin(kept.label, [*net.drones]))
+
+    def _blob(self, image: NDArray[np.uint8]) -> Output:
+        """(1, 3, h, w) as the net wants it, of its own input's size."""
+        net = self.description
+        blob = np.asarray(
+            cv2.dnn.blobFromImage(image, mean=net.mean, swapRB=net.channel_order == "RGB"), np.float32
+        )
+        blob *= np.array(net.scale, np.float32)[:, None, None]
+        return np.asarray(blob, self._element)
+
+    def _answer(self, blob: Output) -> list[Output]:
+        outputs: list[Output] = self._session.run(None, {self._input_name: blob})
+        if not all(np.isfinite(output).all() for output in outputs):
+            height, width = blob.shape[2:]
+            raise ModelError(
+                f"{self._path}: the net answered NaN or infinity for an input of {width}x{height}"
+            )
+        return outputs
+
+    def _try_out(self) -> Trial:
+        """An empty image, before anything is known of the net but its input."""
+        width, height = self.fixed_size or TRIAL_SIZE
+        try:
+            outputs = self._answer(np.zeros((1, 3, height, width), self._element))
+        except ModelError:
+            raise
+        except Exception as error:  # ONNX Runtime's exceptions have no common base but this
+            raise ModelError(f"{self._path}: cannot run on an input of {width}x{height}: {error}") from error
+        return Trial((width, height), tuple(tuple(output.shape) for output in outputs))
+
+    def _letterbox(self, width: int, height: int, scale: float) -> Letterbox:
+        if self.fixed_size is not None:
+            w, h = self.fixed_size
+            return letterbox.fit_fixed(width, height, input_width=w, input_height=h)
+        return letterbox.fit(width, height, scale=scale, multiple=self.description.multiple)
+
+    def _calibrated(self, score: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probabilities of the net's scores: Platt's sigmoid of their logits."""
+        a, b = self.description.calibration
+        if (a, b) == (1.0, 0.0):
+            return score
+        clipped = np.clip(score, SURELY, 1.0 - SURELY)
+        return np.asarray(1.0 / (1.0 + np.exp(-a * np.log(clipped / (1.0 - clipped)) - b)))
+
+    def _raw(self, threshold: float) -> float:
+        """The net's score that is calibrated to this threshold."""
+        a, b = self.description.calibration
+        if (a, b) == (1.0, 0.0):
+            return threshold
+        clipped = min(max(threshold, SURELY), 1.0 - SURELY)
+        return float(1.0 / (1.0 + np.exp(-(np.log(clipped / (1.0 - clipped)) - b) / a)))
