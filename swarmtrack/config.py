@@ -249,6 +249,21 @@ class DetectorSection(Section):
         default=1.0,
         description="size of the detector's input by the image's: below 1 faster, above 1 sees farther",
     )
+    look: Literal["auto", "whole", "guided"] = Field(
+        default="auto",
+        description='"whole" frames; "guided": windows around tracks in every frame, the whole now and then; "auto": '
+        "guided where the whole frame would be shrunk",
+    )
+    whole_every: Count = Field(
+        default=5, description="frames, from a whole one to the next, where it is guided"
+    )
+    target_px: Positive = Field(
+        default=24.0, description="windows are enlarged, up to three times, for a drone to be so wide in them"
+    )
+    tiles: Switch = Field(
+        default=True,
+        description="guided, and shrunk as a whole: also a tile at full resolution with each frame",
+    )
     threads: Count = Field(default=1, description="of inference; more than one is slower on a busy machine")
     providers: tuple[Literal["cpu", "xnnpack", "openvino", "cuda", "tensorrt", "qnn", "coreml"], ...] = Field(
         default=("cpu",),

@@ -91,7 +91,8 @@ class Detections:
     """All detections of one frame, pixels of the image as the camera gave it (distorted).
 
     t: time of exposure; sequence: of the frame; centre (n, 2) [u, v]; size (n, 2) [w, h]; score (n,) in 0…1;
-    covariance (n, 2, 2) px² of the centre, or None where the detector does not know.
+    covariance (n, 2, 2) px² of the centre, or None where the detector does not know. coverage: share of the image that
+    was looked at, 0…1; every track was.
     """
 
     t: float
@@ -100,6 +101,7 @@ class Detections:
     size: Array
     score: Array
     covariance: Array | None = None
+    coverage: float = 1.0
 
     def __post_init__(self) -> None:
         n = len(self.score)
@@ -118,7 +120,8 @@ class Scan:
     """What the tracker is told of one exposure, in undistorted pixels.
 
     z (m, 2) [u, v]; R (m, 2, 2) px² or None (the tracker's own `measurement_sigma`); size (m, 2) px or None;
-    score (m,) or None. Whether a measurement is usable (finite, near the image) is the tracker's to judge.
+    score (m,) or None. Whether a measurement is usable (finite, near the image) is the tracker's to judge. coverage:
+    share of the image that was looked at, all tracks with it: so much less clutter is expected.
     """
 
     t: float
@@ -126,6 +129,7 @@ class Scan:
     R: Array | None = None
     size: Array | None = None
     score: Array | None = None
+    coverage: float = 1.0
 
     def __post_init__(self) -> None:
         z = np.asarray(self.z, dtype=float)

@@ -218,6 +218,21 @@ class Onboard:
         carried = self._tracker.at(now, turn.matrix, turn.variance)
         return TrackList(now, self._tracker.t, self._identities.label(carried))
 
+    def expected_boxes(self, exposed: float) -> Array:
+        """Where the tracks lie in a frame exposed then (its own stamp), as `Gaze.next` wants them: (n, 6) px of the
+        image as the camera gives it."""
+        if self._tracker.t is None or self._orientation is None:
+            return np.empty((0, 6))
+        t = max(exposed + self.clock.used_s, self._tracker.t)
+        turn = rotation_between(self._orientation, self.gyro.orientation(t))
+        tracks = self._tracker.at(t, turn.matrix, turn.variance)
+        if not tracks:
+            return np.empty((0, 6))
+        centre = self._camera.distort(np.array([track.mean[::2] for track in tracks]))
+        sigma = np.sqrt([np.diagonal(track.cov)[::2] for track in tracks])
+        boxes = np.concatenate([centre, 3.0 * sigma, [track.size for track in tracks]], axis=1)
+        return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
+
     def ego_pose(self, t: float) -> TeamPose | None:
         """Where this drone itself was at t, in the team frame."""
         return self._ego.at(t)
@@ -330,4 +345,4 @@ def _scan(detections: Detections, t: float, camera: PinholeCamera, tracker: Trac
     if R is not None:
         J = camera.undistort_jacobian(detections.centre[good])
         R = J @ R[good] @ J.swapaxes(1, 2)
-    return Scan(t, z[good], R, detections.size[good], detections.score[good])
+    return Scan(t, z[good], R, detections.size[good], detections.score[good], detections.coverage)

@@ -89,6 +89,37 @@ def test_what_is_shown_now_is_the_last_scan_carried_on_by_the_gyro():
     )
 
 
+def test_a_detector_is_told_where_the_tracks_will_be_when_the_camera_has_turned():
+    """Yawing to the right by 0.2 rad/s: what was straight ahead is left of there half a second later."""
+    drone = onboard()
+    turning = np.array([0.0, 0.0, 0.2])  # forward, right, down: to the right
+    fed = 0
+    for k in range(12):
+        while fed / 200.0 <= k / 15:
+            drone.on_imu(ImuSample(fed / 200.0, np.zeros(3), NO_ACCEL))
+            fed += 1
+        drone.on_detections(seen(k / 15, (320.0, 240.0), sequence=k))
+    last = 11 / 15
+    while fed / 200.0 <= last + 0.55:
+        drone.on_imu(ImuSample(fed / 200.0, turning, NO_ACCEL))
+        fed += 1
+    (box,) = drone.expected_boxes(last + 0.5)
+    assert box[:2] == pytest.approx([320.0 - 430.0 * np.tan(0.1), 240.0], abs=3.0)
+    assert 3.0 < box[2] < 400.0
+    assert box[4:] == pytest.approx([30.0, 30.0])
+
+
+def test_boxes_told_to_the_detector_are_in_the_pixels_of_its_image():
+    lens = RadTan((-0.25, 0.05, 0.0, 0.0))
+    camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, lens)
+    drone = onboard(camera=camera)
+    assert drone.expected_boxes(0.0).shape == (0, 6)
+    for k in range(8):
+        drone.on_detections(seen(k / 15, (600.0, 440.0), sequence=k))
+    (box,) = drone.expected_boxes(8 / 15)
+    assert box[:2] == pytest.approx([600.0, 440.0], abs=0.5)
+
+
 def test_a_scan_older_than_the_history_or_the_last_scan_is_refused_and_counted():
     drone, scans = flight(0.0)
     drone.on_detections(scans[3])

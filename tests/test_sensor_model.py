@@ -166,6 +166,15 @@ def test_what_is_learned_stays_within_a_factor_of_ten():
         assert model.clutter_per_scan == pytest.approx(limit, rel=1e-6)
 
 
+def test_clutter_of_a_part_of_the_image_tells_of_the_whole():
+    whole, part = sensor(clutter_per_scan=1.0), sensor(clutter_per_scan=1.0)
+    for _ in range(400):
+        whole.learn_clutter(3.0)
+        part.learn_clutter(0.75, 0.25)
+    assert whole.clutter_per_scan == pytest.approx(3.0, rel=0.02)
+    assert part.clutter_per_scan == pytest.approx(3.0, rel=0.1)
+
+
 @pytest.mark.parametrize("off", [{"learn_clutter": False}, {"profile": "paper"}])
 def test_learning_can_be_switched_off(off):
     model = sensor(clutter_per_scan=0.5, **off)

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.detection.description import Declared, Description
-from swarmtrack.detection.heads import Candidates
+from swarmtrack.detection.gaze import Gaze, Habits, Window, coverage
+from swarmtrack.detection.heads import Candidates, merged
 from swarmtrack.detection.model import model_path, open_session, runs_on
-from swarmtrack.detection.net import TRIAL_SIZE, Net, Seconds
+from swarmtrack.detection.net import TRIAL_SIZE, Net
 from swarmtrack.errors import ModelError
-from swarmtrack.messages import Detections, Frame, Image, LinkStatus
+from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus
 from swarmtrack.runtime.clock import Clock, SystemClock
 
 NOTHING_DECLARED = Declared()
-WINDOW = 256  # frames over which latency is reported: about ten seconds of video
+USUAL = Habits()
+LATENCY_FRAMES = 256  # frames over which latency is reported: about ten seconds of video
 SMALLEST, LARGEST = 8, 8192  # px: sides of an image that make sense
 
 
@@ -31,7 +33,8 @@ class Percentiles(NamedTuple):
 
 
 class Latency(NamedTuple):
-    """Of the last `WINDOW` frames. pre: letterbox and layout; infer: the net; post: decoding and suppression."""
+    """Of the last `LATENCY_FRAMES` frames. pre: letterbox and layout; infer: the net; post: decoding and
+    suppression."""
 
     pre: Percentiles
     infer: Percentiles
@@ -44,7 +47,9 @@ class Detector:
     model: a shipped model's name or a file. score_threshold: instead of the model's own. input_scale: enlarge images
     before looking, for drones of few pixels (the time grows with its square). providers: ONNX Runtime's, by short name,
     best first; cache: folder of the engines that some of them compile. declared: what the file does not say of the net,
-    or says wrongly. A model that cannot work raises `ModelError` here; a bad frame later is counted and yields nothing.
+    or says wrongly. look: "whole" frames, or "guided" by the tracks as `habits` say; "auto": guided where the whole
+    frame would be shrunk. A model that cannot work raises `ModelError` here; a bad frame later is counted and yields
+    nothing.
     """
 
     def __init__(
@@ -57,6 +62,8 @@ class Detector:
         providers: Sequence[str] = ("cpu",),
         cache: Path | None = None,
         declared: Declared = NOTHING_DECLARED,
+        look: Literal["auto", "whole", "guided"] = "auto",
+        habits: Habits = USUAL,
         max_detections: int = 64,
         clock: Clock | None = None,
     ) -> None:
@@ -78,9 +85,11 @@ class Detector:
             self.description.score_threshold if score_threshold is None else score_threshold
         )
         self._input_scale = input_scale
+        self._look = look
+        self._gaze = Gaze(habits, self._net.fixed_size)
         self._limit = max_detections
-        self._seconds = np.zeros((WINDOW, 3))  # ring of (pre, infer, post)
-        self._frames = self._found = self._refused = self._broken = 0
+        self._seconds = np.zeros((LATENCY_FRAMES, 3))  # ring of (pre, infer, post)
+        self._frames = self._found = self._refused = self._broken = self._windows = 0
         self._trouble = ""
         # Once now, on a small image: a net whose outputs are not understood must not be discovered in flight.
         self.warm_up(*(self._net.fixed_size or TRIAL_SIZE))
@@ -90,8 +99,14 @@ class Detector:
         """What is known of the net, and who said it."""
         return self._net.description
 
-    def detect(self, frame: Frame) -> Detections | None:
-        """All drones in the frame, best first, in pixels of the image as given.
+    def is_guided(self, width: int, height: int) -> bool:
+        """Whether `detect` wants to be told where tracks are, in images of this size."""
+        shrunk = self._net.scale_of(width, height, self._input_scale) < 1.0
+        return self._look == "guided" or (self._look == "auto" and shrunk)
+
+    def detect(self, frame: Frame, tracks: Array | None = None) -> Detections | None:
+        """All drones in the frame, best first, in pixels of the image as given; where it is guided, those in the parts
+        that it looked at. tracks (n, 6) px: see `Gaze.next`; None: look at the whole.
 
         None where it could not look (counted, and said in `status`): that is not the same as seeing nobody, which
         would count against every track.
@@ -101,27 +116,48 @@ class Detector:
             self._refused += 1
             self._trouble = trouble
             return None
+        height, width = frame.image.shape[:2]
+        scale = self._net.scale_of(width, height, self._input_scale)
+        windows = [Window(0, 0, width, height, scale)]
+        if tracks is not None and self.is_guided(width, height):
+            windows = self._gaze.next((width, height), scale, tracks)
         try:
-            found, seconds = self._look(frame.image)
+            found, seconds = self._look_through(frame.image, windows)
         except ModelError as error:  # NaN from this image only: the next one may be fine
             self._broken += 1
             self._trouble = str(error)
             return None
-        self._seconds[self._frames % WINDOW] = seconds
+        self._seconds[self._frames % LATENCY_FRAMES] = seconds
         self._frames += 1
+        self._windows += len(windows)
         self._found += len(found.score)
         self._trouble = ""
-        return Detections(frame.t, frame.sequence, found.centre, found.size, found.score)
+        seen = coverage(windows, (width, height))
+        return Detections(frame.t, frame.sequence, found.centre, found.size, found.score, coverage=seen)
+
+    def _look_through(self, image: Image, windows: Sequence[Window]) -> tuple[Candidates, Array]:
+        """What is in the windows, in pixels of the image, and the seconds (3,) that it took."""
+        whole = (image.shape[1], image.shape[0])
+        spent = np.zeros(3)
+        parts = []
+        for window in windows:
+            part = image[window.y : window.y + window.height, window.x : window.x + window.width]
+            found, seconds = self._net.look(part, window.scale, self.score_threshold, self._limit)
+            found = found._replace(centre=found.centre + np.array([window.x, window.y]))
+            parts.append(found.take(~window.cuts(found.centre, found.size, whole)))
+            spent += seconds
+        return parts[0] if len(parts) == 1 else merged(parts, limit=self._limit), spent
 
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""
         for _ in range(2):
-            self._look(np.full((height, width, 3), self.description.pad_value, np.uint8))
+            empty = np.full((height, width, 3), self.description.pad_value, np.uint8)
+            self._look_through(empty, [Window(0, 0, width, height, self._input_scale)])
 
     @property
     def latency(self) -> Latency:
         """How long the last frames took."""
-        seconds = self._seconds[: min(self._frames, WINDOW)].copy()
+        seconds = self._seconds[: min(self._frames, LATENCY_FRAMES)].copy()
         if len(seconds) == 0:
             seconds = np.zeros((1, 3))
         stages = np.percentile(seconds, [50, 95, 100], axis=0).T
@@ -135,6 +171,7 @@ class Detector:
         text = self._trouble or f"{self._path.name} on {', '.join(runs_on(self._session))}{pace}"
         counters = [
             ("frames", self._frames),
+            ("windows", self._windows),
             ("detections", self._found),
             ("refused_frames", self._refused),
             ("broken_outputs", self._broken),
@@ -145,9 +182,6 @@ class Detector:
             for name, value in percentiles._asdict().items()
         ]
         return LinkStatus("detector", not self._trouble, text, (*counters, *times))
-
-    def _look(self, image: Image) -> tuple[Candidates, Seconds]:
-        return self._net.look(image, self._input_scale, self.score_threshold, self._limit)
 
 
 def _unusable(image: NDArray[np.uint8]) -> str:

@@ -22,6 +22,7 @@ Output = NDArray[Any]
 LARGEST = 2000.0  # px: a size beyond this is nonsense, and its exponential may overflow
 MOST = 1000  # candidates that are looked at further: the best
 HALF_A_PIXEL = 0.5
+SAME_DRONE = 0.5  # of its longer side: centres in two looks at one drone that are nearer
 
 
 class Candidates(NamedTuple):
@@ -154,3 +155,11 @@ def suppress(candidates: Candidates, *, limit: int, iou: float = 0.55, distance:
         if not (near | (overlap > iou * union)).any():
             kept.append(i)
     return candidates.take(kept)
+
+
+def merged(parts: Sequence[Candidates], *, limit: int) -> Candidates:
+    """What several looks at one image found, each drone once: by the distance of centres rather than by boxes, which
+    another resolution makes larger or smaller."""
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    found = Candidates(*columns)
+    return suppress(found.take(np.argsort(-found.score, kind="stable")), limit=limit, distance=SAME_DRONE)

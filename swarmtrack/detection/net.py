@@ -64,6 +64,10 @@ class Net:
         found = self._drones(found, limit)
         return found, Seconds(prepared - started, answered - prepared, self._clock.now() - answered)
 
+    def scale_of(self, width: int, height: int, wanted: float) -> float:
+        """Input px per px of an image of this size: as wanted, where the net takes any size."""
+        return self._letterbox(width, height, wanted).scale_x
+
     def _drones(self, found: Candidates, limit: int) -> Candidates:
         """Those of the classes we look for, where nothing that looks alike is seen more surely."""
         net = self.description

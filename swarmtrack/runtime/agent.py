@@ -156,7 +156,10 @@ class Agent:
             if not self._is_fresh(frame.t):
                 continue
             began = self._detecting_since = self._wall.now()
-            detections = await loop.run_in_executor(self._worker, detector.detect, frame)
+            height, width = frame.image.shape[:2]
+            guided = detector.is_guided(width, height)
+            tracks = self._parts.onboard.expected_boxes(frame.t) if guided else None
+            detections = await loop.run_in_executor(self._worker, detector.detect, frame, tracks)
             self._detecting_since = None
             self.health.detector.add(self._wall.now() - began)
             if detections is None:

@@ -216,6 +216,7 @@ def _detector(config: DroneConfig) -> Detector | None:
         return None
     from swarmtrack.detection.description import Declared  # noqa: PLC0415
     from swarmtrack.detection.detector import Detector  # noqa: PLC0415
+    from swarmtrack.detection.gaze import Habits  # noqa: PLC0415
 
     section = config.detector
     return Detector(
@@ -225,6 +226,8 @@ def _detector(config: DroneConfig) -> Detector | None:
         threads=section.threads,
         providers=section.providers,
         cache=section.engine_cache,
+        look=section.look,
+        habits=Habits(whole_every=section.whole_every, target_px=section.target_px, tiles=section.tiles),
         declared=Declared(
             head=None if section.head == "auto" else section.head,
             names=section.names,

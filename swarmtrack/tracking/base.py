@@ -161,7 +161,7 @@ class Tracker:
             explained.nis * self._sensor.noise_scale
         )  # the window judges what was told, not what was learned
         self._innovations.add(told_R.tolist())
-        self._sensor.learn_clutter(explained.clutter)
+        self._sensor.learn_clutter(explained.clutter, scan.coverage)
         self._sensor.learn_noise(explained.nis.tolist())
         return True
 

@@ -159,8 +159,8 @@ class SensorModel:
         log_ratio[distance > self._gate] = -np.inf
         return Likelihoods(distance, log_ratio)
 
-    def learn_clutter(self, found: float) -> None:
-        """A scan is expected to have held `found` false detections.
+    def learn_clutter(self, found: float, coverage: float = 1.0) -> None:
+        """A scan of this share of the image is expected to have held `found` false detections.
 
         The mean of a Poisson rate's gamma posterior, whose memory fades; held within a factor of what was told, so
         that neither a flock of strangers nor an empty sky makes the filter blind.
@@ -168,8 +168,8 @@ class SensorModel:
         if not self._learns:
             return
         told = self.parameters.clutter_per_scan
-        self._scans_learned = min(self._scans_learned + 1.0, CLUTTER_MEMORY_SCANS)
-        learned = self.clutter_per_scan + (found - self.clutter_per_scan) / self._scans_learned
+        self._scans_learned = min(self._scans_learned + coverage, CLUTTER_MEMORY_SCANS)
+        learned = self.clutter_per_scan + (found - coverage * self.clutter_per_scan) / self._scans_learned
         self.clutter_per_scan = min(max(learned, told / CLUTTER_BOUND), told * CLUTTER_BOUND)
 
     def learn_noise(self, nis: Iterable[float]) -> None:
