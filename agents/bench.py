@@ -26,7 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     swarm = names.add_parser("swarm", help="whole local swarms: who knows whom, and at what cost")
     trackers = names.add_parser("trackers", help="every tracker: the paper's figures, and harder scenes")
     soak = names.add_parser("soak", help="every tracker under a million random scans")
+    detector = names.add_parser("detector", help="how good a detector is on labelled images and clips")
     for name in (
+        detector,
         agent,
         clips,
         rotation,
@@ -46,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        if name not in (offset, clients, flood, identity, trackers, soak):
+        if name not in (detector, offset, clients, flood, identity, trackers, soak):
             name.add_argument(
                 "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
             )
@@ -63,6 +65,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     clips.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
     _add_tracker_arguments(trackers)
+    _add_detector_arguments(detector)
+
+
+def _add_detector_arguments(detector: argparse.ArgumentParser) -> None:
+    detector.add_argument("model", metavar="MODEL", help='an .onnx file, or "default" for the one that is shipped')
+    detector.add_argument(
+        "data", type=Path, metavar="DATA", help="a folder of labelled images (CSV, COCO or YOLO), of clips, or both"
+    )
+    detector.add_argument("--input-scale", type=float, default=1.0, metavar="S", help="input px per image px")
+    detector.add_argument("--scene", action="append", default=[], metavar="NAME", help="of the images only this one")
+    detector.add_argument("--every", type=int, default=1, metavar="N", help="of the clips each N-th frame")
+    detector.add_argument(
+        "--held-out-negatives",
+        action="store_true",
+        help="beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
+    )
 
 
 def _add_tracker_arguments(trackers: argparse.ArgumentParser) -> None:
@@ -191,10 +209,26 @@ def _soak(args: argparse.Namespace) -> None:
     soak.run(args.out, scans=soak.QUICK_SCANS if args.quick else soak.SCANS)
 
 
+def _detector(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import detector
+
+    detector.run(
+        args.model,
+        args.data,
+        args.out,
+        quick=args.quick,
+        input_scale=args.input_scale,
+        scenes=args.scene,
+        every=max(args.every, 1),
+        held_out_negatives=args.held_out_negatives,
+    )
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
     "clients": _clients,
     "clips": _clips,
+    "detector": _detector,
     "flood": _flood,
     "identity": _identity,
     "offset": _offset,

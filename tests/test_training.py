@@ -11,10 +11,12 @@ import pytest
 
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.heads import centernet
+from swarmtrack.evaluation import detector_score
 from swarmtrack.messages import Detections
-from swarmtrack.training import dataset, evaluate, render
+from swarmtrack.training import dataset, render
 from swarmtrack.training.__main__ import main
-from swarmtrack.training.dataset import DataError, Recipe, SampleSource
+from swarmtrack.training.dataset import Recipe, SampleSource
+from swarmtrack.training.labelled_images import DataError, load_frames
 
 
 def test_a_seed_names_a_picture():
@@ -110,7 +112,7 @@ def data_directory(root: Path, frames: int = 4) -> Path:
 
 
 def test_the_hash_of_data_changes_with_a_single_label(tmp_path):
-    frames = dataset.load_frames(data_directory(tmp_path))
+    frames = load_frames(data_directory(tmp_path))
     before = dataset.data_hash(frames)
     assert dataset.data_hash(frames[::-1]) == before
     frames[0].drones[0, 0] += 0.1
@@ -118,16 +120,16 @@ def test_the_hash_of_data_changes_with_a_single_label(tmp_path):
 
 
 def test_wrong_data_is_named_by_file_and_line(tmp_path):
-    with pytest.raises(DataError, match=r"labels\.csv: no such file"):
-        dataset.load_frames(tmp_path)
+    with pytest.raises(DataError, match=r"no labelled images; expected images\.csv"):
+        load_frames(tmp_path)
     root = data_directory(tmp_path / "a")
     (root / "images" / "1.png").write_bytes(b"no image")
     with pytest.raises(DataError, match=r"images\.csv:3: .*1\.png"):
-        dataset.load_frames(root)
+        load_frames(root)
     root = data_directory(tmp_path / "b")
     (root / "labels.csv").write_text("image,x,y,w,h,label\n0.png,1,2,three,4,drone\n")
     with pytest.raises(DataError, match=r"labels\.csv:2: .*three"):
-        dataset.load_frames(root)
+        load_frames(root)
 
 
 # --- evaluation
@@ -139,13 +141,13 @@ def looked(centres: list[tuple[float, float]], scores: list[float], drones: list
         0.0, 0, np.array(centres, float).reshape(n, 2), np.full((n, 2), 20.0), np.array(scores)
     )
     boxes = np.array([(*drone, 20.0, 20.0) for drone in drones], float).reshape(-1, 4)
-    return evaluate.Looked(found, boxes)
+    return detector_score.Looked(found, boxes)
 
 
 def test_average_precision_of_a_worked_example():
     """Two drones; detections by score: hit, false, hit. Precision 1 up to recall 0.5, then 2/3."""
     looks = [looked([(50, 50), (150, 150)], [0.9, 0.5], [(52, 50)]), looked([(10, 10)], [0.3], [(10, 12)])]
-    matches = evaluate.match(looks, evaluate.by_centre)
+    matches = detector_score.match(looks, detector_score.by_centre)
     assert matches.hit.tolist() == [True, False, True]
     assert matches.average_precision() == pytest.approx((51 * 1 + 50 * 2 / 3) / 101)
     assert matches.recall_at(0.1) == 0.5
@@ -153,12 +155,14 @@ def test_average_precision_of_a_worked_example():
 
 
 def test_a_label_is_hit_once():
-    matches = evaluate.match([looked([(50, 50), (51, 50)], [0.9, 0.8], [(50, 50)])], evaluate.by_centre)
+    matches = detector_score.match(
+        [looked([(50, 50), (51, 50)], [0.9, 0.8], [(50, 50)])], detector_score.by_centre
+    )
     assert matches.hit.tolist() == [True, False]
 
 
 def test_nothing_found_is_zero_and_not_an_error():
-    report = evaluate.summary([looked([], [], [(5, 5)])], 0.3)
+    report = detector_score.summary([looked([], [], [(5, 5)])], 0.3)
     assert (report["centre_ap"], report["recall"], report["false_per_image"]) == (0.0, 0.0, 0.0)
 
 
@@ -175,10 +179,9 @@ def test_a_training_of_a_few_steps_writes_a_model_that_loads_and_is_the_same_twi
         assert main([*common, "--iterations", "3", "--batch", "4", "--network", "nano", "--crop", "96"]) == 0
     description = Detector(out[0]).description
     assert description.entries["licence"] == "CC0-1.0"
-    assert description.entries["data_sha256"] == dataset.data_hash(dataset.load_frames(root))
+    assert description.entries["data_sha256"] == dataset.data_hash(load_frames(root))
     assert out[0].read_bytes() == out[1].read_bytes()
-    assert main(["evaluate", str(out[0]), str(root)]) == 0
-    assert '"centre_ap"' in capsys.readouterr().out
+    capsys.readouterr()
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,11 @@ class Detector:
         self.warm_up(*(self._net.fixed_size or TRIAL_SIZE))
 
     @property
+    def path(self) -> Path:
+        """Of the model's file."""
+        return self._path
+
+    @property
     def description(self) -> Description:
         """What is known of the net, and who said it."""
         return self._net.description

@@ -1,9 +1,8 @@
-"""`python -m swarmtrack.training`: train a detector, evaluate one."""
+"""`python -m swarmtrack.training`: train a detector."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from swarmtrack.errors import SwarmtrackError
 def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
-        return _train(options) if options.command == "train" else _evaluate(options)
+        return _train(options)
     except SwarmtrackError as error:
         print(error, file=sys.stderr)
         return 1
@@ -46,17 +45,6 @@ def _parser() -> argparse.ArgumentParser:
         "--hold-out-negatives", action="store_true", help="keep a third of the drone-free clips unseen"
     )
     train.add_argument("--licence", default="", help="of the training data, written into the model")
-
-    evaluate = commands.add_parser("evaluate", help="accuracy on labelled images and on clips, as JSON")
-    evaluate.add_argument("model", help="an ONNX file, or `default`")
-    evaluate.add_argument("data", type=Path, help="directory with images/ or tracks/ or both")
-    evaluate.add_argument("--scene", action="append", default=[], help="only these scenes of the images")
-    evaluate.add_argument(
-        "--held-out-negatives", action="store_true", help="of the drone-free clips, only the unseen"
-    )
-    evaluate.add_argument("--threshold", type=float, help="instead of the model's own")
-    evaluate.add_argument("--input-scale", type=float, default=1.0)
-    evaluate.add_argument("--every", type=int, default=1, help="use each N-th frame of a clip")
     return parser
 
 
@@ -67,6 +55,7 @@ def _train(options: argparse.Namespace) -> int:
         print(f"{error}: training needs the extra `train`: pip install 'swarmtrack[train]'", file=sys.stderr)
         return 2
     from swarmtrack.training import dataset  # noqa: PLC0415
+    from swarmtrack.training.labelled_images import held_out, load_frames  # noqa: PLC0415
     from swarmtrack.training.network import COARSEST, NETWORKS  # noqa: PLC0415
 
     problems = [
@@ -86,7 +75,7 @@ def _train(options: argparse.Namespace) -> int:
         if wrong:
             print(sentence, file=sys.stderr)
             return 2
-    frames = dataset.load_frames(options.data) if options.data else []
+    frames = load_frames(options.data) if options.data else []
     scenes = {frame.scene for frame in frames}
     for name in options.hold_out:
         if name not in scenes:
@@ -95,8 +84,7 @@ def _train(options: argparse.Namespace) -> int:
     frames = [
         frame
         for frame in frames
-        if frame.scene not in options.hold_out
-        and not (options.hold_out_negatives and dataset.held_out(frame))
+        if frame.scene not in options.hold_out and not (options.hold_out_negatives and held_out(frame))
     ]
     recipe = replace(dataset.Recipe(), crop=options.crop)
     settings = trainer.Settings(
@@ -109,22 +97,6 @@ def _train(options: argparse.Namespace) -> int:
         generators=options.generators,
     )
     trainer.train(frames, recipe, settings, options.out, licence=options.licence, start=options.start)
-    return 0
-
-
-def _evaluate(options: argparse.Namespace) -> int:
-    from swarmtrack.training import evaluate  # noqa: PLC0415 - keeps `train --help` quick
-
-    report = evaluate.evaluate(
-        options.model,
-        options.data,
-        scenes=options.scene,
-        held_out_negatives=options.held_out_negatives,
-        threshold=options.threshold,
-        input_scale=options.input_scale,
-        every=options.every,
-    )
-    print(json.dumps(report, indent=2))
     return 0
 
 

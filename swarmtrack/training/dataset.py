@@ -1,47 +1,22 @@
 """Training samples: real frames, real cut-outs on other backgrounds, and procedural pictures, mixed by a recipe.
 
-A data directory holds `images/`, `images.csv` (image, width, height, source, scene, frame) and `labels.csv` (image,
-x, y, w, h, label; px, top left corner, 0-based). Label `drone` is the target, every other label a distractor.
-Boxes inside this package are (u, v, w, h) with (u, v) the centre, pixel centres at integers.
+Boxes are (u, v, w, h) with (u, v) the centre, pixel centres at integers.
 """
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.errors import SwarmtrackError
 from swarmtrack.training import render
+from swarmtrack.training.labelled_images import Boxes, LabelledFrame
 from swarmtrack.training.render import FloatImage, Rng, Sprite
-
-Boxes = NDArray[np.float64]
-
-NEGATIVE = "negative"  # the scene name of frames that show no drone
-
-
-class DataError(SwarmtrackError):
-    """A data directory that is missing something, or whose tables do not fit its images."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelledFrame:
-    """One photograph. image (h, w, 3) BGR uint8; drones (n, 4), distractors (m, 4): boxes (u, v, w, h) px."""
-
-    name: str
-    source: str
-    scene: str
-    image: NDArray[np.uint8]
-    drones: Boxes
-    distractors: Boxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,47 +37,6 @@ class Recipe:
     empty: float = 0.3  # of the backgrounds: no drone is added
 
 
-def load_frames(root: Path) -> list[LabelledFrame]:
-    """Read a data directory. A row that names a missing image or holds no number is an error, not a skipped row."""
-    labels: dict[str, dict[bool, list[list[float]]]] = {}
-    for line, row in _rows(root / "labels.csv", ("image", "x", "y", "w", "h", "label")):
-        try:
-            x, y, w, h = (float(row[key]) for key in ("x", "y", "w", "h"))
-        except ValueError as error:
-            raise DataError(
-                f"{root / 'labels.csv'}:{line}: {error}, expected numbers in x, y, w, h"
-            ) from None
-        boxes = labels.setdefault(row["image"], {True: [], False: []})
-        boxes[row["label"] == "drone"].append([x + w / 2, y + h / 2, w, h])
-    frames = []
-    for line, row in _rows(root / "images.csv", ("image", "source", "scene")):
-        path = root / "images" / row["image"]
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise DataError(f"{root / 'images.csv'}:{line}: {path} is missing or is not an image")
-        boxes = labels.get(row["image"], {True: [], False: []})
-        drones, distractors = (np.array(boxes[kind], float).reshape(-1, 4) for kind in (True, False))
-        frames.append(
-            LabelledFrame(
-                row["image"], row["source"], row["scene"], np.asarray(image, np.uint8), drones, distractors
-            )
-        )
-    if not frames:
-        raise DataError(f"{root / 'images.csv'}: holds no rows, expected one for each image")
-    return frames
-
-
-def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; a data directory holds images/, images.csv and labels.csv")
-    with path.open(newline="") as file:
-        reader = csv.DictReader(file)
-        missing = [column for column in columns if column not in (reader.fieldnames or ())]
-        if missing:
-            raise DataError(f"{path}:1: found columns {reader.fieldnames}, expected also {missing}")
-        yield from enumerate(reader, start=2)
-
-
 def data_hash(frames: Sequence[LabelledFrame]) -> str:
     """SHA-256 over names, pixels and boxes: which data a model saw, to the bit."""
     digest = hashlib.sha256()
@@ -111,11 +45,6 @@ def data_hash(frames: Sequence[LabelledFrame]) -> str:
         for part in (frame.image, frame.drones.round(3), frame.distractors.round(3)):
             digest.update(np.ascontiguousarray(part).tobytes())
     return digest.hexdigest()
-
-
-def held_out(frame: LabelledFrame) -> bool:
-    """Whether a frame without drones belongs to the third that cross-scene trials keep for validation, by clip."""
-    return frame.scene == NEGATIVE and zlib.crc32(frame.source.encode()) % 3 == 0
 
 
 class CutOut(NamedTuple):

@@ -30,8 +30,9 @@ from numpy.typing import NDArray
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.training import dataset
-from swarmtrack.training.dataset import LabelledFrame, Recipe, SampleSource
+from swarmtrack.training.dataset import Recipe, SampleSource
 from swarmtrack.training.export import export
+from swarmtrack.training.labelled_images import LabelledFrame
 from swarmtrack.training.network import STRIDE, CenterNet, create_network, loss
 
 Batch = tuple[NDArray[Any], ...]

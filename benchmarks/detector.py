@@ -1,0 +1,310 @@
+"""How good a detector is: on labelled images and clips, by scene, size and distractor, and what a frame costs.
+
+    swarmtrack bench detector MODEL DATA [--input-scale 1.5] [--scene NAME ...] [--every N] --out DIR
+
+DATA holds labelled images (see `swarmtrack.training.labelled_images`), or pairs NAME.mp4 and NAME_gt.csv in it or in
+`tracks/`, or both. The images count as one set, the clips as another. What a hit is: see
+`swarmtrack.evaluation.detector_score`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks.real_clips import Clip
+from swarmtrack.benchmarks.report import BenchmarkError, number
+from swarmtrack.detection.detector import Detector
+from swarmtrack.evaluation import detector_score
+from swarmtrack.evaluation.detector_score import EMPTY, Looked, Matches, by_centre, match
+from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
+from swarmtrack.training.labelled_images import LabelledFrame, held_out, load_frames
+
+NAME = "detector"
+LOWEST = 0.02  # score from which on detections count for the average precision
+TIMED = ((320, 256), (640, 480))  # px
+REPEATS, QUICK_REPEATS = 60, 10
+QUICK_EVERY = 16
+SURE_RECALL = 0.9  # at the threshold of which distractors are counted
+CURVE = 200  # points of a plotted curve
+
+
+class Sets(NamedTuple):
+    """What was looked at, by scene and by clip."""
+
+    images: dict[str, list[Looked]]
+    clips: dict[str, list[Looked]]
+
+
+def run(
+    model: str,
+    data: Path,
+    out: Path,
+    *,
+    quick: bool = False,
+    input_scale: float = 1.0,
+    scenes: Sequence[str] = (),
+    every: int = 1,
+    held_out_negatives: bool = False,
+) -> dict[str, Any]:
+    """Write detector.json, detector.md and detector.png into `out`; returns what the JSON holds."""
+    plt = report.pyplot()
+    detector = Detector(model, score_threshold=LOWEST, input_scale=input_scale, look="whole")
+    threshold = detector.description.score_threshold
+    sets = _look(detector, data, scenes, QUICK_EVERY if quick else every, held_out_negatives)
+    images = [look for looks in sets.images.values() for look in looks]
+    clips = [look for looks in sets.clips.values() for look in looks]
+    main = images if any(len(look.drones) for look in images) else clips
+    matches = match(main, by_centre)
+    sure = matches.threshold_of(SURE_RECALL)
+    result = {
+        "model": model,
+        "source": detector.description.source,
+        "head": detector.description.head,
+        "data": data.name,
+        "input_scale": input_scale,
+        **detector_score.summary(main, threshold),
+        "threshold_of_090_recall": round(sure, 4),
+        "distractor_images_fired": _share(detector_score.fired_on(main, sure).get("anything")),
+        "by_scene": _summaries(sets.images, threshold),
+        "by_clip": _summaries(sets.clips, threshold),
+        "by_size": [entry._asdict() for entry in detector_score.by_size(matches, threshold)],
+        "by_distractor": _fired(main, {"threshold": threshold, "at_090_recall": sure}),
+        "ms_per_frame": _times(model, QUICK_REPEATS if quick else REPEATS),
+        "file_mb": round(Path(detector.path).stat().st_size / 1e6, 3),
+    }
+    report.write(out, NAME, result, _markdown(result))
+    _plot(plt, out / f"{NAME}.png", matches, result)
+    return result
+
+
+# --- looking ------------------------------------------------------------------------------------------
+
+
+def _look(
+    detector: Detector, data: Path, scenes: Sequence[str], every: int, held_out_negatives: bool
+) -> Sets:
+    clips = _clips(data)
+    frames = _frames(data, scenes, held_out_negatives, none_is_fine=bool(clips))
+    by_scene: dict[str, list[Looked]] = {}
+    with report.progress(NAME, len(frames) + len(clips)) as advance:
+        for frame in frames:
+            look = Looked(_detect(detector, frame.image), frame.drones, frame.distractors, frame.kinds)
+            by_scene.setdefault(frame.scene, []).append(look)
+            advance(frame.scene)
+        by_clip = {}
+        for clip in clips:
+            by_clip[clip.name] = list(look_at_clip(detector, clip, every))
+            advance(clip.name)
+    return Sets(by_scene, by_clip)
+
+
+def _clips(data: Path) -> list[Clip]:
+    try:
+        return real_clips.find_clips(data)
+    except BenchmarkError:
+        return []
+
+
+def _frames(
+    data: Path, scenes: Sequence[str], held_out_negatives: bool, *, none_is_fine: bool
+) -> list[LabelledFrame]:
+    if none_is_fine and not any((data / name).exists() for name in ("images.csv", "data.yaml", "images")):
+        return []
+    frames = load_frames(data)
+    unknown = set(scenes) - {frame.scene for frame in frames}
+    if unknown:
+        known = ", ".join(sorted({frame.scene for frame in frames}))
+        raise BenchmarkError(f"--scene {', '.join(sorted(unknown))}: expected some of {known}")
+    wanted = [frame for frame in frames if not scenes or frame.scene in scenes]
+    if held_out_negatives:
+        wanted += [frame for frame in frames if held_out(frame) and frame not in wanted]
+    return wanted
+
+
+def _detect(detector: Detector, image: Image) -> Detections:
+    seen = detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
+    if seen is None:
+        raise BenchmarkError(detector.status().text)
+    return seen
+
+
+def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]:
+    """Each `every`-th frame of a clip, with its labels."""
+    truth = real_clips.read_truth(clip.truth)
+    video = cv2.VideoCapture(str(clip.video))
+    try:
+        for index in range(clip.frames):
+            alive, image = video.read()
+            if not alive:
+                break
+            if index % every == 0:
+                boxes = truth.get(index)
+                drones = EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
+                yield Looked(_detect(detector, np.asarray(image, np.uint8)), drones)
+    finally:
+        video.release()
+
+
+# --- counting -----------------------------------------------------------------------------------------
+
+
+def _summaries(sets: dict[str, list[Looked]], threshold: float) -> dict[str, Any]:
+    if not sets:
+        return {}
+    everything = [look for looks in sets.values() for look in looks]
+    named = {**dict(sorted(sets.items())), "all": everything}
+    return {name: detector_score.summary(looks, threshold) for name, looks in named.items()}
+
+
+def _fired(looks: Sequence[Looked], thresholds: dict[str, float]) -> list[dict[str, Any]]:
+    """For each kind of distractor the share of them that is taken for a drone, at each threshold."""
+    counted = {name: detector_score.fired_on(looks, threshold) for name, threshold in thresholds.items()}
+    kinds = sorted({kind for fired in counted.values() for kind in fired})
+    rows = []
+    for kind in kinds:
+        row: dict[str, Any] = {"kind": kind, "count": counted["threshold"][kind][1]}
+        rows.append(row | {name: _share(fired[kind]) for name, fired in counted.items()})
+    return rows
+
+
+def _share(fired: tuple[int, int] | None) -> float | None:
+    return None if fired is None else round(fired[0] / fired[1], 4)
+
+
+def _times(model: str, repeats: int) -> dict[str, dict[str, float]]:
+    """Milliseconds of a frame of noise, one thread: a picture that is neither empty nor kind to a cache."""
+    times = {}
+    for width, height in TIMED:
+        detector = Detector(model, look="whole")
+        image = np.random.default_rng(0).integers(0, 255, (height, width, 3)).astype(np.uint8)
+        detector.warm_up(width, height)
+        spent = []
+        for _ in range(repeats):
+            begin = time.perf_counter()
+            detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
+            spent.append(1e3 * (time.perf_counter() - begin))
+        low, median, high = np.percentile(spent, [0, 50, 95])
+        times[f"{width}x{height}"] = {
+            "least": round(float(low), 2),
+            "p50": round(float(median), 2),
+            "p95": round(float(high), 2),
+        }
+    return times
+
+
+# --- telling ------------------------------------------------------------------------------------------
+
+COLUMNS = (
+    ("images", "images", 0),
+    ("drones", "drones", 0),
+    ("centre-AP", "centre_ap", 3),
+    ("AP@0.5", "ap50", 3),
+    ("recall at 1 false / image", "recall_1fppi", 3),
+    ("at 0.1", "recall_01fppi", 3),
+    ("recall at the threshold", "recall", 3),
+    ("false / image", "false_per_image", 2),
+    ("centre error px, median", "centre_error_median_px", 2),
+    ("p90", "centre_error_p90_px", 2),
+)
+
+
+def _row(name: str, entry: dict[str, Any]) -> list[str]:
+    cells = [name]
+    for _, key, digits in COLUMNS:
+        value = entry[key]
+        nothing = value is None or (
+            key not in ("images", "drones", "false_per_image") and not entry["drones"]
+        )
+        cells.append("–" if nothing else number(float(value), digits))
+    return cells
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    header = ["", *(title for title, _, _ in COLUMNS)]
+    lines = [
+        f"# Detector {result['model']} on {result['data']}",
+        "",
+        f"Head {result['head']}, understood by {result['source']}; {result['file_mb']} MB; whole frames, input scale"
+        f" {result['input_scale']:g}; threshold {result['threshold']:g}. A hit: the centre within max(6 px, half the"
+        " longer side of the label). False / image: at that threshold.",
+    ]
+    for title, key in (("Images", "by_scene"), ("Clips", "by_clip")):
+        if result[key]:
+            rows = [_row(name, entry) for name, entry in result[key].items()]
+            lines += ["", f"## {title}", "", report.table(header, rows)]
+    if result["by_size"]:
+        rows = [
+            [f"{entry['low']:g} … {entry['high']:g}", str(entry["drones"]), number(entry["recall"], 3)]
+            for entry in result["by_size"]
+        ]
+        lines += [
+            "",
+            "## By size of the label's longer side, px",
+            "",
+            report.table(["px", "drones", "recall"], rows),
+        ]
+    if result["by_distractor"]:
+        rows = [
+            [
+                entry["kind"],
+                str(entry["count"]),
+                *(_percent(entry[key]) for key in ("threshold", "at_090_recall")),
+            ]
+            for entry in result["by_distractor"]
+        ]
+        sure = result["threshold_of_090_recall"]
+        heads = ["", "there are", f"fired at {result['threshold']:g}", f"at {sure:g}, where recall is 0.9"]
+        lines += ["", "## What else it takes for a drone (anything: images without a drone)", ""]
+        lines.append(report.table(heads, rows))
+    rows = [
+        [size, *(number(entry[key]) for key in ("least", "p50", "p95"))]
+        for size, entry in result["ms_per_frame"].items()
+    ]
+    lines += [
+        "",
+        "## Milliseconds a frame, one thread",
+        "",
+        report.table(["input", "least", "median", "p95"], rows),
+    ]
+    return "\n".join(lines)
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.0f} %"
+
+
+def _plot(plt: Any, path: Path, matches: Matches, result: dict[str, Any]) -> None:
+    figure, (left, right, third) = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
+    hits, false = np.cumsum(matches.hit), np.cumsum(~matches.hit)
+    recall = hits / max(matches.drones, 1)
+    left.plot(*_thinned(recall, hits / np.maximum(hits + false, 1)))
+    left.set(
+        xlabel="recall", ylabel="precision", xlim=(0, 1.01), ylim=(0, 1.01), title="precision and recall"
+    )
+    right.plot(*_thinned(np.maximum(false, 0.5) / max(matches.images, 1), recall))
+    right.set(xscale="log", xlabel="false detections per image", ylabel="recall", ylim=(0, 1.01))
+    right.set_title("what recall costs")
+    for at in (0.1, 1.0):
+        right.axvline(at, color="0.8", zorder=0)
+    names = [f"{entry['low']:g}–{entry['high']:g}" for entry in result["by_size"]]
+    third.bar(names, [entry["recall"] for entry in result["by_size"]], color="C0")
+    for i, entry in enumerate(result["by_size"]):
+        third.annotate(str(entry["drones"]), (i, 0.01), ha="center", color="white")
+    third.set(xlabel="longer side of the label, px (drones in white)", ylabel="recall", ylim=(0, 1.01))
+    third.set_title(f"recall by size, at {result['threshold']:g}")
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    if len(x) <= CURVE:
+        return x, y
+    rows = np.unique(np.linspace(0, len(x) - 1, CURVE).round().astype(int))
+    return x[rows], y[rows]
