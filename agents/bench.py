@@ -69,12 +69,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_detector_arguments(detector: argparse.ArgumentParser) -> None:
-    detector.add_argument("model", metavar="MODEL", help='an .onnx file, or "default" for the one that is shipped')
     detector.add_argument(
-        "data", type=Path, metavar="DATA", help="a folder of labelled images (CSV, COCO or YOLO), of clips, or both"
+        "model", metavar="MODEL", help='an .onnx file, or "default" for the one that is shipped'
+    )
+    detector.add_argument(
+        "data",
+        type=Path,
+        metavar="DATA",
+        help="a folder of labelled images (CSV, COCO or YOLO), of clips, or both",
     )
     detector.add_argument("--input-scale", type=float, default=1.0, metavar="S", help="input px per image px")
-    detector.add_argument("--scene", action="append", default=[], metavar="NAME", help="of the images only this one")
+    detector.add_argument(
+        "--scene", action="append", default=[], metavar="NAME", help="of the images only this one"
+    )
     detector.add_argument("--every", type=int, default=1, metavar="N", help="of the clips each N-th frame")
     detector.add_argument(
         "--held-out-negatives",

@@ -306,5 +306,7 @@ def _plot(plt: Any, path: Path, matches: Matches, result: dict[str, Any]) -> Non
 def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
     if len(x) <= CURVE:
         return x, y
-    rows = np.unique(np.linspace(0, len(x) - 1, CURVE).round().astype(int))
+    rows = (
+        np.unique(np.geomspace(1, len(x), CURVE).round().astype(int)) - 1
+    )  # the best detections matter most
     return x[rows], y[rows]

@@ -100,6 +100,11 @@ class Detector:
         return self._path
 
     @property
+    def net(self) -> Net:
+        """What looks, without counting."""
+        return self._net
+
+    @property
     def description(self) -> Description:
         """What is known of the net, and who said it."""
         return self._net.description

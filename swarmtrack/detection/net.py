@@ -41,7 +41,7 @@ class Net:
         self.fixed_size = check_input(path, session)
         """(width, height) px of the only input that it takes; None: any."""
         entry = session.get_inputs()[0]
-        self._input_name, self._element = entry.name, ELEMENTS[entry.type]
+        self.input_name, self._element = entry.name, ELEMENTS[entry.type]
         written = session.get_modelmeta().custom_metadata_map
         self.description: Description = describe(str(path), written, self._try_out(), declared)
 
@@ -64,6 +64,11 @@ class Net:
         found = self._drones(found, limit)
         return found, Seconds(prepared - started, answered - prepared, self._clock.now() - answered)
 
+    def input_of(self, image: Image, scale: float = 1.0) -> Output:
+        """(1, 3, h, w): what it is fed of an image."""
+        height, width = image.shape[:2]
+        return self._blob(self._letterbox(width, height, scale).to_input(image, self.description.pad_value))
+
     def scale_of(self, width: int, height: int, wanted: float) -> float:
         """Input px per px of an image of this size: as wanted, where the net takes any size."""
         return self._letterbox(width, height, wanted).scale_x
@@ -85,7 +90,7 @@ class Net:
         return np.asarray(blob, self._element)
 
     def _answer(self, blob: Output) -> list[Output]:
-        outputs: list[Output] = self._session.run(None, {self._input_name: blob})
+        outputs: list[Output] = self._session.run(None, {self.input_name: blob})
         if not all(np.isfinite(output).all() for output in outputs):
             height, width = blob.shape[2:]
             raise ModelError(
