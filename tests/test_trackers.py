@@ -1,6 +1,7 @@
 """What every tracker must do; each name in TRACKERS passes the same list."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -231,6 +232,8 @@ def test_covariances_stay_symmetric_and_positive(name, scans):
 def test_wrong_parameters_are_named(name):
     with pytest.raises(ValueError, match="did you mean clutter_per_scan"):
         create_tracker(name, camera=CAMERA, cluter_per_scan=1.0)
+    with pytest.raises(ValueError, match="measurement_sigma: found inf, expected a finite number above 0"):
+        create_tracker(name, camera=CAMERA, measurement_sigma=math.inf)
     with pytest.raises(ValueError, match=r"p_detection: found 1\.4, expected a probability"):
         create_tracker(name, camera=CAMERA, p_detection=1.4)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 PROFILES = ("default", "paper")
@@ -70,8 +71,10 @@ class CommonParameters:
             "max_coast_s", "size_sigma",
         )  # fmt: skip
         for name in above_zero:
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a number above 0")
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"tracker.{name}: found {getattr(self, name)!r}, expected a finite number above 0"
+                )
         for name in ("p_detection", "p_survival", "gate_probability", "confirm_probability"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(
@@ -80,11 +83,13 @@ class CommonParameters:
         for name in ("size_noise", "score_noise"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"tracker.{name}: found {getattr(self, name)!r}, expected a share in 0…1")
-        if not self.resolution_px >= 0.0:
+        if not 0.0 <= self.resolution_px < math.inf:
             raise ValueError(
                 f"tracker.resolution_px: found {self.resolution_px!r}, expected pixels, or 0 for points never merged"
             )
         if not 0.0 <= self.lag_s <= MAX_LAG_S:
             raise ValueError(f"tracker.lag_s: found {self.lag_s!r}, expected seconds in 0…{MAX_LAG_S:g}")
+        if not math.isfinite(self.score_weight):
+            raise ValueError(f"tracker.score_weight: found {self.score_weight!r}, expected a finite number")
         if not 0.0 <= self.birth_score <= 1.0:
             raise ValueError(f"tracker.birth_score: found {self.birth_score!r}, expected a score in 0…1")
