@@ -22,7 +22,7 @@ import numpy as np
 
 from swarmtrack.config import load_config
 from swarmtrack.detection.detector import Detector
-from swarmtrack.messages import Detections, Frame, Image, LinkStatus, StampKind
+from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus, StampKind
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.clock import Clock
@@ -70,7 +70,10 @@ class ScriptedDetector:
         ]
         self._rng = np.random.default_rng(1)
 
-    def detect(self, frame: Frame) -> Detections:
+    def is_guided(self, width: int, height: int) -> bool:
+        return False
+
+    def detect(self, frame: Frame, tracks: Array | None = None) -> Detections:
         if self._real is not None:
             self._real.detect(frame)
         else:
