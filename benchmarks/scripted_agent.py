@@ -70,7 +70,7 @@ class ScriptedDetector:
         ]
         self._rng = np.random.default_rng(1)
 
-    def is_guided(self, width: int, height: int) -> bool:
+    def is_guided(self, image: Image) -> bool:
         return False
 
     def detect(self, frame: Frame, tracks: Array | None = None) -> Detections:

@@ -180,10 +180,19 @@ def test_what_a_shrunk_frame_hides_a_guided_look_finds_where_it_is():
 
 
 def test_it_is_guided_only_where_the_frame_is_shrunk_or_it_is_asked_for():
-    assert not Detector().is_guided(*IMAGE)
-    assert Detector(input_scale=0.5).is_guided(*IMAGE)
-    assert Detector(look="guided").is_guided(*IMAGE)
-    assert not Detector(input_scale=0.5, look="whole").is_guided(*IMAGE)
+    image = np.zeros((*IMAGE[::-1], 3), np.uint8)
+    assert not Detector().is_guided(image)
+    assert Detector(input_scale=0.5).is_guided(image)
+    assert Detector(look="guided").is_guided(image)
+    assert not Detector(input_scale=0.5, look="whole").is_guided(image)
+
+
+@pytest.mark.parametrize("shape", [(0, 0, 3), (480, 0), (100,), (100, 100, 4)])
+def test_an_image_that_is_none_is_not_planned_for_but_refused(shape):
+    detector, image = Detector(look="guided"), np.zeros(shape, np.uint8)
+    assert not detector.is_guided(image)
+    assert detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA), np.empty((0, 6))) is None
+    assert dict(detector.status().counters)["refused_frames"] == 1
 
 
 def test_without_tracks_told_the_whole_is_looked_at():

@@ -109,8 +109,11 @@ class Detector:
         """What is known of the net, and who said it."""
         return self._net.description
 
-    def is_guided(self, width: int, height: int) -> bool:
-        """Whether `detect` wants to be told where tracks are, in images of this size."""
+    def is_guided(self, image: Image) -> bool:
+        """Whether `detect` wants to be told where tracks are in this image; in one it cannot use it does not."""
+        if _unusable(image):
+            return False
+        height, width = image.shape[:2]
         shrunk = self._net.scale_of(width, height, self._input_scale) < 1.0
         return self._look == "guided" or (self._look == "auto" and shrunk)
 
@@ -129,7 +132,7 @@ class Detector:
         height, width = frame.image.shape[:2]
         scale = self._net.scale_of(width, height, self._input_scale)
         windows = [Window(0, 0, width, height, scale)]
-        if tracks is not None and self.is_guided(width, height):
+        if tracks is not None and self.is_guided(frame.image):
             windows = self._gaze.next((width, height), scale, tracks)
         try:
             found, seconds = self._look_through(frame.image, windows)

@@ -156,8 +156,7 @@ class Agent:
             if not self._is_fresh(frame.t):
                 continue
             began = self._detecting_since = self._wall.now()
-            height, width = frame.image.shape[:2]
-            guided = detector.is_guided(width, height)
+            guided = detector.is_guided(frame.image)
             tracks = self._parts.onboard.expected_boxes(frame.t) if guided else None
             detections = await loop.run_in_executor(self._worker, detector.detect, frame, tracks)
             self._detecting_since = None

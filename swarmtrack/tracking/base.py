@@ -157,10 +157,8 @@ class Tracker:
         self._shown = None
         explained = self._filter.update(scan.t, self._sensor.usable(scan))
         self._smoother.note(scan.t, self._filter.table)
-        told_R = (
-            explained.nis * self._sensor.noise_scale
-        )  # the window judges what was told, not what was learned
-        self._innovations.add(told_R.tolist())
+        # The window judges what was told, not what was learned.
+        self._innovations.add((explained.nis * self._sensor.noise_scale).tolist())
         self._sensor.learn_clutter(explained.clutter, scan.coverage)
         self._sensor.learn_noise(explained.nis.tolist())
         return True
