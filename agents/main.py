@@ -17,6 +17,7 @@ COMMANDS = {
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
+    "train": ("swarmtrack.agents.train", "train a detector"),
     "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
 }
 

@@ -60,7 +60,8 @@ def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
     rng = np.random.default_rng(seed)
     tracker = create_tracker(tracker_name, camera=CAMERA, clutter_per_scan=3.0, lag_s=0.3)
     place = rng.uniform([0.0, 0.0], [640.0, 480.0], (TARGETS, 2))
-    t, seen, resident_mb = 0.0, 0, []
+    t, seen = 0.0, 0
+    resident_mb: list[float] = []
     not_finite = not_positive = not_a_probability = 0
     for k in range(scans):
         t += float(rng.choice([1e-6, 1 / 60, 1 / 15, 1 / 7, 3.0], p=[0.01, 0.3, 0.4, 0.28, 0.01]))

@@ -44,7 +44,7 @@ def test_fewer_bits_find_the_same_drones_in_a_smaller_file(data, tmp_path, capsy
     out = tmp_path / "small.onnx"
     arguments = ["export", "default", "--out", str(out), "--precision", precision, "--data", str(data)]
     assert main(arguments) == 0
-    assert "was 2." in capsys.readouterr().out
+    assert "2.25 MB in full precision" in capsys.readouterr().out
     whole, small = Detector(), Detector(out)
     assert out.stat().st_size < size * whole.path.stat().st_size
     assert small.description.entries["precision"] == precision

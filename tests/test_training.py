@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
+import json
 
 import cv2
 import numpy as np
 import pytest
+from labelled_pictures import data_directory
 
+from swarmtrack.agents.main import main
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.heads import centernet
 from swarmtrack.evaluation import detector_score
-from swarmtrack.messages import Detections
+from swarmtrack.messages import Detections, Frame, StampKind
 from swarmtrack.training import dataset, render
-from swarmtrack.training.__main__ import main
 from swarmtrack.training.dataset import Recipe, SampleSource
 from swarmtrack.training.labelled_images import DataError, load_frames
 
@@ -56,7 +56,7 @@ def test_targets_decode_to_the_boxes_they_were_made_of():
     wanted = dataset.targets(boxes, 160, 4)
     description = Detector("default").description
     found = centernet(
-        [wanted.heat[None], wanted.offset[None], wanted.log_size[None]], description, 0.9, (160, 160)
+        [wanted.heat[None, :1], wanted.offset[None], wanted.log_size[None]], description, 0.9, (160, 160)
     )
     order = np.argsort(found.centre[:, 0])
     assert found.centre[order] == pytest.approx(boxes[:, :2], abs=1e-4)
@@ -88,27 +88,6 @@ def test_a_label_on_clutter_gives_no_cut_out():
 
 
 # --- data directories
-
-
-def data_directory(root: Path, frames: int = 4) -> Path:
-    """A small one, rendered: a drone in each image but the last."""
-    rng = np.random.default_rng(1)
-    (root / "images").mkdir(parents=True)
-    images, labels = [], []
-    for i in range(frames):
-        picture = render.background(rng, 200, 240)
-        if i < frames - 1:
-            u, v, w, h = render.paste_into(rng, picture, render.multirotor(rng), np.array([120.0, 90.0]), 40)
-            labels.append([f"{i}.png", u - w / 2, v - h / 2, w, h, "drone"])
-        cv2.imwrite(str(root / "images" / f"{i}.png"), picture.astype(np.uint8))
-        images.append([f"{i}.png", 240, 200, "rendered", "scene" if i < frames - 1 else "negative", i])
-    for name, header, rows in (
-        ("images.csv", "image,width,height,source,scene,frame", images),
-        ("labels.csv", "image,x,y,w,h,label", labels),
-    ):
-        with (root / name).open("w", newline="") as file:
-            csv.writer(file).writerows([header.split(","), *rows])
-    return root
 
 
 def test_the_hash_of_data_changes_with_a_single_label(tmp_path):
@@ -169,38 +148,134 @@ def test_nothing_found_is_zero_and_not_an_error():
 # --- training
 
 
-def test_a_training_of_a_few_steps_writes_a_model_that_loads_and_is_the_same_twice(tmp_path, capsys):
+def train(*options):
+    return main(["train", "--batch", "4", "--network", "nano", "--crop", "96", *map(str, options)])
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return data_directory(tmp_path_factory.mktemp("training") / "data")
+
+
+def test_a_training_of_a_few_steps_writes_a_model_that_loads_and_is_the_same_twice(tmp_path, data, capsys):
     pytest.importorskip("torch")
     pytest.importorskip("onnx")
-    root = data_directory(tmp_path / "data")
     out = [tmp_path / "a.onnx", tmp_path / "b.onnx"]
     for path in out:
-        common = ["train", "--data", str(root), "--out", str(path), "--licence", "CC0-1.0"]
-        assert main([*common, "--iterations", "3", "--batch", "4", "--network", "nano", "--crop", "96"]) == 0
-    description = Detector(out[0]).description
-    assert description.entries["licence"] == "CC0-1.0"
-    assert description.entries["data_sha256"] == dataset.data_hash(load_frames(root))
-    assert out[0].read_bytes() == out[1].read_bytes()
-    capsys.readouterr()
+        assert train("--data", data, "--out", path, "--licence", "CC0-1.0", "--iterations", "3") == 0
+    entries = [Detector(path).description.entries for path in out]
+    assert entries[0]["licence"] == "CC0-1.0"
+    assert entries[0]["data_sha256"] == dataset.data_hash(load_frames(data))
+    for entry in entries:
+        del entry["training_minutes"]
+    assert entries[0] == entries[1]
+    assert weights(out[0]) == weights(out[1])
+    assert "report:" in capsys.readouterr().out
+
+
+def weights(path):
+    onnx = pytest.importorskip("onnx")
+    return [tensor.raw_data for tensor in onnx.load(str(path)).graph.initializer]
+
+
+def test_the_report_has_curves_and_the_worst_errors(tmp_path, data):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    out = tmp_path / "a.onnx"
+    assert train("--data", data, "--out", out, "--hold-out", "scene", "--iterations", "2") == 0
+    report = json.loads((tmp_path / "a.report" / "train.json").read_text())
+    assert not report["images_were_trained_on"]
+    assert report["history"][-1]["images"] >= 2
+    assert set(report["final"]) >= {"centre_ap", "recall_1fppi", "recall_01fppi"}
+    assert cv2.imread(str(tmp_path / "a.report" / "worst.jpg")).shape[1] == 6 * 160
+
+
+def test_a_training_goes_on_where_it_stopped(tmp_path, data, capsys):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    out = tmp_path / "a.onnx"
+    assert train("--data", data, "--out", out, "--iterations", "2") == 0
+    before = weights(out)
+    assert train("--data", data, "--out", out, "--iterations", "4", "--resume") == 0
+    assert len(json.loads((tmp_path / "a.report" / "train.json").read_text())["history"]) == 2
+    assert weights(out) != before
+    assert train("--data", data, "--out", out, "--iterations", "6", "--resume", "--seed", "9") == 2
+    assert "another training" in capsys.readouterr().err
+
+
+def test_a_checkpoint_is_exported_as_the_model_that_was_written_beside_it(tmp_path, data):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    out = tmp_path / "a.onnx"
+    assert train("--data", data, "--out", out, "--iterations", "2") == 0
+    again = tmp_path / "again.onnx"
+    assert main(["export", str(tmp_path / "a.pt"), "--precision", "fp32", "--out", str(again)]) == 0
+    assert weights(again) == weights(out)
+
+
+def test_the_papers_network_is_trained_and_exported_too(tmp_path):
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    out = tmp_path / "paper.onnx"
+    options = ["train", "--network", "resnet34", "--batch", "2", "--crop", "64", "--iterations", "1"]
+    assert main([*options, "--out", str(out)]) == 0
+    found = Detector(out).detect(Frame(0.0, 0.0, 0, np.zeros((64, 96, 3), np.uint8), StampKind.MEDIA))
+    assert found is not None
+    assert 95 < out.stat().st_size / 1e6 < 130
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--crop", "100"], "--crop 100: expected a multiple of 32"),
-        (["--network", "resnet"], "expected one of plain, nano"),
+        (["--crop", "100"], "found 100, expected a multiple of 32"),
+        (["--network", "vgg"], "'plain', 'nano', 'resnet34'"),
         (["--start", "nowhere.pt"], "nowhere.pt: no such file"),
-        (["--batch", "0"], "at least 1"),
+        (["--resume"], "no such checkpoint"),
+        (["--batch", "0"], "found 0, expected a whole number, 1 or more"),
+        (["--hold-out", "moon"], "--hold-out moon: expected one of --data, which is missing"),
+        (["--out", "/nowhere/m.onnx"], "its folder does not exist"),
     ],
 )
 def test_wrong_options_are_refused_before_any_work(tmp_path, capsys, arguments, sentence):
     pytest.importorskip("torch")
-    assert main(["train", "--out", str(tmp_path / "m.onnx"), "--iterations", "1", *arguments]) == 2
+    try:
+        code = main(["train", "--out", str(tmp_path / "m.onnx"), "--iterations", "1", *arguments])
+    except SystemExit as exit:
+        code = exit.code
+    assert code == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_a_file_that_is_no_checkpoint_is_named(tmp_path, capsys):
+    pytest.importorskip("torch")
+    (tmp_path / "junk.pt").write_bytes(b"junk")
+    code = main(["train", "--out", str(tmp_path / "m.onnx"), "--start", str(tmp_path / "junk.pt")])
+    assert code == 2
+    assert "junk.pt: not a checkpoint" in capsys.readouterr().err
 
 
 def test_missing_data_is_said_in_one_line(tmp_path, capsys):
     pytest.importorskip("torch")
     code = main(["train", "--data", str(tmp_path), "--out", str(tmp_path / "m.onnx"), "--iterations", "1"])
-    assert code == 1
+    assert code == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_what_flies_and_is_no_drone_is_labelled_as_that():
+    source = SampleSource(
+        [], Recipe(empty=1.0, real_frame=0.0, real_background=0.0), np.random.default_rng(2)
+    )
+    others = [sample.others for sample in (source.sample() for _ in range(40))]
+    assert sum(map(len, others)) > 10
+    for boxes in others:
+        heat = dataset.targets(np.empty((0, 4)), 160, 4, others=boxes).heat
+        assert heat[0].max() == 0.0
+        assert len(boxes) == 0 or heat[1].max() == 1.0
+
+
+def test_close_ups_show_drones_as_near_as_they_come():
+    recipe = Recipe().of_close_ups()
+    source = SampleSource([], recipe, np.random.default_rng(0))
+    sizes = [max(box[2:]) for _ in range(30) for box in source.sample().drones]
+    assert max(sizes) > 200
+    assert recipe.crop == 320

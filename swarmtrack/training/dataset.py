@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from swarmtrack.training import render
 from swarmtrack.training.labelled_images import Boxes, LabelledFrame
 from swarmtrack.training.render import FloatImage, Rng, Sprite
+
+STRIDE = 4  # px: of the cells in which the net answers
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +37,20 @@ class Recipe:
     size_min: float = 5.0
     size_max: float = 150.0
     empty: float = 0.3  # of the backgrounds: no drone is added
+    canvas: int = render.CANVAS  # px, in which drones are drawn before they are scaled
+    close_up: float = 0.15  # of the batches: fewer and larger crops, with drones as near as they come
+
+    def of_close_ups(self) -> Recipe:
+        """Crops of twice the side. Photographs here show no drone that near: what is drawn must teach it."""
+        return replace(
+            self,
+            crop=2 * self.crop,
+            size_min=self.size_max / 4,
+            size_max=2 * self.size_max,
+            canvas=2 * self.canvas,
+            real_frame=0.0,
+            real_cutout=0.1,
+        )
 
 
 def data_hash(frames: Sequence[LabelledFrame]) -> str:
@@ -116,11 +132,13 @@ def fit_margin(cutouts: Sequence[CutOut]) -> LabelMargin:
 
 
 class Sample(NamedTuple):
-    """image (crop, crop, 3) BGR uint8; drones (n, 4); doubtful (m, 4): drones one may miss."""
+    """image (crop, crop, 3) BGR uint8; drones (n, 4); doubtful (m, 4): drones one may miss; others (k, 4): what flies
+    and is no drone."""
 
     image: NDArray[np.uint8]
     drones: Boxes
     doubtful: Boxes
+    others: Boxes
 
 
 class SampleSource:
@@ -137,9 +155,9 @@ class SampleSource:
         self._drones = [cut for cut in drones if cut is not None]
         self._others = [cut for cut in others if cut is not None]
         self.margin = fit_margin(self._drones)
-        self._drawn = [render.multirotor(rng) for _ in range(self.BANK)]
+        self._drawn = [render.multirotor(rng, recipe.canvas) for _ in range(self.BANK)]
         names = list(render.DISTRACTORS)
-        self._mistaken = [render.DISTRACTORS[names[i % len(names)]](rng) for i in range(self.BANK // 2)]
+        self._mistaken = [self._draw_distractor(names[i % len(names)]) for i in range(self.BANK // 2)]
 
     def sample(self) -> Sample:
         rng, recipe = self._rng, self._recipe
@@ -147,50 +165,67 @@ class SampleSource:
         kind = rng.random()
         boxes: list[NDArray[np.float64]] = []
         doubtful: list[NDArray[np.float64]] = []
+        others: list[NDArray[np.float64]] = []
         if kind < recipe.real_frame and self._with_drones:
-            image, boxes = self._crop_frame(self._with_drones, around_drones=0.9)
+            image, boxes, others = self._crop_frame(self._with_drones, around_drones=0.9)
         else:
             if kind < recipe.real_frame + recipe.real_background and self._without:
                 some = self._without if rng.random() < recipe.drone_free else self._with_drones
-                image, boxes = self._crop_frame(some or self._without, around_distractors=0.5)
+                image, boxes, others = self._crop_frame(some or self._without, around_distractors=0.5)
             else:
                 image = render.background(rng, recipe.crop, recipe.crop)
             for _ in range(int(rng.choice(4, p=[0.3, 0.35, 0.25, 0.1]))):
-                self._add_distractor(image, boxes)
+                self._add_distractor(image, boxes, others)
             if rng.random() >= recipe.empty:
                 for _ in range(int(rng.choice([1, 2, 3, 4], p=[0.4, 0.3, 0.2, 0.1]))):
                     box, visible = self._add_drone(image, [*boxes, *doubtful])
                     if box is not None:
                         (boxes if visible else doubtful).append(box)
-        drones, unsure = (np.array(some).reshape(-1, 4) for some in (boxes, doubtful))
+        labels = [np.array(some).reshape(-1, 4) for some in (boxes, doubtful, others)]
         if rng.random() < 0.5:
             image = np.ascontiguousarray(image[:, ::-1])
-            for mirrored in (drones, unsure):
+            for mirrored in labels:
                 mirrored[:, 0] = recipe.crop - 1 - mirrored[:, 0]
-        return Sample(render.photograph(rng, image), drones, unsure)
+        return Sample(render.photograph(rng, image), *labels)
+
+    def _draw_distractor(self, name: str) -> tuple[Sprite, bool]:
+        """One thing that is no drone, and whether it is an object rather than a part of the picture."""
+        return render.DISTRACTORS[name](self._rng), name in render.FLYING
 
     def _refresh(self) -> None:
         if self._rng.random() < 0.1:
-            self._drawn[self._rng.integers(len(self._drawn))] = render.multirotor(self._rng)
+            drawn = render.multirotor(self._rng, self._recipe.canvas)
+            self._drawn[self._rng.integers(len(self._drawn))] = drawn
         if self._rng.random() < 0.04:
-            draw = list(render.DISTRACTORS.values())[self._rng.integers(len(render.DISTRACTORS))]
-            self._mistaken[self._rng.integers(len(self._mistaken))] = draw(self._rng)
+            name = list(render.DISTRACTORS)[self._rng.integers(len(render.DISTRACTORS))]
+            self._mistaken[self._rng.integers(len(self._mistaken))] = self._draw_distractor(name)
 
     def _size(self) -> float:
         """Longer side, log-uniform px: as many halvings of distance between 5 and 10 px as between 75 and 150."""
         return float(np.exp(self._rng.uniform(np.log(self._recipe.size_min), np.log(self._recipe.size_max))))
 
-    def _add_distractor(self, image: FloatImage, present: Sequence[NDArray[np.float64]]) -> None:
-        """Draw one thing that is no drone, clear of those that are."""
-        rng = self._rng
+    def _add_distractor(
+        self,
+        image: FloatImage,
+        drones: Sequence[NDArray[np.float64]],
+        others: list[NDArray[np.float64]],
+    ) -> None:
+        """Draw one thing that is no drone, clear of those that are; an object's box is added to `others`."""
+        rng, side = self._rng, self._recipe.crop
         if self._others and rng.random() < 0.45:
             cut = self._others[rng.integers(len(self._others))]
             sprite, size = cut.sprite, float(max(cut.tight[2:]) * np.exp(rng.normal(0, 0.35)))
+            flying = True
         else:
-            sprite, size = self._mistaken[rng.integers(len(self._mistaken))], self._size()
-        centre = rng.uniform(0, self._recipe.crop, 2)
-        if not _crowded(centre, size, present, 0.6):
-            render.paste_into(rng, image, sprite, centre, size)
+            (sprite, flying), size = self._mistaken[rng.integers(len(self._mistaken))], self._size()
+        centre = rng.uniform(0, side, 2)
+        if _crowded(centre, size, drones, 0.6):
+            return
+        before = image.copy() if flying else image
+        box = render.paste_into(rng, image, sprite, centre, size)
+        if flying and box is not None and (centre <= side - 1).all() and _conspicuous(before, image, box):
+            box[2:] = self.margin.apply(box[2:])
+            others.append(box)
 
     def _add_drone(
         self, image: FloatImage, present: Sequence[NDArray[np.float64]]
@@ -219,8 +254,9 @@ class SampleSource:
 
     def _crop_frame(
         self, frames: Sequence[LabelledFrame], *, around_drones: float = 0.0, around_distractors: float = 0.0
-    ) -> tuple[FloatImage, list[NDArray[np.float64]]]:
-        """A crop of one of the frames and the drones in it; with the given chance it holds one of what is named."""
+    ) -> tuple[FloatImage, list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+        """A crop of one of the frames, the drones and the distractors in it; with the given chance it holds one of
+        what is named."""
         rng = self._rng
         frame = frames[int(rng.integers(len(frames)))]
         aims, chance = frame.distractors, around_distractors
@@ -228,9 +264,13 @@ class SampleSource:
             aims, chance = frame.drones, around_drones
         aim = aims[rng.integers(len(aims))] if len(aims) and rng.random() < chance else None
         image, zoom, corner = self._crop(frame.image, aim)
-        centre = (frame.drones[:, :2] - corner + 0.5) * zoom - 0.5
-        inside = ((centre >= 0) & (centre <= self._recipe.crop - 1)).all(axis=1)
-        return image, list(np.concatenate([centre, frame.drones[:, 2:] * zoom], axis=1)[inside])
+
+        def inside(boxes: Boxes) -> list[NDArray[np.float64]]:
+            centre = (boxes[:, :2] - corner + 0.5) * zoom - 0.5
+            kept = ((centre >= 0) & (centre <= self._recipe.crop - 1)).all(axis=1)
+            return list(np.concatenate([centre, boxes[:, 2:] * zoom], axis=1)[kept])
+
+        return image, inside(frame.drones), inside(frame.distractors)
 
     def _crop(
         self, image: NDArray[np.uint8], aim: NDArray[np.float64] | None
@@ -285,8 +325,9 @@ def _repaint(rng: Rng, sprite: Sprite) -> Sprite:
 class Targets(NamedTuple):
     """What the net should answer, on cells of `stride` px. Cell i looks at pixel i · stride.
 
-    heat (1, h, w) 0…1; offset (2, h, w): from the cell to the centre, in cells; log_size (2, h, w): natural
-    logarithm of width and height in cells; weight (1, h, w): where the two are defined, in all one per drone.
+    heat (2, h, w) 0…1: of drones, and of what flies and is none; offset (2, h, w): from the cell to the centre, in
+    cells; log_size (2, h, w): natural logarithm of width and height in cells; weight (1, h, w): where offset and size
+    are defined, in all one per drone.
     """
 
     heat: FloatImage
@@ -298,26 +339,39 @@ class Targets(NamedTuple):
 DOUBT = 0.95  # heat of a doubtful drone: no peak, and by (1 − heat)^4 in the loss hardly punished either
 
 
-def targets(boxes: Boxes, side: int, stride: int, doubtful: Boxes | None = None) -> Targets:
+def targets(
+    boxes: Boxes, side: int, stride: int, doubtful: Boxes | None = None, others: Boxes | None = None
+) -> Targets:
     """CenterNet's targets (Zhou, Wang & Krähenbühl 2019, section 3); offset and size are taught around peaks too."""
     n = side // stride
-    heat, weight = np.zeros((n, n), np.float32), np.zeros((n, n), np.float32)
+    heat, weight = np.zeros((2, n, n), np.float32), np.zeros((n, n), np.float32)
     offset, log_size = np.zeros((2, n, n), np.float32), np.zeros((2, n, n), np.float32)
     rows, columns = np.mgrid[0:n, 0:n].astype(np.float32)
+
+    def nearest_cell(u: float, v: float) -> tuple[int, int]:
+        column, row = np.clip(np.round([u / stride, v / stride]).astype(int), 0, n - 1)
+        return int(column), int(row)
+
+    def peak_at(column: float, row: float, sigma: NDArray[np.float64]) -> FloatImage:
+        around = ((columns - column) / sigma[0]) ** 2 + ((rows - row) / sigma[1]) ** 2
+        return np.asarray(np.exp(-around / 2), np.float32)
+
+    def sharp(w: float, h: float) -> NDArray[np.float64]:
+        return np.maximum(0.12 * np.array([w, h]) / stride, 0.55)
+
     for u, v, w, h in boxes:
-        x, y = u / stride, v / stride
-        column, row = np.clip(np.round([x, y]).astype(int), 0, n - 1)
         # Around the nearest cell, not the centre itself: the peak must reach exactly one. The widths follow the box.
-        sigma = np.maximum(0.12 * np.array([w, h]) / stride, 0.55)
-        peak = np.exp(-(((columns - column) / sigma[0]) ** 2 + ((rows - row) / sigma[1]) ** 2) / 2)
+        column, row = nearest_cell(u, v)
+        peak = peak_at(column, row, sharp(w, h))
         around = (np.abs(columns - column) <= 1) & (np.abs(rows - row) <= 1)
-        near = around & (peak > np.maximum(heat, 0.3)) | ((rows == row) & (columns == column))
+        near = around & (peak > np.maximum(heat[0], 0.3)) | ((rows == row) & (columns == column))
         weight[near] = peak[near] / peak[near].sum()
-        offset[:, near] = np.stack([x - columns, y - rows])[:, near]
+        offset[:, near] = np.stack([u / stride - columns, v / stride - rows])[:, near]
         log_size[:, near] = np.log(np.maximum([w, h], 1) / stride)[:, None]
-        heat = np.maximum(heat, peak)
+        heat[0] = np.maximum(heat[0], peak)
     for u, v, w, h in [] if doubtful is None else doubtful:
-        sigma = np.maximum(0.25 * np.array([w, h]) / stride, 1.0)
-        bump = np.exp(-(((columns - u / stride) / sigma[0]) ** 2 + ((rows - v / stride) / sigma[1]) ** 2) / 2)
-        heat = np.maximum(heat, np.float32(DOUBT) * bump)
-    return Targets(heat[None], offset, log_size, weight[None])
+        bump = peak_at(u / stride, v / stride, np.maximum(0.25 * np.array([w, h]) / stride, 1.0))
+        heat[0] = np.maximum(heat[0], np.float32(DOUBT) * bump)
+    for u, v, w, h in [] if others is None else others:
+        heat[1] = np.maximum(heat[1], peak_at(*nearest_cell(u, v), sharp(w, h)))
+    return Targets(heat, offset, log_size, weight[None])

@@ -11,24 +11,25 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from swarmtrack.training.network import COARSEST, STRIDE, CenterNet
+from swarmtrack.training.dataset import STRIDE
+from swarmtrack.training.network import COARSEST
 
 OPSET = 17
 
 
 class _Deployed(nn.Module):
-    """The net as it flies: scores instead of logits."""
+    """The net as it flies: scores instead of logits, of drones alone."""
 
-    def __init__(self, network: CenterNet) -> None:
+    def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         heat, offset, log_size = self.network(images)
-        return heat.sigmoid(), offset, log_size
+        return heat[:, :1].sigmoid(), offset, log_size
 
 
-def export(network: CenterNet, path: Path, metadata: Mapping[str, str]) -> None:
+def export(network: nn.Module, path: Path, metadata: Mapping[str, str]) -> None:
     """Write `network` to `path`; any image size that is a multiple of 32 will do. `metadata` is added to ours.
 
     The file appears whole or not at all: whoever reads `path` meanwhile sees the old one.

@@ -43,15 +43,16 @@ def rotation(rng: Rng, tilt: float = 0.4) -> NDArray[np.float64]:
 class _Canvas:
     """Draws solids in body axes (x forward, y left, z up; the whole body within radius 1.75) as seen along y."""
 
-    def __init__(self, camera_from_body: NDArray[np.float64]) -> None:
+    def __init__(self, camera_from_body: NDArray[np.float64], side: int = CANVAS) -> None:
         self._camera_from_body = camera_from_body
-        self._scale = CANVAS / 2 / 1.75
-        self._colour = np.zeros((CANVAS, CANVAS, 3), np.float32)
-        self._alpha = np.zeros((CANVAS, CANVAS), np.float32)
+        self._side = side
+        self._scale = side / 2 / 1.75
+        self._colour = np.zeros((side, side, 3), np.float32)
+        self._alpha = np.zeros((side, side), np.float32)
 
     def hull(self, points: NDArray[np.float64], colour: Vector, opacity: float = 1.0) -> None:
         """Fill the outline of the convex body with these corners, points (n, 3)."""
-        mask = np.zeros((CANVAS, CANVAS), np.uint8)
+        mask = np.zeros((self._side, self._side), np.uint8)
         outline = cv2.convexHull(self._pixels(points))
         cv2.fillConvexPoly(mask, outline, 255, cv2.LINE_AA, SUBPIXEL_BITS)
         self._cover(mask, colour, opacity)
@@ -64,7 +65,7 @@ class _Canvas:
         colour: Vector,
         opacity: float = 1.0,
     ) -> None:
-        mask = np.zeros((CANVAS, CANVAS), np.uint8)
+        mask = np.zeros((self._side, self._side), np.uint8)
         a, b = self._pixels(np.array([start, end], float)).tolist()
         cv2.line(mask, a, b, 255, max(1, round(width * self._scale)), cv2.LINE_AA, SUBPIXEL_BITS)
         self._cover(mask, colour, opacity)
@@ -75,7 +76,7 @@ class _Canvas:
 
     def _pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
         seen = points @ self._camera_from_body.T
-        uv = np.stack([seen[:, 0], -seen[:, 2]], axis=1) * self._scale + CANVAS / 2
+        uv = np.stack([seen[:, 0], -seen[:, 2]], axis=1) * self._scale + self._side / 2
         return np.asarray(np.round(uv * 2**SUBPIXEL_BITS), np.int32)
 
     def _cover(self, mask: NDArray[np.uint8], colour: Vector, opacity: float) -> None:
@@ -121,11 +122,14 @@ def _disc(centre: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     return np.asarray(centre + radius * np.stack([np.cos(u), np.sin(u), np.zeros_like(u)], axis=1))
 
 
-def multirotor(rng: Rng) -> Sprite:
-    """Three to eight rotors on arms, a body, maybe legs and a camera; rotors as faint discs, blades or both."""
+def multirotor(rng: Rng, canvas_side: int = CANVAS) -> Sprite:
+    """Three to eight rotors on arms, a body, maybe legs and a camera; rotors as faint discs, blades or both.
+
+    canvas_side: px, of the square it is drawn in; what is shown large is drawn large.
+    """
     rotors = int(rng.choice([3, 4, 6, 8], p=[0.05, 0.7, 0.15, 0.1]))
     paint = _paint(rng)
-    canvas = _Canvas(rotation(rng))
+    canvas = _Canvas(rotation(rng), canvas_side)
     bearing = (0.0 if rng.random() < 0.2 else np.pi / rotors) + 2 * np.pi * np.arange(rotors) / rotors
     stretch, droop = rng.uniform(0.75, 1.3), rng.uniform(-0.1, 0.2)
     tips = np.stack([np.cos(bearing) * stretch, np.sin(bearing), np.full(rotors, droop)], axis=1)
@@ -275,6 +279,9 @@ DISTRACTORS: dict[str, Callable[[Rng], Sprite]] = {
 }
 
 
+FLYING = ("bird", "aeroplane", "helicopter", "lump")  # objects with a place of their own; the rest is scenery
+
+
 def _shade(rng: Rng, sprite: Sprite) -> Sprite:
     """Light from above or below: a vertical ramp of brightness."""
     ramp = np.linspace(rng.uniform(0.7, 1.35), rng.uniform(0.6, 1.2), len(sprite.alpha), dtype=np.float32)
@@ -304,11 +311,14 @@ def _sky(rng: Rng, height: int, width: int) -> FloatImage:
     bottom = np.clip(top + rng.normal(15, 25, 3), 0, 255)
     down = np.linspace(0, 1, height)[:, None, None]
     image = (top * (1 - down) + bottom * down) * np.ones((1, width, 1))
-    if rng.random() < 0.55:
+    clouds = rng.random()
+    if clouds < 0.4:
         cover = np.clip(
             fractal_noise(rng, height, width, 5, rng.uniform(0.4, 0.65)) + rng.uniform(-0.5, 0.5), 0, 2
         )
         image += cover[..., None] * rng.uniform(-25, 60)
+    elif clouds < 0.7:
+        image = _cumulus(rng, image)
     if rng.random() < 0.1:  # contrail
         start, end = rng.uniform(0, [width, height]), rng.uniform(0, [width, height])
         trail = np.zeros((height, width), np.float32)
@@ -317,6 +327,18 @@ def _sky(rng: Rng, height: int, width: int) -> FloatImage:
     if rng.random() < 0.6:
         image = _ground(rng, image, int(height * rng.uniform(0.25, 1.0)))
     return np.clip(image, 0, 255).astype(np.float32)
+
+
+def _cumulus(rng: Rng, image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heaps of cloud with edges and lit from one side; their tatters are what a detector takes for drones."""
+    height, width = image.shape[:2]
+    noise = fractal_noise(rng, height, width, 7, rng.uniform(0.5, 0.75))
+    alpha = np.clip((noise + rng.uniform(-1.0, 0.7)) * rng.uniform(0.7, 4.0), 0, 1)
+    shift = int(rng.integers(2, 12))
+    relief = cv2.GaussianBlur(noise - np.roll(noise, shift, axis=int(rng.integers(0, 2))), (0, 0), 1.5)
+    light = rng.uniform(150, 250) + relief * rng.uniform(-50, 50) - alpha * rng.uniform(-20, 60)
+    colour = np.clip(light[..., None] + rng.normal(0, 6, 3), 0, 255)
+    return np.asarray(image * (1 - alpha[..., None]) + colour * alpha[..., None])
 
 
 def _ground(rng: Rng, image: NDArray[np.float64], horizon: int) -> NDArray[np.float64]:

@@ -1,9 +1,9 @@
 """Trains a net on samples that are drawn while it learns: no sample is ever seen twice.
 
-Theory of operation. Generator processes draw batches, each from its own seed, into queues of its own; the trainer takes
-one from each in turn, so the order of samples does not depend on which process is quicker. One thread computes: for so
-small a net a second one costs more than it brings, and its core is better spent on drawing. Weights are averaged
-(exponential moving average) and the average is what is exported.
+Theory of operation. Generator processes draw batches (`feeding`); on a CPU one thread computes: for so small a net a
+second one costs more than it brings, and its core is better spent on drawing. Weights are averaged (exponential moving
+average), and the average is what is written, looked at on the validation images, and exported. Every few minutes a
+checkpoint is written from which an interrupted training goes on.
 """
 
 from __future__ import annotations
@@ -11,39 +11,30 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
-import multiprocessing
-import queue
+import math
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from multiprocessing.queues import Queue
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from swarmtrack.errors import SwarmtrackError
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.training import dataset
-from swarmtrack.training.dataset import Recipe, SampleSource
+from swarmtrack.training.dataset import Recipe
 from swarmtrack.training.export import export
+from swarmtrack.training.feeding import TrainingError, generators
 from swarmtrack.training.labelled_images import LabelledFrame
-from swarmtrack.training.network import STRIDE, CenterNet, create_network, loss
-
-Batch = tuple[NDArray[Any], ...]
+from swarmtrack.training.network import create_network, loss
+from swarmtrack.training.validation import look, scores
 
 AVERAGING = 0.9995  # per step, of the exported weights: a memory of about 2000 steps
 WARM_UP = 300  # steps until the full learning rate
-GENERATOR_TIMEOUT = 120.0  # s without a batch: the generator is dead or the machine is
-
-
-class TrainingError(SwarmtrackError):
-    """Training that cannot go on."""
+REPORT_PERIOD = 20.0  # s
+LOSSES = ("heat", "offset", "size")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +48,19 @@ class Settings:
     learning_rate: float = 2.5e-3
     network: str = "plain"
     generators: int = 1
+    device: str = "cpu"
     checkpoint_minutes: float = 5.0
+
+
+@dataclass(slots=True)
+class Run:
+    """Where a training stands; what a checkpoint holds beside the weights."""
+
+    steps: int = 0
+    images: int = 0
+    seconds: float = 0.0
+    resumed: int = 0
+    history: list[dict[str, float]] = field(default_factory=list)
 
 
 def train(
@@ -67,113 +70,186 @@ def train(
     out: Path,
     *,
     licence: str,
+    validation: Sequence[LabelledFrame] = (),
     start: Path | None = None,
-) -> CenterNet:
-    """Train, write `out` (ONNX) and beside it the weights (`.pt`, to go on from); returns the averaged net."""
-    torch.manual_seed(settings.seed)
-    torch.set_num_threads(1)
-    network = create_network(settings.network)
-    if start is not None:
-        network.load_state_dict(torch.load(start, weights_only=True))
-    average = copy.deepcopy(network).eval()
-    network = network.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
-    optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=1e-4)
-    metadata = {
-        "recipe": json.dumps({**dataclasses.asdict(recipe), **dataclasses.asdict(settings)}),
-        "seed": str(settings.seed),
-        "data_sha256": dataset.data_hash(frames),
-        "data_frames": str(len(frames)),
-        "warm_start": start.name if start is not None else "",
-        "licence": licence,
-    }
+    resume: bool = False,
+) -> Run:
+    """Train, write `out` (ONNX) and beside it the checkpoint (`.pt`, to go on from); returns how it went.
 
-    def save() -> None:
-        torch.save(average.state_dict(), out.with_suffix(".pt"))
-        export(copy.deepcopy(average), out, metadata)
-
-    clock = _Progress(settings)
-    recent: deque[list[float]] = deque(maxlen=100)
-    with _generators(frames, recipe, settings) as batches:
-        while (done := clock.fraction()) < 1.0:
-            images, *wanted = (torch.from_numpy(array) for array in next(batches))
-            rate = (
-                settings.learning_rate
-                * min(1.0, (clock.steps + 1) / WARM_UP)
-                * (0.5 + 0.5 * np.cos(np.pi * done))
-            )
-            for group in optimizer.param_groups:
-                group["lr"] = rate + 1e-5
-            pictures = (images.permute(0, 3, 1, 2).float() / 255).contiguous(
-                memory_format=torch.channels_last
-            )
-            with torch.autocast("cpu", dtype=torch.bfloat16):
-                answers = network(pictures)
-            heat, offset, size = loss(answers, tuple(wanted))
-            total = heat + offset + 0.5 * size
-            if not torch.isfinite(total):
-                raise TrainingError(f"step {clock.steps}: the loss is {total.item()}; lower --learning-rate")
-            optimizer.zero_grad()
-            total.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
-            optimizer.step()
-            _average_into(average, network, min(AVERAGING, (1 + clock.steps) / (10 + clock.steps)))
-            recent.append([heat.item(), offset.item(), size.item()])
-            clock.steps += 1
-            if clock.report_due():
-                values = " ".join(
-                    f"{name} {v:.3f}" for name, v in zip(_LOSSES, np.mean(recent, 0), strict=True)
-                )
-                speed = clock.steps * settings.batch / clock.elapsed()
-                print(
-                    f"{clock.elapsed() / 60:5.1f} min  {done:4.0%}  step {clock.steps}  {speed:.0f} images/s  {values}",
-                    file=sys.stderr,
-                    flush=True,
-                )
-            if clock.checkpoint_due():
-                save()
-    metadata["images_seen"] = str(clock.steps * settings.batch)
-    save()
-    return average
+    validation: images that are not trained on; the history tells how well each checkpoint does on them.
+    """
+    training = _Training(frames, recipe, settings, out, licence=licence, validation=validation)
+    return training.run(start, resume)
 
 
-_LOSSES = ("heat", "offset", "size")
-
-
-class _Progress:
-    """How far training is, and when to say so."""
-
-    def __init__(self, settings: Settings) -> None:
+class _Training:
+    def __init__(
+        self,
+        frames: Sequence[LabelledFrame],
+        recipe: Recipe,
+        settings: Settings,
+        out: Path,
+        *,
+        licence: str,
+        validation: Sequence[LabelledFrame],
+    ) -> None:
         if (settings.minutes is None) == (settings.iterations is None):
             raise TrainingError("give either minutes or iterations")
-        self.steps = 0
-        self._settings = settings
+        self._frames, self._recipe, self._settings, self._out = frames, recipe, settings, out
+        self._validation = validation
+        torch.manual_seed(settings.seed)
+        torch.set_num_threads(1)
+        self._network = create_network(settings.network).to(settings.device)
+        self._metadata = {
+            "recipe": json.dumps({**dataclasses.asdict(recipe), **dataclasses.asdict(settings)}),
+            "seed": str(settings.seed),
+            "data_sha256": dataset.data_hash(frames),
+            "data_frames": str(len(frames)),
+            "licence": licence,
+        }
+        self._run = Run()
         self._clock = SystemClock()
-        self._start = self._reported = self._saved = self._clock.now()
 
-    def elapsed(self) -> float:
-        return self._clock.now() - self._start
+    def run(self, start: Path | None, resume: bool) -> Run:
+        network, settings, run = self._network, self._settings, self._run
+        if start is not None:
+            network.load_state_dict(read_checkpoint(start)["average"])
+            self._metadata["warm_start"] = start.name
+        self._average = copy.deepcopy(network).eval()
+        network.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
+        self._optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=1e-4)
+        if resume:
+            self._restore()
+        recent: deque[list[float]] = deque(maxlen=100)
+        # A resumed training draws other samples than those that it has seen.
+        seed = (settings.seed, run.resumed) if run.resumed else (settings.seed,)
+        with generators(self._frames, self._recipe, settings.batch, seed, settings.generators) as batches:
+            batch = next(batches)  # the generators draw their first sprites: no time to learn in
+            before, began = run.seconds, self._clock.now()
+            reported = saved = began
+            while (done := self._done()) < 1.0:
+                recent.append(self._step(batch, done))
+                batch = next(batches)
+                now = self._clock.now()
+                run.seconds = before + now - began
+                if now - reported > REPORT_PERIOD:
+                    reported = now
+                    self._report(done, np.mean(recent, axis=0))
+                if now - saved > 60 * settings.checkpoint_minutes:
+                    self._save(np.mean(recent, axis=0))
+                    saved = self._clock.now()
+        self._save(np.mean(recent, axis=0) if recent else np.full(len(LOSSES), math.nan))
+        return run
 
-    def fraction(self) -> float:
+    def _done(self) -> float:
         if self._settings.iterations is not None:
-            return self.steps / self._settings.iterations
+            return self._run.steps / self._settings.iterations
         assert self._settings.minutes is not None
-        return self.elapsed() / (60 * self._settings.minutes)
+        return self._run.seconds / (60 * self._settings.minutes)
 
-    def report_due(self) -> bool:
-        if self._clock.now() - self._reported < 20:
-            return False
-        self._reported = self._clock.now()
-        return True
+    def _step(self, batch: tuple[Any, ...], done: float) -> list[float]:
+        """One batch; returns the losses."""
+        settings, run = self._settings, self._run
+        images, *wanted = (torch.from_numpy(array).to(settings.device) for array in batch)
+        rate = (
+            settings.learning_rate
+            * min(1.0, (run.steps + 1) / WARM_UP)
+            * (0.5 + 0.5 * math.cos(math.pi * done))
+        )
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate + 1e-5
+        pictures = (images.permute(0, 3, 1, 2).float() / 255).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(settings.device, dtype=torch.bfloat16):
+            answers = self._network(pictures)
+        heat, offset, size = loss(answers, tuple(wanted))
+        total = heat + offset + 0.5 * size
+        if not torch.isfinite(total):
+            raise TrainingError(f"step {run.steps}: the loss is {total.item()}; lower --learning-rate")
+        self._optimizer.zero_grad()
+        total.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self._network.parameters(), 10.0)
+        self._optimizer.step()
+        _average_into(self._average, self._network, min(AVERAGING, (1 + run.steps) / (10 + run.steps)))
+        run.steps += 1
+        run.images += len(images)
+        return [heat.item(), offset.item(), size.item()]
 
-    def checkpoint_due(self) -> bool:
-        if self._clock.now() - self._saved < 60 * self._settings.checkpoint_minutes:
-            return False
-        self._saved = self._clock.now()
-        return True
+    def _report(self, done: float, losses: Any) -> None:
+        run = self._run
+        values = " ".join(f"{name} {value:.3f}" for name, value in zip(LOSSES, losses, strict=True))
+        speed = run.images / run.seconds
+        print(
+            f"{run.seconds / 60:5.1f} min  {done:4.0%}  step {run.steps}  {speed:.0f} images/s  {values}",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    def _save(self, losses: Any) -> None:
+        """The model, what it does on the validation images, and the checkpoint; each appears whole or not at all."""
+        run = self._run
+        self._metadata["images_seen"] = str(run.images)
+        self._metadata["training_minutes"] = f"{run.seconds / 60:.1f}"
+        export(copy.deepcopy(self._average).cpu(), self._out, self._metadata)
+        entry = {"minutes": run.seconds / 60, "images": float(run.images)}
+        entry |= dict(zip(LOSSES, (float(value) for value in losses), strict=True))
+        if self._validation:
+            entry |= scores(look(self._out, self._validation))
+            told = "  ".join(f"{name} {value:.3f}" for name, value in entry.items() if name not in LOSSES)
+            print(f"checkpoint: {told}", file=sys.stderr, flush=True)
+        run.history.append(entry)
+        document = {
+            "architecture": self._settings.network,
+            "network": self._network.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "run": dataclasses.asdict(run),
+            "metadata": dict(self._metadata),
+        }
+        partial = self._out.with_suffix(".pt.partial")
+        torch.save(document, partial)
+        partial.replace(self._out.with_suffix(".pt"))
+
+    def _restore(self) -> None:
+        """Go on where the checkpoint stands."""
+        path = self._out.with_suffix(".pt")
+        found = read_checkpoint(path)
+        for key in ("data_sha256", "seed"):
+            if found["metadata"][key] != self._metadata[key]:
+                raise TrainingError(
+                    f"{path}: {key} {found['metadata'][key]}, expected {self._metadata[key]}: another training"
+                )
+        if found["architecture"] != self._settings.network:
+            raise TrainingError(
+                f"{path}: network {found['architecture']}, expected {self._settings.network}: another training"
+            )
+        self._network.load_state_dict(found["network"])
+        self._average.load_state_dict(found["average"])
+        self._optimizer.load_state_dict(found["optimizer"])
+        for name, value in found["run"].items():
+            setattr(self._run, name, value)
+        self._run.resumed += 1
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """The content of a `.pt` that `train` wrote: architecture, network, average, optimizer, run, metadata."""
+    try:
+        found: Any = torch.load(path, weights_only=True, map_location="cpu")
+    except Exception as error:  # torch raises whatever its archive reader and unpickler happen to meet
+        raise TrainingError(f"{path}: not a checkpoint: {type(error).__name__}") from None
+    wanted = {"architecture", "network", "average", "optimizer", "run", "metadata"}
+    if not isinstance(found, dict) or not wanted <= found.keys():
+        raise TrainingError(f"{path}: not a checkpoint of swarmtrack train")
+    return found
+
+
+def averaged_network(checkpoint: dict[str, Any]) -> torch.nn.Module:
+    network = create_network(checkpoint["architecture"])
+    network.load_state_dict(checkpoint["average"])
+    return network.eval()
 
 
 @torch.no_grad()
-def _average_into(average: CenterNet, network: CenterNet, memory: float) -> None:
+def _average_into(average: torch.nn.Module, network: torch.nn.Module, memory: float) -> None:
     """average ← memory · average + (1 − memory) · network, running statistics of batch norm included."""
     theirs = network.state_dict()
     for name, value in average.state_dict().items():
@@ -181,61 +257,3 @@ def _average_into(average: CenterNet, network: CenterNet, memory: float) -> None
             value.lerp_(theirs[name], 1 - memory)
         else:
             value.copy_(theirs[name])
-
-
-def draw_batch(source: SampleSource, recipe: Recipe, size: int) -> Batch:
-    """Images (size, crop, crop, 3) uint8 BGR, then the fields of `Targets`, each with a leading batch axis."""
-    samples = [source.sample() for _ in range(size)]
-    wanted = [dataset.targets(sample.drones, recipe.crop, STRIDE, sample.doubtful) for sample in samples]
-    images = np.stack([sample.image for sample in samples])
-    return (images, *(np.stack(field) for field in zip(*wanted, strict=True)))
-
-
-def _generate(
-    out: Queue[Batch], frames: Sequence[LabelledFrame], recipe: Recipe, batch: int, seed: tuple[int, int]
-) -> None:
-    cv2.setNumThreads(1)
-    source = SampleSource(frames, recipe, np.random.default_rng(seed))
-    trainer = multiprocessing.parent_process()
-    drawn = draw_batch(source, recipe, batch)
-    while trainer is not None and trainer.is_alive():  # a killed trainer cannot end its generators
-        try:
-            out.put(drawn, timeout=5.0)
-        except queue.Full:
-            continue
-        drawn = draw_batch(source, recipe, batch)
-    out.cancel_join_thread()
-
-
-@contextmanager
-def _generators(
-    frames: Sequence[LabelledFrame], recipe: Recipe, settings: Settings
-) -> Iterator[Iterator[Batch]]:
-    """Generator processes, and an endless iterator over their batches in a fixed order."""
-    context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
-    queues: list[Queue[Batch]] = [context.Queue(6) for _ in range(settings.generators)]
-    processes = [
-        context.Process(
-            target=_generate, args=(out, frames, recipe, settings.batch, (settings.seed, i)), daemon=True
-        )
-        for i, out in enumerate(queues)
-    ]
-    for process in processes:
-        process.start()
-
-    def batches() -> Iterator[Batch]:
-        while True:
-            for out in queues:
-                try:
-                    yield out.get(timeout=GENERATOR_TIMEOUT)
-                except queue.Empty:
-                    raise TrainingError(
-                        f"no batch came for {GENERATOR_TIMEOUT:.0f} s: a generator died"
-                    ) from None
-
-    try:
-        yield batches()
-    finally:
-        for process in processes:
-            process.terminate()
-            process.join()

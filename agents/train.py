@@ -1,0 +1,191 @@
+"""`swarmtrack train --out MODEL.onnx`: train a detector on drawn pictures, and on labelled images of yours."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmtrack.agents.arguments import seed
+from swarmtrack.errors import ModelError, SourceError
+
+if TYPE_CHECKING:
+    from swarmtrack.training.labelled_images import LabelledFrame
+
+NETWORKS = ("plain", "nano", "resnet34")
+MINUTES = 150.0
+COARSEST = 32  # px: crops are a multiple of this
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the .onnx file to write; the checkpoint (.pt) and the report (folder .report) go beside it",
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="labelled images: CSV, COCO or YOLO; without it all is procedural",
+    )
+    parser.add_argument(
+        "--validate", type=Path, metavar="DIR", help="more labelled images, looked at but never trained on"
+    )
+    parser.add_argument(
+        "--hold-out",
+        action="append",
+        default=[],
+        metavar="SCENE",
+        help="keep a scene of --data for validation; may be repeated",
+    )
+    parser.add_argument(
+        "--hold-out-negatives",
+        action="store_true",
+        help="keep a third of the clips without drones for validation",
+    )
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
+        "--minutes", type=_positive, metavar="M", help=f"how long to train (default: {MINUTES:g})"
+    )
+    length.add_argument(
+        "--iterations", type=_count, metavar="N", help="instead of minutes: the same weights each time"
+    )
+    parser.add_argument("--network", choices=NETWORKS, default="plain", help="(default: %(default)s)")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on from the checkpoint beside --out, with the same options"
+    )
+    parser.add_argument(
+        "--start", type=Path, metavar="FILE", help="begin with the weights of a checkpoint (.pt)"
+    )
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), default="auto", help="(default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=seed, default=0, metavar="K", help="(default: %(default)s)")
+    parser.add_argument("--batch", type=_count, default=32, metavar="N", help="(default: %(default)s)")
+    parser.add_argument(
+        "--crop",
+        type=_crop,
+        default=160,
+        metavar="PX",
+        help="side of a sample, a multiple of 32 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--learning-rate", type=_positive, default=2.5e-3, metavar="R", help="(default: %(default)s)"
+    )
+    parser.add_argument(
+        "--generators",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="processes that draw samples; a GPU wants several (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--licence", default="", metavar="TEXT", help="of the training data, written into the model"
+    )
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number above 0")
+    return value
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 1 or more")
+    return int(text)
+
+
+def _crop(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) >= 2 * COARSEST and int(text) % COARSEST == 0):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a multiple of 32 from 64 on")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    try:
+        from swarmtrack.training import trainer
+    except ImportError as error:
+        raise ModelError(f"train: {error.name} is missing, install swarmtrack[train]") from error
+    from swarmtrack.training import training_report
+    from swarmtrack.training.dataset import Recipe
+
+    _check_files(args)
+    frames, validation = _frames(args)
+    settings = trainer.Settings(
+        minutes=None if args.iterations else args.minutes or MINUTES,
+        iterations=args.iterations,
+        seed=args.seed,
+        batch=args.batch,
+        learning_rate=args.learning_rate,
+        network=args.network,
+        generators=args.generators,
+        device=_device(args.device),
+    )
+    print(
+        f"training on {len(frames)} labelled images and on drawn ones, {len(validation)} to validate, "
+        f"network {args.network}, {settings.device}",
+        file=sys.stderr,
+    )
+    history = trainer.train(
+        frames,
+        Recipe(crop=args.crop),
+        settings,
+        args.out,
+        licence=args.licence,
+        validation=validation,
+        start=args.start,
+        resume=args.resume,
+    ).history
+    report = training_report.write(args.out, history, validation or frames, seen=not validation)
+    print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB; report: {report}")
+    return 0
+
+
+def _check_files(args: argparse.Namespace) -> None:
+    if not args.out.parent.is_dir():
+        raise SourceError(f"--out {args.out}: its folder does not exist")
+    if args.start is not None and not args.start.is_file():
+        raise SourceError(f"--start {args.start}: no such file")
+    if args.resume and args.start is not None:
+        raise SourceError("--resume and --start: expected one of them, both say where to begin")
+    if args.resume and not args.out.with_suffix(".pt").is_file():
+        raise SourceError(f"--resume: {args.out.with_suffix('.pt')}: no such checkpoint")
+
+
+def _frames(args: argparse.Namespace) -> tuple[Sequence[LabelledFrame], Sequence[LabelledFrame]]:
+    """What to train on, and what to validate on."""
+    from swarmtrack.training.labelled_images import held_out, load_frames
+
+    frames = load_frames(args.data) if args.data else []
+    scenes = {frame.scene for frame in frames}
+    for name in args.hold_out:
+        if name not in scenes:
+            known = ", ".join(sorted(scenes)) or "--data, which is missing"
+            raise SourceError(f"--hold-out {name}: expected one of {known}")
+    kept = [
+        frame
+        for frame in frames
+        if frame.scene in args.hold_out or (args.hold_out_negatives and held_out(frame))
+    ]
+    names = {frame.name for frame in kept}
+    validation = kept + (load_frames(args.validate) if args.validate else [])
+    return [frame for frame in frames if frame.name not in names], validation
+
+
+def _device(wanted: str) -> str:
+    import torch
+
+    present = torch.cuda.is_available()
+    if wanted == "cuda" and not present:
+        raise ModelError("--device cuda: PyTorch finds no GPU, expected one, or --device cpu")
+    return "cuda" if wanted != "cpu" and present else "cpu"
