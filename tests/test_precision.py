@@ -63,7 +63,7 @@ def test_fewer_bits_find_the_same_drones_in_a_smaller_file(data, tmp_path, capsy
     ("arguments", "sentence"),
     [
         (["nowhere.onnx"], "nowhere.onnx: no such model file"),
-        (["default"], "--data is missing: int8 is calibrated on pictures"),
+        (["default"], "--data is missing: 8 bits and scores are calibrated on pictures"),
         (["default", "--data", "nowhere"], "nowhere: no labelled images"),
         (["default", "--out", "/nowhere/a.onnx"], "its folder does not exist"),
         (
