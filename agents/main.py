@@ -18,6 +18,10 @@ COMMANDS = {
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
+    "record": ("swarmtrack.agents.record", "record what a running swarm says"),
+    "replay": ("swarmtrack.agents.replay", "fly a recording again, as fast as it goes"),
+    "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
+    "import": ("swarmtrack.agents.import_flight", "make a recording of a telemetry log and a video"),
 }
 
 

@@ -9,6 +9,7 @@ holds all but its last moments. Nothing here reads a clock or starts a thread: `
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 from collections.abc import Mapping
@@ -86,6 +87,7 @@ class _File:
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        fcntl.flock(self._descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # as long as we live: nobody shall repair it
         self.size = 0
         self.sound = 0
         """Bytes up to the end of the last chunk."""

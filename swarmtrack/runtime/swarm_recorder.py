@@ -46,7 +46,7 @@ class Heard(msgspec.Struct, array_like=True, frozen=True):
 
     @property
     def sample(self) -> Sample:
-        return Sample(self.key, self.payload, self.alive)
+        return Sample(self.key, self.payload, self.alive, self.t)
 
 
 class FlightEvent(msgspec.Struct, frozen=True):
