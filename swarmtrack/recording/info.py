@@ -10,6 +10,8 @@ from swarmtrack.recording.reader import Message, Recording
 
 HEAD = ("kind", "drone_id", "team", "boot", "tracker", "swarmtrack", "python", "numpy", "scipy", "machine")
 
+LEAST = 5  # messages, of which a rate is told
+
 
 @dataclass(slots=True)
 class TopicSummary:
@@ -36,7 +38,7 @@ class TopicSummary:
     @property
     def rate_hz(self) -> float | None:
         span = (self.last_ns - self.first_ns) * 1e-9
-        return (self.count - 1) / span if self.count > 1 and span > 0.0 else None
+        return (self.count - 1) / span if self.count >= LEAST and span > 0.0 else None
 
 
 @dataclass(slots=True)

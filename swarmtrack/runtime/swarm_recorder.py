@@ -103,8 +103,8 @@ class SwarmRecorder:
         """Its counters and troubles."""
         return self._thread
 
-    def heard(self, sample: Sample) -> None:
-        t, utc = self._clock.now(), self._clock.utc()
+    def heard(self, sample: Sample, t: float, utc: float) -> None:
+        """t, utc: when, by our clocks [s]."""
         self._thread.put(self._ns(t), partial(self._write_heard, Heard(t, utc, sample.key, sample.alive, sample.payload)))
 
     def flown(self, event: str, drone_id: int) -> None:
