@@ -59,14 +59,20 @@ def _print(summary: Summary) -> None:
     begin = datetime.fromtimestamp(summary.begin_ns * 1e-9, UTC)
     size = sum(size for _, size, _ in summary.files)
     print(f"{summary.folder}: {who} of team {preface['team']}")
-    print(f"  {begin:%Y-%m-%d %H:%M:%S} UTC, {summary.seconds:.1f} s, {len(summary.files)} files, {size / 1e6:.1f} MB")
+    print(
+        f"  {begin:%Y-%m-%d %H:%M:%S} UTC, {summary.seconds:.1f} s, {len(summary.files)} files, {size / 1e6:.1f} MB"
+    )
     for damage in summary.damage:
         print(f"  damaged: {damage}; `swarmtrack log repair` makes it whole")
     if int(preface["segment"]) > 1:
         print(f"  begins with segment {preface['segment']}: older ones gave way")
     width = max((len(name) for name in summary.topics), default=0)
     for name, topic in sorted(summary.topics.items()):
-        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:8.1f} Hz   longest gap {topic.gap_ns * 1e-9:.2f} s"
+        rate = (
+            ""
+            if topic.rate_hz is None
+            else f"{topic.rate_hz:8.1f} Hz   longest gap {topic.gap_ns * 1e-9:.2f} s"
+        )
         print(f"  {name:{width}}  {topic.count:8}  {rate}")
 
 

@@ -32,7 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from swarmtrack.tracking import TRACKERS
 
     parser.add_argument(
-        "path", type=Path, metavar="FILE|DIR", help="a recording, or the folder of several, as sim --record made"
+        "path",
+        type=Path,
+        metavar="FILE|DIR",
+        help="a recording, or the folder of several, as sim --record made",
     )
     parser.add_argument("--tracker", choices=list(TRACKERS), help="what if it had flown with this one?")
     parser.add_argument(
@@ -44,15 +47,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what if the config had said so? e.g. tracker.p_detection=0.8; again for more",
     )
     parser.add_argument(
-        "--detect", action="store_true", help="detect anew in the recorded frames, instead of what was detected"
+        "--detect",
+        action="store_true",
+        help="detect anew in the recorded frames, instead of what was detected",
     )
     parser.add_argument(
         "--against",
         metavar="recorded|FILE",
         help="compare with what was recorded, or with another replay's --json (default: recorded, if anything differs)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write results, tracks and differences there")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the differences, .png or .svg (needs matplotlib)")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write results, tracks and differences there"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw the differences, .png or .svg (needs matplotlib)"
+    )
     parser.add_argument(
         "--exact", action="store_true", help="exit with 1 unless every track came out bit for bit"
     )
@@ -97,12 +106,16 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.recording.reader import recordings_below
 
     if args.json is not None and not args.json.absolute().parent.is_dir():
-        raise RecordingError(f"--json {args.json}: cannot be written, expected a file in a folder that exists")
+        raise RecordingError(
+            f"--json {args.json}: cannot be written, expected a file in a folder that exists"
+        )
     recordings = recordings_below(args.path)
     drones = [recording for recording in recordings if recording.kind == "drone"]
     flight = next((recording for recording in recordings if is_flight(recording)), None)
     if not drones:
-        raise RecordingError(f"{args.path}: holds nothing that a drone was told, expected an agent's recording")
+        raise RecordingError(
+            f"{args.path}: holds nothing that a drone was told, expected an agent's recording"
+        )
     other = None if args.against in (None, RECORDED) else _read_other(Path(args.against))
     tasks = [
         _Task(recording, args.tracker, tuple(args.changes), args.detect, flight is not None)
@@ -183,7 +196,9 @@ def _print(one: _Flown, what_if: bool) -> None:
     for line in (*one.notes, *recording.damage):
         print(f"  {line}")
     if recording.first_segment > 1:
-        print(f"  begins with segment {recording.first_segment}: what came before is not known, tracks may differ")
+        print(
+            f"  begins with segment {recording.first_segment}: what came before is not known, tracks may differ"
+        )
     if replayed.inputs_lost:
         print(f"  {replayed.inputs_lost} inputs are missing in the recording, tracks may differ")
     if replayed.refused:
@@ -197,7 +212,9 @@ def _print(one: _Flown, what_if: bool) -> None:
 def _sameness(replayed: Replayed) -> str:
     scans, answers = replayed.scans_compared, replayed.answers_compared
     if replayed.exact:
-        return f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks"
+        return (
+            f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks"
+        )
     parted = min((s.parted_s for s in (scans, answers) if s.parted_s is not None), default=math.nan)
     return (
         f"not as recorded from {parted:.3f} s on: {scans.same} of {scans.recorded} scans, "
@@ -227,7 +244,9 @@ def _judge(flight: Recording, flown: list[_Flown], what_if: bool) -> Judged:
         print(f"{judged.unreplayed} messages with tracks were heard whose inputs are not recorded")
     if not what_if:
         differences = judged.differences
-        print("the verdict is the recorded one" if not differences else "the verdict is not the recorded one:")
+        print(
+            "the verdict is the recorded one" if not differences else "the verdict is not the recorded one:"
+        )
         for line in differences:
             print(f"  {line}")
     return judged
@@ -282,7 +301,10 @@ def _compare(flown: list[_Flown], other: dict[tuple[int, str], list[SeenScan]] |
         key = (one.recording.drone_id, one.recording.preface["boot"])
         there = one.recorded_scans if other is None else other.get(key)
         if there is None:
-            print(f"swarmtrack replay: drone {key[0]} (boot {key[1]}) is not in the other replay", file=sys.stderr)
+            print(
+                f"swarmtrack replay: drone {key[0]} (boot {key[1]}) is not in the other replay",
+                file=sys.stderr,
+            )
         else:
             one.diff = compare(one.scans, there)
 

@@ -12,7 +12,7 @@ from swarmtrack.evaluation.replay_diff import ReplayDiff
 
 mpl.use("Agg")
 
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 COLOURS = ("#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2")
 
@@ -42,6 +42,8 @@ def plot(diffs: Mapping[int, ReplayDiff], path: Path, title: str) -> None:
     try:
         figure.savefig(path, dpi=110)
     except (OSError, ValueError) as error:
-        raise RecordingError(f"--plot {path}: {error}, expected a .png or .svg that can be written") from error
+        raise RecordingError(
+            f"--plot {path}: {error}, expected a .png or .svg that can be written"
+        ) from error
     finally:
         plt.close(figure)

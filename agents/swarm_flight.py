@@ -112,7 +112,9 @@ class _Flight:
         starting = busy * len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
         lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if air is not None else 0.0)
         self._epoch = self._clock.now() + lead
-        self._recording = FlightRecording(plan, scenario, self._team, self._epoch, self._seconds, self._clock)
+        self._recording = FlightRecording(
+            plan, scenario, self._clock, team=self._team, epoch=self._epoch, seconds=self._seconds
+        )
         self._watch = Watch(
             scenario, self._clock, self._recording.hearing, epoch=self._epoch, seconds=self._seconds
         )

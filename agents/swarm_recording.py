@@ -27,7 +27,7 @@ class FlightRecording:
     """Does nothing where no recording is asked for."""
 
     def __init__(
-        self, plan: FlightPlan, scenario: Scenario, team: str, epoch: float, seconds: float, clock: Clock
+        self, plan: FlightPlan, scenario: Scenario, clock: Clock, *, team: str, epoch: float, seconds: float
     ) -> None:
         """epoch: of world time, on `clock`."""
         self._plan = plan

@@ -182,4 +182,3 @@ def _differences(key: str, recorded: Any, now: Any) -> list[str]:
             for line in _differences(f"{key}[{k}]", one, other)
         ]
     return [] if recorded == now else [f"{key}: {recorded}, now {now}"]
-

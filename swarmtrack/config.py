@@ -31,7 +31,7 @@ from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, R
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.toml_layers import Layers, Problem, Table, read_layers
+from swarmtrack.toml_layers import Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml_sections import (
     Count,
     Number,
@@ -371,7 +371,8 @@ class RecordingSection(Section):
     """[recording]: off unless a folder is named."""
 
     dir: Path | None = Field(
-        default=None, description="folder of the recordings; each life of the agent makes one in drone-ID below it"
+        default=None,
+        description="folder of the recordings; each life of the agent makes one in drone-ID below it",
     )
     frames: Literal["none", "jpeg"] = Field(
         default="none", description='"jpeg": pictures too, at frames_hz, in most of the room'
@@ -469,9 +470,15 @@ class MountedCamera(NamedTuple):
     time_offset_s: float
 
 
-def load_config(path: str | Path) -> DroneConfig:
-    """Read a drone's config and all it extends. Raises ConfigError with every problem that was found."""
-    return config_of(read_layers(Path(path), _resolve_inputs))
+def load_config(path: str | Path, over: Layer | None = None) -> DroneConfig:
+    """Read a drone's config and all it extends. Raises ConfigError with every problem that was found.
+
+    over: what a command says goes before all files.
+    """
+    layers = read_layers(Path(path), _resolve_inputs)
+    if over is not None:
+        layers = Layers([*layers.files, over], merge(layers.table, over.table))
+    return config_of(layers)
 
 
 def config_of(layers: Layers) -> DroneConfig:

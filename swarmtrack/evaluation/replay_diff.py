@@ -92,7 +92,9 @@ def seen_scans(reports: Iterable[ScanReport], begin: float) -> list[SeenScan]:
             report.sequence,
             report.tracks.t - begin,
             tuple(
-                SeenTrack(entry.track.id, entry.identity, float(entry.track.mean[0]), float(entry.track.mean[2]))
+                SeenTrack(
+                    entry.track.id, entry.identity, float(entry.track.mean[0]), float(entry.track.mean[2])
+                )
                 for entry in report.tracks.tracks
                 if entry.track.status is TrackStatus.CONFIRMED
             ),
@@ -135,9 +137,7 @@ def compare(one: Iterable[SeenScan], other: Iterable[SeenScan]) -> ReplayDiff:
     )
 
 
-def _pairs(
-    one: tuple[SeenTrack, ...], other: tuple[SeenTrack, ...]
-) -> list[tuple[SeenTrack, SeenTrack]]:
+def _pairs(one: tuple[SeenTrack, ...], other: tuple[SeenTrack, ...]) -> list[tuple[SeenTrack, SeenTrack]]:
     if not one or not other:
         return []
     a = np.array([(track.u, track.v) for track in one])
@@ -146,9 +146,7 @@ def _pairs(
     # Beyond the gate a pair costs more than any number of pairs within it, so as many as possible lie within.
     cost = np.where(distance <= GATE_PX, distance, 1e6)
     rows, columns = linear_sum_assignment(cost)
-    return [
-        (one[i], other[j]) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= GATE_PX
-    ]
+    return [(one[i], other[j]) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= GATE_PX]
 
 
 def scans_record(scans: Iterable[SeenScan]) -> list[dict[str, Any]]:
@@ -173,7 +171,9 @@ def scans_of(record: Any) -> list[SeenScan]:
             int(scan["frame"]),
             float(scan["t_s"]),
             tuple(
-                SeenTrack(int(part["id"]), _identity(part["identity"]), float(part["u_px"]), float(part["v_px"]))
+                SeenTrack(
+                    int(part["id"]), _identity(part["identity"]), float(part["u_px"]), float(part["v_px"])
+                )
                 for part in scan["tracks"]
             ),
         )

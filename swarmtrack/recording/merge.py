@@ -1,7 +1,7 @@
 """Several recordings as one, on one timeline.
 
-Theory of operation. Each drone's times are its own clock's. Who sees whom is told to the team with a running number, and
-both ends of that are recorded: when the sender exposed what it tells of, on its clock, and the same instant as its
+Theory of operation. Each drone's times are its own clock's. Who sees whom is told to the team with a running number,
+and both ends of that are recorded: when the sender exposed what it tells of, on its clock, and the same instant as its
 hearer reckoned it, on the hearer's. A message that came late is reckoned too late, never too early, so the least
 difference is the nearest to the truth; where both hear each other, half of the two least ones cancels what delay was
 left. Recordings that share no message are laid side by side by UTC as each knew it.
@@ -74,7 +74,7 @@ def merge(recordings: Sequence[Recording], target: Path) -> tuple[list[Shift], i
                 added = {"shift_s": repr(shift.seconds), "shifted_by": shift.by}
                 writer.add_metadata(f"swarmtrack.merged{name}", {**recording.preface, **added})
             count = _write(heapq.merge(*streams, key=lambda entry: entry[0]), writer)
-            writer.finish()
+            writer.finish()  # type: ignore[no-untyped-call]
     except FileExistsError:
         raise RecordingError(f"{target}: exists already, expected the name of a new file") from None
     except OSError as error:
@@ -88,7 +88,12 @@ _Entry = tuple[int, str, Message, Recording]
 def _shifted(recording: Recording, name: str, shift_ns: int) -> Iterator[_Entry]:
     for message in recording.messages():
         own = message.topic.startswith("/drone-")  # a swarm's recording says of whom it speaks
-        yield message.log_time_ns + shift_ns, message.topic if own else name + message.topic, message, recording
+        yield (
+            message.log_time_ns + shift_ns,
+            message.topic if own else name + message.topic,
+            message,
+            recording,
+        )
 
 
 def _write(entries: Iterator[_Entry], writer: Writer) -> int:
@@ -98,7 +103,11 @@ def _write(entries: Iterator[_Entry], writer: Writer) -> int:
     for log_time, topic, message, recording in entries:
         if topic not in channels:
             known = next(
-                (s.schemas[message.channel.schema_id] for s in recording.segments if message.channel.schema_id in s.schemas),
+                (
+                    s.schemas[message.channel.schema_id]
+                    for s in recording.segments
+                    if message.channel.schema_id in s.schemas
+                ),
                 None,
             )
             schema_id = 0

@@ -29,7 +29,9 @@ def digest(tracks: TrackList) -> str:
         track = entry.track
         since = -1.0 if track.coasting_since is None else track.coasting_since
         words = f"{track.id} {track.status} {entry.identity}".encode()
-        state.update(words + struct.pack("<dddd", track.t, track.probability, entry.identity_probability, since))
+        state.update(
+            words + struct.pack("<dddd", track.t, track.probability, entry.identity_probability, since)
+        )
         for part in (track.mean, track.cov, track.size):
             state.update(np.ascontiguousarray(part, dtype=np.float64).tobytes())
     return state.hexdigest()

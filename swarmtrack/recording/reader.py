@@ -10,10 +10,10 @@ import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -123,8 +123,6 @@ class Segment:
 
 
 def _stream(body: bytes) -> ReadDataStream:
-    from io import BytesIO  # noqa: PLC0415
-
     return ReadDataStream(BytesIO(body))
 
 
@@ -132,8 +130,6 @@ def _unpacked(chunk: Chunk) -> bytes:
     match chunk.compression:
         case "zstd":
             return bytes(zstandard.decompress(chunk.data, chunk.uncompressed_size))
-        case "lz4":
-            return bytes(lz4.frame.decompress(chunk.data))
         case "":
             return bytes(chunk.data)
     raise ValueError(f"compressed by {chunk.compression!r}")
@@ -150,7 +146,7 @@ class Recording:
 
     @property
     def kind(self) -> str:
-        """"drone", or "swarm" for what `swarmtrack record` and `sim` heard of all."""
+        """ "drone", or "swarm" for what `swarmtrack record` and `sim` heard of all."""
         return self.preface["kind"]
 
     @property

@@ -72,7 +72,7 @@ def rewrite(segment: Segment, target: Path) -> int:
             count += 1
         if count == 0:
             _preface(segment, writer)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return count
 
 
@@ -81,7 +81,11 @@ def _preface(segment: Segment, writer: Writer) -> None:
         writer.add_metadata(name, metadata)
     for attachment in segment.attachments.values():
         writer.add_attachment(
-            attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
+            attachment.create_time,
+            attachment.log_time,
+            attachment.name,
+            attachment.media_type,
+            attachment.data,
         )
 
 

@@ -118,11 +118,13 @@ def read_settings(
         mounted = _mounted(calibration)
         start = None if calibration["start"] is None else _pose(calibration["start"])
     except (KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{recorded.path}: {CALIBRATION}: {error!r}, expected what an agent writes") from None
+        raise RecordingError(
+            f"{recorded.path}: {CALIBRATION}: {error!r}, expected what an agent writes"
+        ) from None
     if "camera" in asked.table and not config.camera.simulated:
         mounted = mount_camera(config.camera)
     elif "time_offset_s" in asked.table.get("camera", {}):
-        mounted = mounted._replace(time_offset_s=config.camera.time_offset_s)
+        mounted = mounted._replace(time_offset_s=config.camera.time_offset_s or 0.0)
     if "start" in asked.table.get("drone", {}):
         start = None if config.drone.start.source is not None else config.drone.start.pose()
     return FlightSettings(config, mounted, start), notes

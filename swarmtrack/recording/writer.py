@@ -87,13 +87,15 @@ class _File:
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        fcntl.flock(self._descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # as long as we live: nobody shall repair it
+        fcntl.flock(
+            self._descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB
+        )  # as long as we live: nobody shall repair it
         self.size = 0
         self.sound = 0
         """Bytes up to the end of the last chunk."""
         self.error: OSError | None = None
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes | bytearray) -> int:
         rest = memoryview(data)
         while rest and self.error is None:
             try:

@@ -67,15 +67,17 @@ class Parts:
         return isinstance(self.clock, ManualClock)
 
 
-def assemble(config: DroneConfig) -> Parts:
+def assemble(config: DroneConfig, imported: ManualClock | None = None) -> Parts:
     """Make the parts; nothing is opened or connected yet.
 
+    imported: the clock of a flight that is over, which whoever imports it sets; else the config tells which it is.
     Raises ConfigError at the entry that leads to something that can never work.
     """
     system = SystemClock()
     boot = new_boot()
     with config.blamed("camera", "source"):
-        clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
+        paced = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else None
+        clock: Clock = imported or paced or system
         simulation = _simulation(config, clock)
     if simulation is not None:
         mounted = _simulated_mount(config, simulation)
@@ -88,7 +90,7 @@ def assemble(config: DroneConfig) -> Parts:
         with config.blamed("output", "video"):
             _refuse_video(config)
     with config.blamed("autopilot", "link"):
-        autopilot = _autopilot(config, clock, simulation)
+        autopilot = _autopilot(config, clock, simulation, in_step=imported is None and paced is not None)
     with config.blamed("detector", "model"):
         detector = make_detector(config)
     hub = MemoryHub()
@@ -187,7 +189,9 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
     )
 
 
-def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None) -> Autopilot | None:
+def _autopilot(
+    config: DroneConfig, clock: Clock, simulation: Simulation | None, *, in_step: bool
+) -> Autopilot | None:
     section = config.autopilot
     if section.link == "none":
         return None
@@ -198,7 +202,7 @@ def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None)
             )
         return simulation.autopilot
     return MavlinkAutopilot(
-        _in_step(section.link) if isinstance(clock, ManualClock) else section.link,
+        _in_step(section.link) if in_step else section.link,
         clock=clock,
         imu_rate_hz=section.imu_rate_hz,
         system_id=section.system_id,

@@ -3,6 +3,7 @@ Lichtblick and rerun show without being told how. A replay reads none of it but 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import msgspec
@@ -40,7 +41,14 @@ EVENTS = Topic.well_known("/log", Log)
 JPEG_QUALITY = 90
 UNKNOWN_BOX = 24.0  # px
 # By drone, told apart by the colour-blind as well (Okabe & Ito, 2008); unknown is grey, foreign white.
-COLOURS = ((0.90, 0.62, 0.0), (0.34, 0.71, 0.91), (0.0, 0.62, 0.45), (0.94, 0.89, 0.26), (0.84, 0.37, 0.0), (0.8, 0.47, 0.65))  # fmt: skip
+COLOURS = (
+    (0.90, 0.62, 0.0),
+    (0.34, 0.71, 0.91),
+    (0.0, 0.62, 0.45),
+    (0.94, 0.89, 0.26),
+    (0.84, 0.37, 0.0),
+    (0.8, 0.47, 0.65),
+)
 GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
 
 Written = tuple[Topic, bytes]
@@ -112,7 +120,7 @@ def _colour(identity: Identity) -> Color:
 
 def _box(track: SeenTrack, stamp: Timestamp) -> PointsAnnotation:
     u, v = track.centre.tolist()
-    w, h = (UNKNOWN_BOX if side != side else side for side in track.size.tolist())
+    w, h = (UNKNOWN_BOX if math.isnan(side) else side for side in track.size.tolist())
     corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     return PointsAnnotation(
         timestamp=stamp,

@@ -61,7 +61,7 @@ class RecordingThread:
         """Write what is queued and complete the last segment; gives up on a disk that hangs."""
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(seconds)
+            self._thread.join(None if self._waits else seconds)
             if self._thread.is_alive():
                 log.warning("recording: the disk is too slow to end in order; `swarmtrack log repair` helps")
 

@@ -41,6 +41,9 @@ class Stream(NamedTuple):
     parted_s: float | None
 
 
+NOTHING = Stream(0, 0, None)
+
+
 @dataclass(slots=True)
 class _Compared:
     """A stream of recorded digests beside one of replayed ones; either may run ahead by a few."""
@@ -71,8 +74,8 @@ class Replayed:
     """Missing in the recording, by their running numbers: from there on nothing need be the same."""
     scans: list[ScanReport] = field(default_factory=list)
     recorded_scans: list[ScanReport] = field(default_factory=list)
-    scans_compared: Stream = Stream(0, 0, None)
-    answers_compared: Stream = Stream(0, 0, None)
+    scans_compared: Stream = NOTHING
+    answers_compared: Stream = NOTHING
     digest: str = ""
     """Of all scans and answers replayed: equal digests, equal flights."""
     refused: int = 0
@@ -206,7 +209,8 @@ class Replayer:
         image = cv2.imdecode(np.frombuffer(data[start : end + 2], np.uint8), cv2.IMREAD_COLOR)
         if image is None:
             return
-        frame = Frame(exact["t_s"], exact["t_sigma_s"], exact["sequence"], image, StampKind.MEDIA)
+        pixels = np.asarray(image, np.uint8)
+        frame = Frame(exact["t_s"], exact["t_sigma_s"], exact["sequence"], pixels, StampKind.MEDIA)
         self._frames[frame.sequence] = frame
         while len(self._frames) > FRAMES_KEPT:
             del self._frames[min(self._frames)]

@@ -91,7 +91,10 @@ class SwarmRecorder:
         known = {"monotonic_s": repr(now), "utc_s": repr(utc), "team": self._team}
         self._thread.open(
             root / name_of_life(utc, self._team),
-            Preface({"format": FORMAT, "kind": "swarm", **known, **(metadata or {}), **versions()}, tuple(attachments)),
+            Preface(
+                {"format": FORMAT, "kind": "swarm", **known, **(metadata or {}), **versions()},
+                tuple(attachments),
+            ),
             Bounds(root, **{"drop_oldest": False, **(bounds or {})}),
         )
 
@@ -105,7 +108,9 @@ class SwarmRecorder:
 
     def heard(self, sample: Sample, t: float, utc: float) -> None:
         """t, utc: when, by our clocks [s]."""
-        self._thread.put(self._ns(t), partial(self._write_heard, Heard(t, utc, sample.key, sample.alive, sample.payload)))
+        self._thread.put(
+            self._ns(t), partial(self._write_heard, Heard(t, utc, sample.key, sample.alive, sample.payload))
+        )
 
     def flown(self, event: str, drone_id: int) -> None:
         """event: "started" or "ended", of a process."""
