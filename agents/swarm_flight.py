@@ -113,7 +113,7 @@ class _Flight:
         lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if air is not None else 0.0)
         self._epoch = self._clock.now() + lead
         self._recording = FlightRecording(
-            plan, scenario, self._clock, team=self._team, epoch=self._epoch, seconds=self._seconds
+            plan.record, scenario, self._clock, team=self._team, epoch=self._epoch, seconds=self._seconds
         )
         self._watch = Watch(
             scenario, self._clock, self._recording.hearing, epoch=self._epoch, seconds=self._seconds
@@ -136,7 +136,8 @@ class _Flight:
         listener = ZenohListener(self._listening(), keys.key(self._team, "**"))
         await listener.open()
         watch = self._watch
-        self._recording.begin()
+        plan = self._plan
+        self._recording.begin(plan.scenario, plan.drones, plan.tracker, plan.detector)
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(watch.hear(self._recording.heard(listener.samples())), name="hear")

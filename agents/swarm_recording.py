@@ -16,7 +16,6 @@ from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.transport.zenoh_bridge import Sample
 
 if TYPE_CHECKING:
-    from swarmtrack.agents.swarm_flight import FlightPlan
     from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 
 PLAN = "flight_plan.json"
@@ -27,10 +26,17 @@ class FlightRecording:
     """Does nothing where no recording is asked for."""
 
     def __init__(
-        self, plan: FlightPlan, scenario: Scenario, clock: Clock, *, team: str, epoch: float, seconds: float
+        self,
+        folder: Path | None,
+        scenario: Scenario,
+        clock: Clock,
+        *,
+        team: str,
+        epoch: float,
+        seconds: float,
     ) -> None:
         """epoch: of world time, on `clock`."""
-        self._plan = plan
+        self._folder = folder
         self._scenario = scenario
         self._team = team
         self._epoch = epoch
@@ -40,25 +46,26 @@ class FlightRecording:
         self.hearing = HeldClock()
         """When the sample was heard that was handed over last."""
 
-    def begin(self) -> None:
-        if self._plan.record is None:
+    def begin(self, source: str, drones: int | None, tracker: str, detector: str) -> None:
+        """source: name or file of the scenario; drones: how many were asked for."""
+        if self._folder is None:
             return
         from swarmtrack.recording.writer import Attachment
         from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 
         plan = {
             "scenario": self._scenario.name,
-            "files": read_scenario(self._plan.scenario).table,
-            "seed": self._plan.seed,
-            "drones": self._plan.drones,
+            "files": read_scenario(source).table,
+            "seed": self._scenario.seed,
+            "drones": drones,
             "seconds": self._seconds,
             "epoch_s": self._epoch,
-            "tracker": self._plan.tracker,
-            "detector": self._plan.detector,
+            "tracker": tracker,
+            "detector": detector,
         }
         self._recorder = SwarmRecorder(self._clock, self._team)
         self._recorder.open(
-            self._plan.record,
+            self._folder,
             bounds={"max_bytes": 10**12},  # a flight of minutes
             metadata={"scenario": self._scenario.name},
             attachments=[Attachment(PLAN, "application/json", json.dumps(plan, default=str).encode())],
