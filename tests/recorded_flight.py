@@ -123,7 +123,6 @@ def _happen(flights, flight, scenario, what, index, t) -> None:
             flight.recorder.said(report)
             for other in flights.values():
                 if other is not flight:  # 20 ms of radio that nobody knows of
-                    other.clock.set(other.begin + t + 0.02)
                     heard_t = other.begin + (report.t - begin) + 0.02
                     other.tell(dataclasses.replace(report, t=heard_t, t_sigma=0.01))
         case "rebooted":
