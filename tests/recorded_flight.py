@@ -59,8 +59,10 @@ class Flight:
         self.scans += self.door.take_reports()
 
 
-def fly(folder: Path, seconds: float, *, drones=(1, 2, 3), extra: str = "", faults: bool = True) -> list[Flight]:
-    """Record into folder/rec/drone-N. extra: of each config; faults: an autopilot reboots, a teammate comes and goes."""
+def fly(
+    folder: Path, seconds: float, *, drones=(1, 2, 3), extra: str = "", faults: bool = True
+) -> list[Flight]:
+    """Record into folder/rec/drone-N. extra: of each config; faults: an autopilot reboots, a stranger's ID clashes."""
     scenario = load_scenario("hover-triangle")
     # A link that is never opened: the config wants one for a start by the autopilot.
     sources = {d: Sources(f"detections://127.0.0.1:9/{d}", "udpin:127.0.0.1:9") for d in scenario.members}
@@ -68,7 +70,12 @@ def fly(folder: Path, seconds: float, *, drones=(1, 2, 3), extra: str = "", faul
         folder, scenario, team="t", tracker="mbm", sources=sources, simulator="…", recordings=folder / "rec"
     )
     flights = {d: Flight(folder, d, scenario, extra) for d in drones}
-    rates = {"imu": scenario.imu_rate_hz, "pose": EGO.rate_hz, "scan": scenario.fps, "ask": scenario.tracks_hz}
+    rates = {
+        "imu": scenario.imu_rate_hz,
+        "pose": EGO.rate_hz,
+        "scan": scenario.fps,
+        "ask": scenario.tracks_hz,
+    }
     queue = []
     for d in drones:
         for what, rate in rates.items():

@@ -41,7 +41,9 @@ from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.repair import repair
 from swarmtrack.recording.writer import Bounds, Preface, RecordingWriter, Topic
 
-TOPIC = Topic.of_json("/x", {"title": "swarmtrack.X", "type": "object", "properties": {"k": {"type": "integer"}}})
+TOPIC = Topic.of_json(
+    "/x", {"title": "swarmtrack.X", "type": "object", "properties": {"k": {"type": "integer"}}}
+)
 PREFACE = Preface({"format": "1", "kind": "drone", "drone_id": "7", "boot": "0000000a", "team": "t"})
 EYE = np.eye(3)
 AWKWARD = [0.1, 1e-300, -0.0, 2.0**53 + 2, math.pi]
@@ -113,7 +115,9 @@ def test_arrays_of_other_layouts_are_put_into_one_before_anything_is_computed_wi
     assert (narrow.centre.dtype, narrow.centre.flags.c_contiguous) == (np.float64, True)
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"{}", b'{"n":1,"t_s":"x"}', b"\xff\xfe", b'{"n":1,"t_s":null}'])
+@pytest.mark.parametrize(
+    "data", [b"", b"{", b"[]", b"{}", b'{"n":1,"t_s":"x"}', b"\xff\xfe", b'{"n":1,"t_s":null}']
+)
 @pytest.mark.parametrize("topic", inputs.FORM_OF_TOPIC)
 def test_a_record_that_is_none_is_refused_with_a_sentence(topic, data):
     if topic == "/autopilot/rebooted" and b"n" in data and data.startswith(b"{"):
@@ -190,7 +194,8 @@ def test_a_file_cut_anywhere_becomes_a_complete_one(tmp_path, seed):
 
 
 @pytest.mark.parametrize(
-    "garbage", [b"", b"#!/bin/sh\n", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + bytes(100), random.Random(1).randbytes(999)]
+    "garbage",
+    [b"", b"#!/bin/sh\n", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + bytes(100), random.Random(1).randbytes(999)],
 )
 def test_garbage_is_called_so(tmp_path, capsys, garbage):
     (tmp_path / "flight.mcap").write_bytes(garbage)
