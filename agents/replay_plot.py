@@ -13,6 +13,7 @@ from swarmtrack.evaluation.replay_diff import ReplayDiff
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
+from matplotlib.ticker import MaxNLocator
 
 COLOURS = ("#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2")
 
@@ -32,13 +33,18 @@ def plot(diffs: Mapping[int, ReplayDiff], path: Path, title: str) -> None:
         if diff.parted_s is not None:
             apart.axvline(diff.parted_s, color=colour, lw=0.8, ls=":")
     apart.set_ylabel("RMSE between\nmatched tracks, px")
-    apart.legend(loc="upper right", title="dotted: where they part")
+    apart.set_ylim(bottom=0.0)
+    figure.legend(loc="outside upper right", ncols=6, title="dotted: where they part", fontsize="small")
     counts.set_ylabel("more tracks here\n(less: below 0)")
     names.set_ylabel("tracks named\notherwise")
     names.set_xlabel("time in the recording, s")
     for axis in (apart, counts, names):
         axis.grid(alpha=0.3)
-    figure.suptitle(title)
+    for axis in (counts, names):  # whole numbers, also where all are 0
+        low, high = axis.get_ylim()
+        axis.set_ylim(min(low, -1.5), max(high, 1.5))
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+    figure.suptitle(title, x=0.02, ha="left")
     try:
         figure.savefig(path, dpi=110)
     except (OSError, ValueError) as error:

@@ -114,8 +114,12 @@ class Segment:
             at += _HEAD.size
             if at + length > len(data):
                 raise ValueError("a record that ends beyond its chunk")
-            yield from self._record(opcode, data[at : at + length])
+            body = data[at : at + length]
             at += length
+            if opcode == Opcode.MESSAGE:  # nearly all are
+                yield self._message(body)
+            else:
+                yield from self._record(opcode, body)
 
     def _message(self, body: bytes) -> Message:
         channel, _, log_time, _ = _MESSAGE.unpack_from(body)
