@@ -19,6 +19,10 @@ COMMANDS = {
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "train": ("swarmtrack.agents.train", "train a detector"),
     "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
+    "record": ("swarmtrack.agents.record", "record what a running swarm says"),
+    "replay": ("swarmtrack.agents.replay", "fly a recording again, as fast as it goes"),
+    "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
+    "import": ("swarmtrack.agents.import_flight", "make a recording of a telemetry log and a video"),
 }
 
 

@@ -72,6 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: %(default)s)",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the verdict and all figures there")
+    parser.add_argument(
+        "--record", type=Path, metavar="DIR", help="record every agent, the truth and the verdict there"
+    )
     parser.add_argument("--keep", action="store_true", help="keep the folder with the configs and logs")
 
 
@@ -87,13 +90,23 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.agents.air import AirError
     from swarmtrack.agents.swarm_flight import FlightPlan
     from swarmtrack.agents.swarm_processes import ProcessDied
+    from swarmtrack.agents.swarm_recording import check_empty
     from swarmtrack.errors import TransportError
 
     if args.json is not None:
         _check_writable(args.json)
     plan = FlightPlan(
-        args.scenario, args.drones, args.seconds, args.seed, args.tracker, args.detector, args.keep
+        args.scenario,
+        args.drones,
+        args.seconds,
+        args.seed,
+        args.tracker,
+        args.detector,
+        args.keep,
+        args.record,
     )
+    if plan.record is not None:
+        check_empty(plan.record)
     console = Console()
     spectator = _spectator(plan, console)
     try:
@@ -112,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json is not None:
         text = json.dumps(report.as_record(), indent=1, allow_nan=False)
         args.json.write_text(f"{text}\n", encoding="utf-8")
-    _print_verdict(report, console)
+    print_verdict(report, console)
     return PASSED if report.passed else FAILED
 
 
@@ -145,7 +158,7 @@ async def _fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
     return await fly(plan, spectator)
 
 
-def _print_verdict(report: SwarmReport, console: Console) -> None:
+def print_verdict(report: SwarmReport, console: Console) -> None:
     from swarmtrack.agents.swarm_table import agents_table, team_table
 
     console.print(agents_table(report))

@@ -40,13 +40,17 @@ def write_configs(
     sources: Mapping[int, Sources],
     simulator: str,
     radio: Mapping[int, RadioEnds] | None = None,
+    recordings: Path | None = None,
 ) -> dict[int, Path]:
     """team.toml and drone-N.toml; returns each drone's file.
 
     simulator: the command of a simulator for them, for whoever reads them later. radio: None for a swarm on this
-    machine's loopback.
+    machine's loopback. recordings: the folder where every agent records.
     """
-    (folder / "team.toml").write_text(_team_file(scenario, team, tracker, simulator), encoding="utf-8")
+    text = _team_file(scenario, team, tracker, simulator)
+    if recordings is not None:
+        text += f"\n[recording]\ndir = {_text(str(recordings))}\n"
+    (folder / "team.toml").write_text(text, encoding="utf-8")
     files = {}
     for drone_id in scenario.members:
         files[drone_id] = folder / f"drone-{drone_id}.toml"

@@ -24,6 +24,7 @@ from pathlib import Path
 from swarmtrack.agents.air import Air
 from swarmtrack.agents.swarm_configs import RadioEnds, Sources, write_configs
 from swarmtrack.agents.swarm_processes import Child, Children, ProcessDied
+from swarmtrack.agents.swarm_recording import FlightRecording
 from swarmtrack.agents.swarm_table import Spectator
 from swarmtrack.agents.swarm_watch import Watch
 from swarmtrack.errors import first_of
@@ -61,6 +62,7 @@ class FlightPlan:
     tracker: str = DEFAULT_TRACKER
     detector: str = "onnx"
     keep: bool = False
+    record: Path | None = None
 
     def load(self) -> Scenario:
         return load_scenario(self.scenario, seed=self.seed, drones=self.drones)
@@ -110,7 +112,12 @@ class _Flight:
         starting = busy * len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
         lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if air is not None else 0.0)
         self._epoch = self._clock.now() + lead
-        self._watch = Watch(scenario, self._clock, epoch=self._epoch, seconds=self._seconds)
+        self._recording = FlightRecording(
+            plan.record, scenario, self._clock, team=self._team, epoch=self._epoch, seconds=self._seconds
+        )
+        self._watch = Watch(
+            scenario, self._clock, self._recording.hearing, epoch=self._epoch, seconds=self._seconds
+        )
         self._configs: Mapping[int, Path] = {}
         self._agents: dict[int, Child] = {}
 
@@ -124,13 +131,16 @@ class _Flight:
             sources=sources,
             simulator=shlex.join(["python", *self._simulator_arguments()]),
             radio=self._radio_ends(),
+            recordings=self._plan.record and self._plan.record.absolute(),
         )
         listener = ZenohListener(self._listening(), keys.key(self._team, "**"))
         await listener.open()
         watch = self._watch
+        plan = self._plan
+        self._recording.begin(plan.scenario, plan.drones, plan.tracker, plan.detector)
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(watch.hear(listener.samples()), name="hear")
+                tasks.create_task(watch.hear(self._recording.heard(listener.samples())), name="hear")
                 background = [
                     tasks.create_task(watch.judge(), name="judge"),
                     tasks.create_task(self._show(), name="show"),
@@ -150,7 +160,9 @@ class _Flight:
                 f"{listener.dropped} messages came too fast to be judged: this machine is too busy"
             )
         await self._land()
-        return self._report()
+        report = self._report()
+        await asyncio.to_thread(self._recording.end, report)
+        return report
 
     # --- starting -----------------------------------------------------------------------
 
@@ -230,6 +242,7 @@ class _Flight:
         if self._air is not None:
             argv = self._air.wrap(drone_id, argv)
         self._watch.started(drone_id)
+        self._recording.flown("started", drone_id)
         self._agents[drone_id] = await self._children.start(f"drone {drone_id}", argv)
 
     # --- in flight ----------------------------------------------------------------------
@@ -280,6 +293,7 @@ class _Flight:
     async def _kill(self, drone_id: int, away_s: float) -> None:
         """kill -9, and start again unless it is to stay dead."""
         self._watch.ended(drone_id)
+        self._recording.flown("ended", drone_id)
         await self._children.end(self._agents[drone_id], signal.SIGKILL)
         if away_s > 0.0:
             await asyncio.sleep(away_s)

@@ -61,15 +61,37 @@ class AgentView:
     judged_t: float = math.nan
 
 
-class Watch:
-    """All that is heard of the team, in world time (0 at `epoch` of the clock's `now`)."""
+class HeldClock:
+    """Both clocks as they stood at one moment: when a sample was heard, now or in a recorded flight."""
 
-    def __init__(self, scenario: Scenario, clock: Clock, *, epoch: float, seconds: float) -> None:
+    def __init__(self) -> None:
+        self._now = self._utc = 0.0
+
+    def set(self, now: float, utc: float) -> None:
+        self._now, self._utc = now, utc
+
+    def now(self) -> float:
+        return self._now
+
+    def utc(self) -> float:
+        return self._utc
+
+
+class Watch:
+    """All that is heard of the team, in world time (0 at `epoch` of the clock's `now`).
+
+    hearing: set by whoever hands over the samples, to when each was heard, so that a recorded flight is judged alike.
+    """
+
+    def __init__(
+        self, scenario: Scenario, clock: Clock, hearing: HeldClock, *, epoch: float, seconds: float
+    ) -> None:
         self.agents = {drone_id: AgentView() for drone_id in scenario.members}
         self.scorer = SwarmScorer(scenario.members, start=0.0, end=seconds)
         self.unreadable = 0
         self._scenario = scenario
         self._clock = clock
+        self._hearing = hearing
         self._epoch = epoch
         self._seconds = seconds
         self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
@@ -85,6 +107,11 @@ class Watch:
     def t(self) -> float:
         """World time now [s]."""
         return self._clock.now() - self._epoch
+
+    @property
+    def _heard_t(self) -> float:
+        """World time of the sample that is being looked at [s]."""
+        return self._hearing.now() - self._epoch
 
     @property
     def team(self) -> list[int]:
@@ -147,15 +174,15 @@ class Watch:
             case codec.TracksMessage():
                 self._on_tracks(drone_id, agent, message)
             case codec.HealthMessage():
-                agent.health.append((self.t, message))
+                agent.health.append((self._heard_t, message))
             case codec.AnnouncementMessage():
                 agent.announcement_bytes = size
-                self.scorer.announced(drone_id, self.t)
+                self.scorer.announced(drone_id, self._heard_t)
             case codec.SightingsMessage():
                 for teammate in message.known:
-                    self.scorer.knows(drone_id, message.boot, teammate, self.t)
+                    self.scorer.knows(drone_id, message.boot, teammate, self._heard_t)
                     if message.boot == agent.boot:
-                        self._known[drone_id].setdefault(teammate, self.t)
+                        self._known[drone_id].setdefault(teammate, self._heard_t)
 
     def _on_tracks(self, drone_id: int, agent: AgentView, message: codec.TracksMessage) -> None:
         if agent.boot is None or message.scan_age_s == 0.0:
@@ -181,7 +208,7 @@ class Watch:
     def _world_time(self, drone_id: int, t_utc: float) -> float:
         """Of a time on the drone's own wall clock, whose error the scenario knows."""
         ours = t_utc - self._scenario.utc_offset_s.get(drone_id, 0.0)
-        return ours - (self._clock.utc() - self._clock.now()) - self._epoch
+        return ours - (self._hearing.utc() - self._hearing.now()) - self._epoch
 
     def _fill(self, drone_id: int, agent: AgentView, index: int) -> None:
         """Tenths of a second before `index` in which the agent should have spoken and did not."""

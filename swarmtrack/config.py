@@ -31,7 +31,7 @@ from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, R
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.toml_layers import Layers, Problem, Table, read_layers
+from swarmtrack.toml_layers import Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml_sections import (
     Count,
     Number,
@@ -367,6 +367,30 @@ class OutputSection(Section):
     )
 
 
+class RecordingSection(Section):
+    """[recording]: off unless a folder is named."""
+
+    dir: Path | None = Field(
+        default=None,
+        description="folder of the recordings; each life of the agent makes one in drone-ID below it",
+    )
+    frames: Literal["none", "jpeg"] = Field(
+        default="none", description='"jpeg": pictures too, at frames_hz, in most of the room'
+    )
+    frames_hz: Annotated[Positive, Field(le=1000.0)] = Field(
+        default=5.0, description="of recorded pictures, at most"
+    )
+    segment_s: Annotated[Number, Field(ge=1.0, le=3600.0)] = Field(
+        default=30.0, description="length of a file; what is complete survives a power cut"
+    )
+    max_mb: Annotated[Number, Field(ge=1.0, le=1e7)] = Field(
+        default=1000.0, description="of all recordings of this drone together, 10⁶ bytes"
+    )
+    when_full: Literal["oldest", "stop"] = Field(
+        default="oldest", description='at max_mb: "oldest": the oldest files go; "stop": recording stops'
+    )
+
+
 class MotionSection(Section):
     """[motion]"""
 
@@ -389,6 +413,11 @@ class LayeredConfig(Section):
     """A config that knows its files."""
 
     _layers: Layers | None = PrivateAttr(default=None)
+
+    @property
+    def layers(self) -> Layers | None:
+        """The files that it was read from."""
+        return self._layers
 
     @contextmanager
     def blamed(self, *key: str) -> Iterator[None]:
@@ -421,6 +450,7 @@ class DroneConfig(LayeredConfig):
     identity: IdentitySection = IdentitySection()
     network: NetworkSection = NetworkSection()
     output: OutputSection = OutputSection()
+    recording: RecordingSection = RecordingSection()
     motion: MotionSection = MotionSection()
 
 
@@ -440,9 +470,19 @@ class MountedCamera(NamedTuple):
     time_offset_s: float
 
 
-def load_config(path: str | Path) -> DroneConfig:
-    """Read a drone's config and all it extends. Raises ConfigError with every problem that was found."""
+def load_config(path: str | Path, over: Layer | None = None) -> DroneConfig:
+    """Read a drone's config and all it extends. Raises ConfigError with every problem that was found.
+
+    over: what a command says goes before all files.
+    """
     layers = read_layers(Path(path), _resolve_inputs)
+    if over is not None:
+        layers = Layers([*layers.files, over], merge(layers.table, over.table))
+    return config_of(layers)
+
+
+def config_of(layers: Layers) -> DroneConfig:
+    """A drone's config from what its files said. Raises ConfigError with every problem that was found."""
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
     problems += _start_problems(layers)
     return _validated(DroneConfig, layers, problems)

@@ -33,6 +33,10 @@ class KeysError(SwarmtrackError):
     """Keys, certificates or a roster that are missing, unsafe, out of date, or another's."""
 
 
+class RecordingError(SwarmtrackError):
+    """A recording that cannot be read, is none of ours, or cannot be written."""
+
+
 def first_of(group: BaseExceptionGroup[SwarmtrackError]) -> SwarmtrackError:
     """The first error of what `except*` caught, however deep: groups of tasks lie in groups of tasks."""
     error: BaseException = group

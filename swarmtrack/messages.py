@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,18 @@ Identity = int | Literal["foreign"] | None
 """A drone's ID, `FOREIGN` (not of the team), or None (unknown)."""
 
 
-def _expect(name: str, value: NDArray[Any], shape: tuple[int, ...]) -> None:
+def _hold(record: object, attribute: str, shape: tuple[int, ...], *, finite: bool = True) -> None:
+    """Check an array of a record, and keep it as float64 in C order.
+
+    Products of matrices round differently in another order, and a recorded flight is to be repeated bit for bit.
+    """
+    value = getattr(record, attribute)
     if value.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape}, got {value.shape}")
-    if not np.isfinite(value).all():
-        raise ValueError(f"{name}: holds NaN or infinity")
+        raise ValueError(f"{type(record).__name__}.{attribute}: expected shape {shape}, got {value.shape}")
+    if finite and not np.isfinite(value).all():
+        raise ValueError(f"{type(record).__name__}.{attribute}: holds NaN or infinity")
+    if value.dtype != np.float64 or not value.flags.c_contiguous:
+        object.__setattr__(record, attribute, np.ascontiguousarray(value, dtype=np.float64))
 
 
 class StampKind(enum.Enum):
@@ -47,9 +54,8 @@ class ImuSample:
     accel: Array
 
     def __post_init__(self) -> None:
-        _expect("ImuSample.gyro", self.gyro, (3,))
-        if self.accel.shape != (3,):
-            raise ValueError(f"ImuSample.accel: expected shape (3,), got {self.accel.shape}")
+        _hold(self, "gyro", (3,))
+        _hold(self, "accel", (3,), finite=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +74,13 @@ class EgoPose:
 
     def __post_init__(self) -> None:
         if self.position is not None:
-            _expect("EgoPose.position", self.position, (3,))
-        _expect("EgoPose.world_from_body", self.world_from_body, (3, 3))
+            _hold(self, "position", (3,))
+        _hold(self, "world_from_body", (3, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotRebooted:
+    """Its clock and its local frame begin anew; the drone itself is where it was."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +116,11 @@ class Detections:
 
     def __post_init__(self) -> None:
         n = len(self.score)
-        _expect("Detections.score", self.score, (n,))
-        _expect("Detections.centre", self.centre, (n, 2))
-        _expect("Detections.size", self.size, (n, 2))
+        _hold(self, "score", (n,))
+        _hold(self, "centre", (n, 2))
+        _hold(self, "size", (n, 2))
         if self.covariance is not None:
-            _expect("Detections.covariance", self.covariance, (n, 2, 2))
+            _hold(self, "covariance", (n, 2, 2))
 
     def __len__(self) -> int:
         return len(self.score)
@@ -209,9 +220,9 @@ class Announcement:
     position_cov: Array
 
     def __post_init__(self) -> None:
-        _expect("Announcement.position", self.position, (3,))
-        _expect("Announcement.world_from_body", self.world_from_body, (3, 3))
-        _expect("Announcement.position_cov", self.position_cov, (3, 3))
+        _hold(self, "position", (3,))
+        _hold(self, "world_from_body", (3, 3))
+        _hold(self, "position_cov", (3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +272,7 @@ class Sighting:
     sigma: float
 
     def __post_init__(self) -> None:
-        _expect("Sighting.direction", self.direction, (3,))
+        _hold(self, "direction", (3,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,10 +294,14 @@ class SightingReport:
     sightings: tuple[Sighting, ...]
 
     def __post_init__(self) -> None:
-        _expect("SightingReport.position", self.position, (3,))
+        _hold(self, "position", (3,))
 
 
 PeerEvent = Announcement | PeerArrived | PeerDeparted | IdClash | AnnouncementRequested | SightingReport
+
+Membership = PeerArrived | PeerDeparted | IdClash
+Input = ImuSample | EgoPose | AutopilotRebooted | Detections | Announcement | Membership | SightingReport
+"""All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -353,7 +353,16 @@ def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None
     Raises ConfigError with every problem that was found.
     """
     path = _path(name_or_path)
-    layers = read_layers(path, lambda table, folder: None)
+    return scenario_of(read_scenario(name_or_path), path.stem, seed=seed, drones=drones)
+
+
+def read_scenario(name_or_path: str | Path) -> Layers:
+    """What the files of a scenario say, unjudged. Raises ConfigError."""
+    return read_layers(_path(name_or_path), lambda table, folder: None)
+
+
+def scenario_of(layers: Layers, name: str, *, seed: int, drones: int | None) -> Scenario:
+    """As `load_scenario`, of what was read before."""
     problems = parameter_problems(layers, "detector", DetectorParameters)
     problems += parameter_problems(layers, "expected", Limits)
     try:
@@ -366,12 +375,16 @@ def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None
         problems = _drone_problems(layers, file, drones)
     if problems:
         raise ConfigError([str(problem) for problem in sorted(problems)])
-    return _scenario(path.stem, file, seed, drones)
+    return _scenario(name, file, seed, drones)
 
 
 def load_limits(name_or_path: str | Path) -> Limits:
     """What a scenario's file expects of a flight, in [expected]; of a file that `load_scenario` has accepted."""
-    layers = read_layers(_path(name_or_path), lambda table, folder: None)
+    return limits_of(read_scenario(name_or_path))
+
+
+def limits_of(layers: Layers) -> Limits:
+    """As `load_limits`, of what was read before."""
     return Limits(**layers.table.get("expected", {}))
 
 

@@ -82,7 +82,7 @@ def read_layers(path: Path, prepare: Callable[[Table, Path], None]) -> Layers:
         raise ConfigError([str(problem) for problem in problems])
     merged: Table = {}
     for layer in files:
-        merged = _merge(merged, layer.table)
+        merged = merge(merged, layer.table)
     return Layers(files, merged)
 
 
@@ -139,11 +139,12 @@ def _syntax_error(text: str, message: str) -> tuple[int, str]:
     return line, f"{what}, expected valid TOML"
 
 
-def _merge(base: Table, over: Table) -> Table:
+def merge(base: Table, over: Table) -> Table:
+    """Their union: tables key by key, of everything else what `over` says."""
     merged = dict(base)
     for key, value in over.items():
         both_tables = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merge(base[key], value) if both_tables else value
+        merged[key] = merge(base[key], value) if both_tables else value
     return merged
 
 

@@ -21,8 +21,9 @@ class Pose:
     position: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", np.asarray(self.rotation, dtype=float))
-        object.__setattr__(self, "position", np.asarray(self.position, dtype=float))
+        # In one order: products of the same numbers then round alike, also where they were written and read.
+        object.__setattr__(self, "rotation", np.ascontiguousarray(self.rotation, dtype=float))
+        object.__setattr__(self, "position", np.ascontiguousarray(self.position, dtype=float))
         if not is_rotation(self.rotation, tolerance=1e-6):
             raise ValueError("Pose.rotation: not orthonormal with determinant +1, expected a (3, 3) rotation")
         if self.position.shape != (3,) or not np.isfinite(self.position).all():

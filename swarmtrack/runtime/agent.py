@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from swarmtrack.codec import encode_health, encode_tracks, tracks_message
 from swarmtrack.messages import (
+    AutopilotRebooted,
     Detections,
     EgoPose,
     ImuSample,
@@ -68,6 +69,7 @@ class Agent:
         # The first job of the detector's thread: the team hears of us meanwhile, the first frame waits for it.
         warm = self._worker.submit(self._warm_up)
         try:
+            self._begin_recording()
             await parts.transport.open()
             async with asyncio.TaskGroup() as tasks:
                 camera = tasks.create_task(self._feed_camera(warm), name="camera")
@@ -87,6 +89,13 @@ class Agent:
             self._notifier.stopping()
             await self._close()
 
+    def _begin_recording(self) -> None:
+        recorder = self._parts.recorder
+        if recorder is not None:
+            with self._parts.config.blamed("recording", "dir"):
+                recorder.open()
+            self._parts.door.listener = recorder
+
     async def _feed_autopilot(self) -> None:
         if self._parts.autopilot is not None:
             await self._parts.autopilot.run(self)
@@ -94,18 +103,18 @@ class Agent:
     def on_imu(self, sample: ImuSample) -> None:
         """From the autopilot, on the event loop."""
         self.health.imu.tick()
-        self._parts.onboard.on_imu(sample)
+        self._parts.door.tell(sample)
         self._report()  # a scan may have waited for this very sample
 
     def on_pose(self, pose: EgoPose) -> None:
         """From the autopilot, on the event loop."""
-        self._parts.onboard.on_pose(pose)
+        self._parts.door.tell(pose)
         if pose.position is not None:
             self._team.on_position()
 
     def on_autopilot_reboot(self) -> None:
         """From the autopilot, on the event loop."""
-        self._parts.onboard.on_autopilot_reboot()
+        self._parts.door.tell(AutopilotRebooted())
 
     def on_found_flying(self) -> None:
         """From the autopilot, on the event loop."""
@@ -126,12 +135,12 @@ class Agent:
         await asyncio.wrap_future(warm)
         async for detections in self._detections():
             self._scanned_at = self._wall.now()
-            parts.onboard.on_detections(detections)
+            parts.door.tell(detections)
             self._report()
             if self._video:
                 await self._video.drain()
         # Nothing more will come: what still waits for a gyro sample is tracked now.
-        parts.onboard.tracks(parts.clock.now() + 1.0)
+        parts.door.tracks(parts.clock.now() + 1.0)
         self._report()
 
     def _detections(self) -> AsyncIterator[Detections]:
@@ -155,6 +164,8 @@ class Agent:
                 clock.set(frame.t)
             if not self._is_fresh(frame.t):
                 continue
+            if self._parts.recorder:
+                self._parts.recorder.frame(frame)
             began = self._detecting_since = self._wall.now()
             guided = detector.is_guided(frame.image)
             tracks = self._parts.onboard.expected_boxes(frame.t) if guided else None
@@ -182,7 +193,7 @@ class Agent:
 
     def _report(self) -> None:
         """Hand the finished scans to whoever writes or shows them, and wake the publisher."""
-        for report in self._parts.onboard.take_reports():
+        for report in self._parts.door.take_reports():
             self.health.scans.tick()
             self._console.see(report)
             written = self._jsonl or self._video
@@ -214,7 +225,7 @@ class Agent:
 
     def _publish_once(self) -> None:
         parts, now = self._parts, self._parts.clock.now()
-        tracks = parts.onboard.tracks(now)
+        tracks = parts.door.tracks(now)
         self._sequence += 1
         message = tracks_message(tracks, self._sequence, parts.clock.utc() - now, UTC_SIGMA)
         try:
@@ -232,7 +243,10 @@ class Agent:
         self.health.message()  # starts the meters
         while True:
             await asyncio.sleep(HEALTH_PERIOD)
+            self._tell_of_recording()
             message = self.health.message()
+            if self._parts.recorder:
+                self._parts.recorder.health(message)
             try:
                 self._parts.transport.publish(Kind.HEALTH, encode_health(message))
             except ValueError:
@@ -242,6 +256,12 @@ class Agent:
             self._notifier.status(
                 "; ".join(f"{link.name}: {link.text}" for link in troubles) or "all links are up"
             )
+
+    def _tell_of_recording(self) -> None:
+        news = self._parts.recorder.take_news() if self._parts.recorder else None
+        if news is not None:
+            self.health.events.append(news)
+            log.warning(news)
 
     def _footnotes(self) -> list[str]:
         """How the agent is doing, for a line of the console."""
@@ -270,6 +290,8 @@ class Agent:
                     if isinstance(result, BaseException):
                         log.warning("while closing: %s", result)
         self._worker.shutdown(wait=False, cancel_futures=True)
+        if self._parts.recorder:
+            self._parts.recorder.close()
         if self._jsonl:
             self._jsonl.close()
         if self._video:

@@ -17,6 +17,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.onboard import Mounting, Onboard
 from swarmtrack.runtime.clock import Clock, ManualClock, SystemClock
+from swarmtrack.runtime.door import Door
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
@@ -36,6 +37,7 @@ from swarmtrack.transport.zenoh_transport import ZenohTransport
 # itself does not pay. So these modules are imported by the functions that make their objects.
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
+    from swarmtrack.runtime.recorder import Recorder
     from swarmtrack.sensors.simulated import Simulation
 
 
@@ -52,6 +54,9 @@ class Parts:
     detector: Detector | None
     """None where the camera detects by itself."""
     onboard: Onboard
+    door: Door
+    """The way into `onboard`."""
+    recorder: Recorder | None
     transport: Transport
     start: Pose | None
     """Where the drone says it starts, in the team frame; None: wherever its autopilot says it is."""
@@ -62,15 +67,17 @@ class Parts:
         return isinstance(self.clock, ManualClock)
 
 
-def assemble(config: DroneConfig) -> Parts:
+def assemble(config: DroneConfig, imported: ManualClock | None = None) -> Parts:
     """Make the parts; nothing is opened or connected yet.
 
+    imported: the clock of a flight that is over, which whoever imports it sets; else the config tells which it is.
     Raises ConfigError at the entry that leads to something that can never work.
     """
     system = SystemClock()
     boot = new_boot()
     with config.blamed("camera", "source"):
-        clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
+        paced = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else None
+        clock: Clock = imported or paced or system
         simulation = _simulation(config, clock)
     if simulation is not None:
         mounted = _simulated_mount(config, simulation)
@@ -83,13 +90,14 @@ def assemble(config: DroneConfig) -> Parts:
         with config.blamed("output", "video"):
             _refuse_video(config)
     with config.blamed("autopilot", "link"):
-        autopilot = _autopilot(config, clock, simulation)
+        autopilot = _autopilot(config, clock, simulation, in_step=imported is None and paced is not None)
     with config.blamed("detector", "model"):
-        detector = _detector(config)
+        detector = make_detector(config)
     hub = MemoryHub()
     with config.blamed("network"):
         transport = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
+    onboard = make_onboard(config, mounted, start)
     return Parts(
         config=config,
         clock=clock,
@@ -98,7 +106,9 @@ def assemble(config: DroneConfig) -> Parts:
         camera=camera,
         autopilot=autopilot,
         detector=detector,
-        onboard=_onboard(config, mounted, start),
+        onboard=onboard,
+        door=Door(onboard),
+        recorder=_recorder(config, mounted, start, boot, clock),
         transport=transport,
         start=start,
         simulated_teammates=_teammates(config, simulation, hub, clock),
@@ -151,7 +161,8 @@ def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
     return start.pose()
 
 
-def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
+def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
+    """The drone's perception: the same in flight and in a replay."""
     motion = config.motion
     x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
     return Onboard(
@@ -178,7 +189,9 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
     )
 
 
-def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None) -> Autopilot | None:
+def _autopilot(
+    config: DroneConfig, clock: Clock, simulation: Simulation | None, *, in_step: bool
+) -> Autopilot | None:
     section = config.autopilot
     if section.link == "none":
         return None
@@ -189,7 +202,7 @@ def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None)
             )
         return simulation.autopilot
     return MavlinkAutopilot(
-        _in_step(section.link) if isinstance(clock, ManualClock) else section.link,
+        _in_step(section.link) if in_step else section.link,
         clock=clock,
         imu_rate_hz=section.imu_rate_hz,
         system_id=section.system_id,
@@ -211,7 +224,8 @@ def _in_step(link: str) -> str:
     return str(replace(address, speed=1.0)) if address.scheme == "tlog" else link
 
 
-def _detector(config: DroneConfig) -> Detector | None:
+def make_detector(config: DroneConfig) -> Detector | None:
+    """None for a camera that detects by itself."""
     if config.camera.detects_by_itself:
         return None
     from swarmtrack.detection.description import Declared  # noqa: PLC0415
@@ -261,6 +275,17 @@ def _credentials(config: DroneConfig, clock: Clock) -> Credentials | None:
 
     with config.blamed("network", "keys"):
         return load_credentials(folder, names.drone(config.drone.id), clock.utc())
+
+
+def _recorder(
+    config: DroneConfig, mounted: MountedCamera, start: Pose | None, boot: str, clock: Clock
+) -> Recorder | None:
+    if config.recording.dir is None:
+        return None
+    from swarmtrack.recording.settings import FlightSettings  # noqa: PLC0415
+    from swarmtrack.runtime.recorder import Recorder  # noqa: PLC0415
+
+    return Recorder(FlightSettings(config, mounted, start), boot, clock)
 
 
 def _teammates(

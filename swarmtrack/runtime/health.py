@@ -47,7 +47,7 @@ class Health:
     def links(self) -> list[LinkStatus]:
         """State of everything this agent is connected to."""
         parts = self._parts
-        sources = [parts.autopilot, parts.camera, parts.detector, parts.transport]
+        sources = [parts.autopilot, parts.camera, parts.detector, parts.transport, parts.recorder]
         return [source.status() for source in sources if source is not None]
 
     def message(self) -> HealthMessage:

@@ -55,15 +55,13 @@ class Teamwork:
 
     async def listen(self) -> None:
         """Every event of the transport into Onboard, and a line of it into health and log."""
-        onboard = self._parts.onboard
+        door = self._parts.door
         async for event in self._parts.transport.events():
             match event:
-                case Announcement():
-                    onboard.on_announcement(event)
-                case PeerArrived() | PeerDeparted() | IdClash():
-                    onboard.on_membership(event)
+                case Announcement() | PeerArrived() | PeerDeparted() | IdClash():
+                    door.tell(event)
                 case SightingReport():
-                    onboard.on_sightings(event)
+                    door.tell(event)
                     self._tell_of_disagreements()
                     continue  # one a second from everybody: no news
                 case AnnouncementRequested():
@@ -111,6 +109,8 @@ class Teamwork:
             self._health.drops["unsendable_identities"] += 1
             return
         parts.transport.publish(Kind.IDENTITIES, payload)
+        if parts.recorder is not None:
+            parts.recorder.said(report)
 
     async def _announce(self, *, first: bool) -> None:
         """first: from where the config says that it starts; else from where the autopilot says it is."""

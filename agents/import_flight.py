@@ -1,0 +1,187 @@
+"""`swarmtrack import`: a telemetry log and a video of a flight that is over become a recording.
+
+Both go through the agent's own parts: the log is read as from a link, every frame is seen by the detector. Nothing is
+live, so nothing is dropped and nothing depends on how fast this machine is: what the autopilot said and what was
+detected reach Onboard in the order of their times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from swarmtrack.errors import RecordingError, SourceError
+
+if TYPE_CHECKING:
+    from swarmtrack.messages import EgoPose, ImuSample, Input
+    from swarmtrack.runtime.assembly import Parts
+    from swarmtrack.runtime.clock import ManualClock
+
+BEGIN_S = 1000.0  # of our clock, at the log's first record
+DETECTOR_S = 0.03  # s from an exposure to its detections, as they would have come in flight
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--tlog", type=Path, required=True, metavar="FILE", help="the telemetry log of a ground station"
+    )
+    parser.add_argument("--video", type=Path, required=True, metavar="FILE", help="what the camera saw")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the drone's config: camera, mount, tracker, detector",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="where to; a folder is made below it"
+    )
+    parser.add_argument(
+        "--offset",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="the video's first frame was exposed so long after the log's first record (default: 0)",
+    )
+    parser.add_argument("--frames", action="store_true", help="keep the pictures in the recording, too")
+
+
+class _Log:
+    """Implements `AutopilotListener`: keeps everything, by its time."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[float, Input]] = []
+        self.samples = 0
+
+    def on_imu(self, sample: ImuSample) -> None:
+        self.samples += 1
+        self.said.append((sample.t, sample))
+
+    def on_pose(self, pose: EgoPose) -> None:
+        self.said.append((pose.t, pose))
+
+    def on_autopilot_reboot(self) -> None:
+        from swarmtrack.messages import AutopilotRebooted
+
+        self.said.append((self.said[-1][0] if self.said else BEGIN_S, AutopilotRebooted()))
+
+    def on_found_flying(self) -> None:
+        """Where it started is the config's to say."""
+
+
+def run(args: argparse.Namespace) -> int:
+    from swarmtrack.config import load_config
+    from swarmtrack.runtime.assembly import assemble
+    from swarmtrack.runtime.clock import ManualClock
+    from swarmtrack.toml_layers import Layer
+
+    if not -1e6 < args.offset < 1e6:
+        raise SourceError(f"--offset {args.offset:g}: expected seconds")
+    for name, path in (("--tlog", args.tlog), ("--video", args.video)):
+        if not path.is_file():
+            raise SourceError(f"{name} {path}: there is no such file")
+    asked = {
+        "camera": {"source": f"file://{quote(str(args.video.absolute()))}?pace=fast"},
+        "autopilot": {"link": f"tlog:{args.tlog.absolute()}?speed=0"},
+        "network": {"transport": "memory"},
+        "recording": {"dir": str(args.out), "frames": "jpeg" if args.frames else "none"},
+    }
+    config = load_config(args.config, Layer(Path("swarmtrack import"), "", asked))
+    clock = ManualClock(BEGIN_S, _first_stamp(args.tlog))
+    parts = assemble(config, clock)
+    return asyncio.run(_import(parts, clock, args.offset))
+
+
+def _first_stamp(tlog: Path) -> float:
+    """UTC [s]. Raises SourceError for what is no log."""
+    from swarmtrack.sensors.mavlink.links import records
+
+    with tlog.open("rb") as file:
+        for stamp, _ in records(file.read(1 << 20)):
+            return stamp
+    raise SourceError(f"--tlog {tlog}: holds no record, is it a telemetry log (.tlog)?")
+
+
+async def _import(parts: Parts, clock: ManualClock, offset: float) -> int:
+    from swarmtrack.sensors.base import DetectionSource
+
+    recorder, autopilot = parts.recorder, parts.autopilot
+    assert recorder is not None
+    assert autopilot is not None
+    assert not isinstance(parts.camera, DetectionSource)
+    assert parts.detector is not None
+    log = _Log()
+    await autopilot.run(log)
+    if not log.samples:
+        print(f"swarmtrack import: {autopilot.status().text}: no gyro sample in the log", file=sys.stderr)
+    recorder.open()
+    parts.door.listener = recorder
+    flight = _Flight(parts, clock, log)
+    frames = 0
+    try:
+        async for frame in parts.camera.frames():
+            exposed = replace(frame, t=frame.t + offset)
+            flight.until(exposed.t)
+            recorder.frame(exposed)
+            boxes = parts.onboard.expected_boxes(exposed.t) if parts.detector.is_guided(frame.image) else None
+            detections = parts.detector.detect(exposed, boxes)
+            flight.until(exposed.t + DETECTOR_S)
+            if detections is not None:
+                flight.tell(detections)
+            frames += 1
+        flight.until(math.inf)
+    finally:
+        await parts.camera.close()
+        recorder.close()
+    status = recorder.status()
+    counters = parts.onboard.counters
+    print(f"{frames} frames, {log.samples} gyro samples, {counters.scans} scans: {status.text}")
+    if counters.scans_ahead_of_gyro:
+        print(
+            f"  {counters.scans_ahead_of_gyro} scans lie beyond the gyro's samples: does --offset fit?",
+            file=sys.stderr,
+        )
+    if not status.ok:
+        raise RecordingError(status.text)
+    return 0 if counters.scans else 1
+
+
+class _Flight:
+    """Lets time pass: what the autopilot said reaches the door, and tracks are asked for as an agent publishes."""
+
+    def __init__(self, parts: Parts, clock: ManualClock, log: _Log) -> None:
+        self._door = parts.door
+        self._clock = clock
+        self._said: Iterator[tuple[float, Input]] = iter(log.said)
+        self._next = next(self._said, None)
+        self._period = 1.0 / parts.config.output.tracks_hz
+        self._publish = BEGIN_S
+
+    def until(self, t: float) -> None:
+        while self._next is not None and self._next[0] <= t:
+            said_t, said = self._next
+            self._ask(said_t)
+            self._clock.set(said_t)
+            self.tell(said)
+            self._next = next(self._said, None)
+        if t < math.inf:
+            self._ask(t)
+            self._clock.set(t)
+
+    def tell(self, event: Input) -> None:
+        self._door.tell(event)
+        self._door.take_reports()
+
+    def _ask(self, t: float) -> None:
+        while self._publish <= t:
+            self._clock.set(self._publish)
+            self._door.tracks(self._publish)
+            self._door.take_reports()
+            self._publish += self._period

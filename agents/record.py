@@ -1,0 +1,100 @@
+"""`swarmtrack record`: everything that a running swarm says, into a recording, until Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import signal
+import sys
+from pathlib import Path
+
+from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
+from swarmtrack.errors import TransportError
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.runtime.swarm_recorder import SwarmRecorder
+from swarmtrack.transport import keys
+from swarmtrack.transport.zenoh_listener import ZenohListener
+
+NEWS_S = 1.0  # s between two looks at how the disk is doing
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("dir", type=Path, metavar="DIR", help="where to; a folder is made below it")
+    add_network_arguments(parser)
+    parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--max-mb",
+        type=positive_seconds,
+        default=4000.0,
+        metavar="MB",
+        help="of all recordings below DIR/swarm; then the oldest files go (default: %(default)g)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    try:
+        network = network_of_monitor(args)
+        listener = ZenohListener(network, keys.key(network.team, "**"))
+    except TransportError as error:
+        print(f"swarmtrack record: {error}", file=sys.stderr)
+        return 2
+    clock = SystemClock()
+    recorder = SwarmRecorder(clock, network.team)
+    recorder.open(args.dir, bounds={"max_bytes": int(args.max_mb * 1e6), "drop_oldest": True})
+    print(f"recording team {network.team} into {recorder.thread.folder}; Ctrl-C ends it", flush=True)
+    try:
+        heard = asyncio.run(_record(listener, recorder, clock, args.seconds))
+    except TransportError as error:
+        print(f"swarmtrack record: {error}", file=sys.stderr)
+        return 1
+    finally:
+        recorder.close()
+    thread = recorder.thread
+    print(f"{heard} messages, {thread.counters.bytes / 1e6:.1f} MB in {thread.counters.segments} files")
+    lost = thread.lost + listener.dropped
+    if lost:
+        print(f"swarmtrack record: {lost} messages were lost", file=sys.stderr)
+    if not heard:
+        print(
+            f"swarmtrack record: heard nothing of team {network.team!r}; does an agent run here, or is --connect "
+            "missing?",
+            file=sys.stderr,
+        )
+    return 0 if heard else 1
+
+
+async def _record(
+    listener: ZenohListener, recorder: SwarmRecorder, clock: SystemClock, seconds: float | None
+) -> int:
+    """Until time is up, or a signal ends it; how many messages were heard."""
+    heard = 0
+
+    async def listen() -> None:
+        nonlocal heard
+        async for sample in listener.samples():
+            recorder.heard(sample, clock.now(), clock.utc())
+            heard += 1
+
+    async def tell() -> None:
+        while True:
+            await asyncio.sleep(NEWS_S)
+            if news := recorder.thread.take_news():
+                print(f"swarmtrack record: {news}", file=sys.stderr)
+
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    await listener.open()
+    telling = asyncio.create_task(tell(), name="tell")
+    listening = asyncio.create_task(listen(), name="listen")
+    try:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await stop.wait()
+    finally:
+        telling.cancel()
+        await listener.close()
+        await listening
+    return heard

@@ -1,0 +1,318 @@
+"""`swarmtrack replay PATH`: a recorded flight through the real perception again, as it was or with changes."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import math
+import multiprocessing
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarmtrack.errors import RecordingError
+
+if TYPE_CHECKING:
+    from swarmtrack.agents.swarm_replay import Judged
+    from swarmtrack.evaluation.replay_diff import ReplayDiff, SeenScan
+    from swarmtrack.messages import TrackList
+    from swarmtrack.recording.reader import Recording
+    from swarmtrack.runtime.replay import Replayed
+
+DONE, FAILED = 0, 1
+RECORDED = "recorded"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported, as in flight
+    from swarmtrack.tracking import TRACKERS
+
+    parser.add_argument(
+        "path",
+        type=Path,
+        metavar="FILE|DIR",
+        help="a recording, or the folder of several, as sim --record made",
+    )
+    parser.add_argument("--tracker", choices=list(TRACKERS), help="what if it had flown with this one?")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="changes",
+        metavar="KEY=VALUE",
+        help="what if the config had said so? e.g. tracker.p_detection=0.8; again for more",
+    )
+    parser.add_argument(
+        "--detect",
+        action="store_true",
+        help="detect anew in the recorded frames, instead of what was detected",
+    )
+    parser.add_argument(
+        "--against",
+        metavar="recorded|FILE",
+        help="compare with what was recorded, or with another replay's --json (default: recorded, if anything differs)",
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write results, tracks and differences there"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw the differences, .png or .svg (needs matplotlib)"
+    )
+    parser.add_argument(
+        "--exact", action="store_true", help="exit with 1 unless every track came out bit for bit"
+    )
+    parser.add_argument("--jobs", type=_jobs, metavar="N", help="recordings at a time (default: one a core)")
+
+
+def _jobs(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
+    return int(text)
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """One recording to be replayed, for a process of its own."""
+
+    recording: Recording
+    tracker: str | None
+    changes: tuple[str, ...]
+    detect: bool
+    keep_answers: bool
+
+
+@dataclass(slots=True)
+class _Flown:
+    """What came of one recording."""
+
+    recording: Recording
+    tracker: str
+    replayed: Replayed
+    seconds: float
+    """That it took."""
+    notes: list[str]
+    answers: list[TrackList]
+    scans: list[SeenScan]
+    recorded_scans: list[SeenScan]
+    diff: ReplayDiff | None = None
+
+
+def run(args: argparse.Namespace) -> int:
+    from swarmtrack.agents.swarm_replay import is_flight
+    from swarmtrack.recording.reader import recordings_below
+
+    if args.json is not None and not args.json.absolute().parent.is_dir():
+        raise RecordingError(
+            f"--json {args.json}: cannot be written, expected a file in a folder that exists"
+        )
+    recordings = recordings_below(args.path)
+    drones = [recording for recording in recordings if recording.kind == "drone"]
+    flight = next((recording for recording in recordings if is_flight(recording)), None)
+    if not drones:
+        raise RecordingError(
+            f"{args.path}: holds nothing that a drone was told, expected an agent's recording"
+        )
+    other = None if args.against in (None, RECORDED) else _read_other(Path(args.against))
+    tasks = [
+        _Task(recording, args.tracker, tuple(args.changes), args.detect, flight is not None)
+        for recording in drones
+    ]
+    flown = _replay_all(tasks, args.jobs)
+    what_if = bool(args.tracker or args.changes or args.detect)
+    if args.against is not None or what_if or args.plot:
+        _compare(flown, other)
+    for one in flown:
+        _print(one, what_if)
+    judged = None if flight is None else _judge(flight, flown, what_if)
+    if args.plot is not None:
+        _plot(flown, args.plot, args.against or RECORDED)
+    if args.json is not None:
+        record = {"drones": [_record(one) for one in flown], "verdict": judged and judged.report.as_record()}
+        args.json.write_text(json.dumps(record, allow_nan=False) + "\n", encoding="utf-8")
+    if args.exact and not all(one.replayed.exact for one in flown):
+        return FAILED
+    return DONE if judged is None or judged.report.passed else FAILED
+
+
+def _replay_all(tasks: list[_Task], jobs: int | None) -> list[_Flown]:
+    """Each in a process of its own, as many at a time as there are cores."""
+    at_once = min(len(tasks), jobs or len(os.sched_getaffinity(0)))
+    if at_once == 1:
+        return [_replay(task) for task in tasks]
+    import swarmtrack.runtime.replay  # noqa: F401  (loaded once, before the processes part)
+
+    with ProcessPoolExecutor(at_once, mp_context=multiprocessing.get_context("fork")) as pool:
+        return list(pool.map(_replay, tasks))
+
+
+def _replay(task: _Task) -> _Flown:
+    from swarmtrack.evaluation.replay_diff import seen_scans
+    from swarmtrack.recording.settings import read_settings
+    from swarmtrack.runtime.assembly import make_detector
+    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.runtime.replay import Replayer
+
+    clock = SystemClock()
+    settings, notes = read_settings(task.recording, task.tracker, task.changes)
+    detector = make_detector(settings.config) if task.detect else None
+    answers: list[TrackList] = []
+    gc.disable()  # nothing here leaves circles behind, and there is much to look through
+    began = clock.now()
+    watcher = answers.append if task.keep_answers else None
+    try:
+        replayed = Replayer(task.recording, settings, detector=detector, watcher=watcher).run()
+    finally:
+        gc.enable()
+    scans, recorded = (
+        seen_scans(reports, replayed.begin) for reports in (replayed.scans, replayed.recorded_scans)
+    )
+    replayed.scans, replayed.recorded_scans = [], []  # what goes back to the parent is what it needs
+    return _Flown(
+        task.recording,
+        settings.config.tracker.name,
+        replayed,
+        clock.now() - began,
+        notes,
+        answers,
+        scans,
+        recorded,
+    )
+
+
+# --- what people see ------------------------------------------------------------------------------
+
+
+def _print(one: _Flown, what_if: bool) -> None:
+    replayed, recording = one.replayed, one.recording
+    speed = replayed.seconds / one.seconds if one.seconds > 0.0 else math.inf
+    print(
+        f"drone {recording.drone_id} ({recording.folder.name}, {one.tracker}): {replayed.seconds:.1f} s, "
+        f"{replayed.inputs} inputs, {len(one.scans)} scans in {one.seconds:.2f} s ({speed:.0f} x real time)"
+    )
+    for line in (*one.notes, *recording.damage):
+        print(f"  {line}")
+    if recording.first_segment > 1:
+        print(
+            f"  begins with segment {recording.first_segment}: what came before is not known, tracks may differ"
+        )
+    if replayed.inputs_lost:
+        print(f"  {replayed.inputs_lost} inputs are missing in the recording, tracks may differ")
+    if replayed.refused:
+        print(f"  {replayed.refused} records could not be read")
+    if not what_if:
+        print(f"  {_sameness(replayed)}; digest {replayed.digest}")
+    if one.diff is not None:
+        print(f"  {_in_words(one.diff)}")
+
+
+def _sameness(replayed: Replayed) -> str:
+    scans, answers = replayed.scans_compared, replayed.answers_compared
+    if replayed.exact:
+        return (
+            f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks"
+        )
+    parted = min((s.parted_s for s in (scans, answers) if s.parted_s is not None), default=math.nan)
+    return (
+        f"not as recorded from {parted:.3f} s on: {scans.same} of {scans.recorded} scans, "
+        f"{answers.same} of {answers.recorded} published lists of tracks are the same"
+    )
+
+
+def _in_words(diff: ReplayDiff) -> str:
+    parted = "never part" if diff.parted_s is None else f"part at {diff.parted_s:.2f} s"
+    return (
+        f"against it: {diff.matched} tracks matched in {diff.scans} scans ({diff.one} here, {diff.other} there), "
+        f"RMSE {diff.rmse_px:.3f} px, {diff.other_names} named otherwise "
+        f"({diff.unknown_in_one} of them unknown to one); they {parted}"
+    )
+
+
+def _judge(flight: Recording, flown: list[_Flown], what_if: bool) -> Judged:
+    from rich.console import Console
+
+    from swarmtrack.agents.swarm import print_verdict
+    from swarmtrack.agents.swarm_replay import judge
+
+    answers = {(one.recording.drone_id, one.recording.preface["boot"]): one.answers for one in flown}
+    judged = judge(flight, answers, flown[0].tracker)
+    print_verdict(judged.report, Console())
+    if judged.unreplayed:
+        print(f"{judged.unreplayed} messages with tracks were heard whose inputs are not recorded")
+    if not what_if:
+        differences = judged.differences
+        print(
+            "the verdict is the recorded one" if not differences else "the verdict is not the recorded one:"
+        )
+        for line in differences:
+            print(f"  {line}")
+    return judged
+
+
+def _record(one: _Flown) -> dict[str, Any]:
+    from swarmtrack.evaluation.replay_diff import scans_record
+
+    replayed = one.replayed
+    return {
+        "drone_id": one.recording.drone_id,
+        "boot": one.recording.preface["boot"],
+        "tracker": one.tracker,
+        "flight_s": round(replayed.seconds, 6),
+        "took_s": round(one.seconds, 6),
+        "inputs": replayed.inputs,
+        "inputs_lost": replayed.inputs_lost,
+        "records_refused": replayed.refused,
+        "exact": replayed.exact,
+        "digest": replayed.digest,
+        "scans_compared": replayed.scans_compared._asdict(),
+        "answers_compared": replayed.answers_compared._asdict(),
+        "diff": one.diff and one.diff.as_record(),
+        "scans": scans_record(one.scans),
+    }
+
+
+# --- beside another -------------------------------------------------------------------------------
+
+
+def _read_other(path: Path) -> dict[tuple[int, str], list[SeenScan]]:
+    """What another replay wrote with --json."""
+    from swarmtrack.evaluation.replay_diff import scans_of
+
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        return {(part["drone_id"], part["boot"]): scans_of(part["scans"]) for part in record["drones"]}
+    except OSError as error:
+        raise RecordingError(
+            f'--against {path}: {error.strerror}, expected "recorded" or a file that replay --json wrote'
+        ) from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"--against {path}: is no JSON of a replay ({error!r}), expected what replay --json wrote"
+        ) from None
+
+
+def _compare(flown: list[_Flown], other: dict[tuple[int, str], list[SeenScan]] | None) -> None:
+    from swarmtrack.evaluation.replay_diff import compare
+
+    for one in flown:
+        key = (one.recording.drone_id, one.recording.preface["boot"])
+        there = one.recorded_scans if other is None else other.get(key)
+        if there is None:
+            print(
+                f"swarmtrack replay: drone {key[0]} (boot {key[1]}) is not in the other replay",
+                file=sys.stderr,
+            )
+        else:
+            one.diff = compare(one.scans, there)
+
+
+def _plot(flown: list[_Flown], path: Path, against: str) -> None:
+    try:
+        from swarmtrack.agents.replay_plot import plot
+    except ImportError:
+        raise RecordingError("--plot needs matplotlib: pip install 'swarmtrack[bench]'") from None
+    diffs = {one.recording.drone_id: one.diff for one in flown if one.diff is not None}
+    plot(diffs, path, f"{flown[0].tracker} beside {against}")

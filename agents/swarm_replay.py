@@ -1,0 +1,184 @@
+"""The verdict on a recorded simulated flight, judged again: by the judge of `sim`, with the tracks of a replay."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from swarmtrack import codec
+from swarmtrack.agents.swarm_recording import PLAN
+from swarmtrack.agents.swarm_watch import HeldClock, Watch
+from swarmtrack.errors import ConfigError, RecordingError
+from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.messages import TrackList
+from swarmtrack.recording.reader import Recording
+from swarmtrack.runtime.swarm_recorder import (
+    FLIGHT_TOPIC,
+    HEARD_TOPIC,
+    TRUTH_TOPIC,
+    VERDICT_TOPIC,
+    Heard,
+    read_flight,
+    read_heard,
+)
+from swarmtrack.scenario_file import limits_of, scenario_of
+from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.toml_layers import Layer, Layers
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.zenoh_bridge import Sample
+
+SAME_PLACE_M = 1e-6  # of a pose computed again
+
+Answers = Mapping[tuple[int, str], Sequence[TrackList]]
+"""By drone and boot: what it published in a replay; the k-th message has the number k + 1."""
+
+
+@dataclass(slots=True)
+class Judged:
+    """report: judged anew; recorded: the verdict of the flight, as JSON has it; None where it was cut off.
+
+    unreplayed: track messages that were heard and did not come out of the replay.
+    """
+
+    report: SwarmReport
+    recorded: dict[str, Any] | None
+    unreplayed: int
+
+    @property
+    def differences(self) -> list[str]:
+        """What the two verdicts do not have in common, as `key: recorded, now`."""
+        if self.recorded is None:
+            return ["the recording has no verdict: the flight was cut off"]
+        return list(_differences("", self.recorded, self.report.as_record()))
+
+
+def is_flight(recording: Recording) -> bool:
+    """Whether it is that of a simulated flight, whose truth is known."""
+    return recording.kind == "swarm" and PLAN in recording.attachments
+
+
+def judge(recording: Recording, answers: Answers, tracker: str) -> Judged:
+    """tracker: what flew in the replay. Raises RecordingError where the truth cannot be made again."""
+    plan = recording.attached(PLAN)
+    layers = Layers([Layer(recording.folder / PLAN, "", plan["files"])], plan["files"])
+    try:
+        scenario = scenario_of(layers, plan["scenario"], seed=plan["seed"], drones=plan["drones"])
+        limits = limits_of(layers)
+    except ConfigError as error:
+        raise RecordingError(f"{recording.folder}: this program cannot fly its scenario: {error}") from None
+    _check_truth(recording, scenario)
+    clock = HeldClock()
+    watch = Watch(scenario, clock, clock, epoch=plan["epoch_s"], seconds=plan["seconds"])
+    stage = _Stage(recording, answers, clock, watch)
+    asyncio.run(stage.play())
+    report = SwarmReport(
+        scenario=scenario.name,
+        drones=len(scenario.members),
+        seconds=plan["seconds"],
+        seed=plan["seed"],
+        tracker=tracker,
+        detector=plan["detector"],
+        score=watch.scorer.score(),
+        all_known_s=watch.all_known_s,
+        agents=watch.figures(),
+        asked_tracks_hz=scenario.tracks_hz,
+        asked_imu_hz=scenario.imu_rate_hz,
+        image_width=scenario.camera.width,
+        limits=limits,
+    )
+    return Judged(report, stage.verdict, stage.unreplayed)
+
+
+class _Stage:
+    """Says everything again that was heard in flight, the tracks as they came out of the replay."""
+
+    def __init__(self, recording: Recording, answers: Answers, clock: HeldClock, watch: Watch) -> None:
+        self.verdict: dict[str, Any] | None = None
+        self.unreplayed = 0
+        self._recording = recording
+        self._answers = answers
+        self._clock = clock
+        self._watch = watch
+        self._boots: dict[int, str] = {}
+
+    async def play(self) -> None:
+        await self._watch.hear(self._samples())
+        await self._watch.judge_the_rest()
+
+    async def _samples(self) -> AsyncIterator[Sample]:
+        for message in self._recording.messages():
+            if message.topic == HEARD_TOPIC:
+                heard = read_heard(message)
+                self._clock.set(heard.t, heard.utc)
+                sample = self._instead(heard)
+                if sample is not None:
+                    yield sample
+            elif message.topic == FLIGHT_TOPIC:
+                event = read_flight(message)
+                self._clock.set(event.t_s, event.utc_s)
+                if event.event == "started":
+                    self._watch.started(event.drone_id)
+                else:
+                    self._watch.ended(event.drone_id)
+            elif message.topic == VERDICT_TOPIC:
+                self.verdict = msgspec.json.decode(message.data)
+
+    def _instead(self, heard: Heard) -> Sample | None:
+        address = keys.parse(heard.key)
+        if address is None:
+            return heard.sample
+        if address.kind is Kind.ALIVE and heard.alive and len(address.rest) == 1:
+            self._boots[address.drone_id] = address.rest[0]
+        if address.kind is not Kind.TRACKS:
+            return heard.sample
+        try:
+            message = codec.decode_tracks(heard.payload)
+        except codec.DecodeError:
+            return heard.sample  # the judge counts it
+        answers = self._answers.get((address.drone_id, self._boots.get(address.drone_id, "")), ())
+        if not 1 <= message.sequence <= len(answers):
+            self.unreplayed += 1
+            return None
+        fresh = codec.tracks_message(answers[message.sequence - 1], message.sequence, 0.0, message.t_sigma_s)
+        said = msgspec.structs.replace(fresh, t_utc_s=message.t_utc_s)
+        try:
+            return heard.sample._replace(payload=codec.encode_tracks(said))
+        except ValueError:  # as in flight: what no reader would accept is not said
+            return None
+
+
+def _check_truth(recording: Recording, scenario: Scenario) -> None:
+    """The recorded truth is what the flight was judged by; another version may fly the same scenario otherwise."""
+    for message in recording.messages():
+        if message.topic != TRUTH_TOPIC:
+            continue
+        true = msgspec.json.decode(message.data)
+        position = scenario.world.pose(true["drone_id"], true["t_s"]).position
+        if np.abs(position - true["position_m"]).max() > SAME_PLACE_M:
+            raise RecordingError(
+                f"{recording.folder}: drone {true['drone_id']} flew elsewhere at {true['t_s']:.1f} s than this "
+                f"program's scenario {scenario.name} says, expected the version that recorded it "
+                f"({recording.preface.get('swarmtrack')})"
+            )
+
+
+def _differences(key: str, recorded: Any, now: Any) -> list[str]:
+    if isinstance(recorded, dict) and isinstance(now, dict):
+        return [
+            line
+            for name in sorted(recorded.keys() | now.keys())
+            for line in _differences(f"{key}.{name}".removeprefix("."), recorded.get(name), now.get(name))
+        ]
+    if isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
+        return [
+            line
+            for k, (one, other) in enumerate(zip(recorded, now, strict=True))
+            for line in _differences(f"{key}[{k}]", one, other)
+        ]
+    return [] if recorded == now else [f"{key}: {recorded}, now {now}"]

@@ -1,0 +1,214 @@
+"""Everything that Onboard is told, as JSON and back without losing a bit.
+
+Each kind has a topic and a form: which attribute of the message stands under which key, with its unit. A float is
+written with as many digits as bring it back exactly; NaN and infinity, which JSON does not have, are the strings "nan",
+"inf" and "-inf". Every record counts on in `n`, so a gap is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from swarmtrack.errors import RecordingError
+from swarmtrack.messages import (
+    Announcement,
+    AutopilotRebooted,
+    Detections,
+    EgoPose,
+    IdClash,
+    ImuSample,
+    Input,
+    PeerArrived,
+    PeerDeparted,
+    Sighting,
+    SightingReport,
+)
+
+
+class Entry(NamedTuple):
+    """One attribute of a message under its key. shape: of an array, -1 for however many; form: of a nested message."""
+
+    attribute: str
+    key: str
+    shape: tuple[int, ...] | None = None
+    type: str = "number"
+    form: Form | None = None
+
+
+class Form(NamedTuple):
+    """How a kind of message is written."""
+
+    topic: str
+    schema: str
+    kind: type[Any]
+    entries: tuple[Entry, ...]
+
+
+_T = Entry("t", "t_s")
+_BOOT = Entry("boot", "boot", type="string")
+_DRONE = Entry("drone_id", "drone_id", type="integer")
+_SEQUENCE = Entry("sequence", "sequence", type="integer")
+_T_SIGMA = Entry("t_sigma", "t_sigma_s")
+_POSITION = Entry("position", "position_m", (3,))
+
+_SIGHTING = Form(
+    "",
+    "swarmtrack.Sighting",
+    Sighting,
+    (
+        _DRONE,
+        Entry("probability", "probability"),
+        Entry("direction", "direction", (3,)),
+        Entry("sigma", "sigma_rad"),
+    ),
+)
+
+FORMS: tuple[Form, ...] = (
+    Form(
+        "/imu",
+        "swarmtrack.ImuSample",
+        ImuSample,
+        (_T, Entry("gyro", "gyro_rad_s", (3,)), Entry("accel", "accel_m_s2", (3,))),
+    ),
+    Form(
+        "/ego",
+        "swarmtrack.EgoPose",
+        EgoPose,
+        (
+            _T,
+            _POSITION,
+            Entry("world_from_body", "world_from_body", (3, 3)),
+            Entry("position_sigma", "position_sigma_m"),
+            Entry("attitude_sigma", "attitude_sigma_rad"),
+        ),
+    ),
+    Form("/autopilot/rebooted", "swarmtrack.AutopilotRebooted", AutopilotRebooted, ()),
+    Form(
+        "/detections",
+        "swarmtrack.Detections",
+        Detections,
+        (
+            _T,
+            _SEQUENCE,
+            Entry("centre", "centre_px", (-1, 2)),
+            Entry("size", "size_px", (-1, 2)),
+            Entry("score", "score", (-1,)),
+            Entry("covariance", "covariance_px2", (-1, 2, 2)),
+            Entry("coverage", "coverage"),
+        ),
+    ),
+    Form(
+        "/peers/announcement",
+        "swarmtrack.Announcement",
+        Announcement,
+        (
+            _DRONE,
+            _BOOT,
+            _SEQUENCE,
+            _T,
+            _T_SIGMA,
+            _POSITION,
+            Entry("world_from_body", "world_from_body", (3, 3)),
+            Entry("position_cov", "position_cov_m2", (3, 3)),
+        ),
+    ),
+    Form("/peers/arrived", "swarmtrack.PeerArrived", PeerArrived, (_DRONE, _BOOT)),
+    Form("/peers/departed", "swarmtrack.PeerDeparted", PeerDeparted, (_DRONE, _BOOT)),
+    Form(
+        "/peers/clash",
+        "swarmtrack.IdClash",
+        IdClash,
+        (_DRONE, Entry("boots", "boots", type="strings"), Entry("ours", "ours", type="boolean")),
+    ),
+    Form(
+        "/peers/sightings",
+        "swarmtrack.SightingReport",
+        SightingReport,
+        (
+            Entry("observer", "observer", type="integer"),
+            _BOOT,
+            _SEQUENCE,
+            _T,
+            _T_SIGMA,
+            _POSITION,
+            Entry("position_sigma", "position_sigma_m"),
+            Entry("known", "known", type="integers"),
+            Entry("sightings", "sightings", form=_SIGHTING),
+        ),
+    ),
+)
+FORM_OF_TOPIC = {form.topic: form for form in FORMS}
+FORM_OF_KIND = {form.kind: form for form in FORMS}
+
+_ENCODER = msgspec.json.Encoder()
+_DECODER = msgspec.json.Decoder(dict[str, Any])
+
+
+def encode(n: int, event: Input) -> bytes:
+    """The record of an event, the n-th of a recording."""
+    return _ENCODER.encode({"n": n, **_fields(FORM_OF_KIND[type(event)], event)})
+
+
+def decode(topic: str, data: bytes) -> tuple[int, Input]:
+    """The number of a record and its event. Raises RecordingError where it is not what was written."""
+    form = FORM_OF_TOPIC[topic]
+    try:
+        record = _DECODER.decode(data)
+        return record["n"], _message(form, record)
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"{topic}: a record that is no {form.schema}: {error}") from None
+
+
+def plain(value: float) -> float | str:
+    """A number as JSON can hold it."""
+    return value if math.isfinite(value) else str(value)
+
+
+def numbers(array: Any) -> Any:
+    """An array of whatever shape as nested lists."""
+    if np.isfinite(array).all():
+        return array.tolist()
+    return [numbers(part) if np.ndim(part) else plain(float(part)) for part in array]
+
+
+def _fields(form: Form, message: Any) -> dict[str, Any]:
+    return {entry.key: _field(entry, getattr(message, entry.attribute)) for entry in form.entries}
+
+
+def _field(entry: Entry, value: Any) -> Any:
+    if value is None or entry.type == "boolean":
+        return value
+    if entry.shape is not None:
+        return numbers(value)
+    if entry.form is not None:
+        return [_fields(entry.form, part) for part in value]
+    match entry.type:
+        case "number":
+            return plain(float(value))
+        case "integer":
+            return int(value)
+        case "integers":
+            return [int(part) for part in value]
+        case "strings":
+            return list(value)
+    return value
+
+
+def _message(form: Form, record: dict[str, Any]) -> Any:
+    return form.kind(**{entry.attribute: _value(entry, record[entry.key]) for entry in form.entries})
+
+
+def _value(entry: Entry, value: Any) -> Any:
+    if value is None:
+        return None
+    if entry.shape is not None:
+        return np.array(value, dtype=np.float64).reshape(entry.shape)
+    if entry.form is not None:
+        return tuple(_message(entry.form, part) for part in value)
+    if entry.type == "number":
+        return float(value)
+    return tuple(value) if entry.type in ("integers", "strings") else value

@@ -1,0 +1,161 @@
+"""Several recordings as one, on one timeline.
+
+Theory of operation. Each drone's times are its own clock's. Who sees whom is told to the team with a running number,
+and both ends of that are recorded: when the sender exposed what it tells of, on its clock, and the same instant as its
+hearer reckoned it, on the hearer's. A message that came late is reckoned too late, never too early, so the least
+difference is the nearest to the truth; where both hear each other, half of the two least ones cancels what delay was
+left. Recordings that share no message are laid side by side by UTC as each knew it.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+from mcap.writer import Writer
+
+from swarmtrack.errors import RecordingError
+from swarmtrack.recording.reader import Message, Recording
+from swarmtrack.recording.writer import CHUNK_BYTES
+
+SAID_TOPIC, SIGHTINGS_TOPIC = "/said", "/peers/sightings"
+
+Said = tuple[int, str, int]  # who, which life, number
+
+
+class Shift(NamedTuple):
+    """What is added to a recording's times to bring them to those of the first; by: "messages" or "UTC"."""
+
+    seconds: float
+    by: str
+
+
+class _Hearsay(NamedTuple):
+    said: dict[Said, float]
+    heard: dict[Said, float]
+
+
+def shifts(recordings: Sequence[Recording]) -> list[Shift]:
+    """Of each, in order; the first is 0."""
+    hearsay = [_hearsay(recording) for recording in recordings]
+    utc = [_utc_offset(recording) for recording in recordings]
+    found: dict[int, float] = {0: 0.0}  # a clock minus the first one's
+    waiting = deque([0])
+    while waiting:
+        i = waiting.popleft()
+        for j in range(len(recordings)):
+            if j not in found and (offset := _offset(hearsay[i], hearsay[j])) is not None:
+                found[j] = found[i] + offset
+                waiting.append(j)
+    return [
+        Shift(utc[0] - utc[i] - found[i], "messages") if i in found else Shift(0.0, "UTC")
+        for i in range(len(recordings))
+    ]
+
+
+def merge(recordings: Sequence[Recording], target: Path) -> tuple[list[Shift], int]:
+    """Write one file; the topics of each recording under /drone-N or /swarm. Raises RecordingError."""
+    names = _names(recordings)
+    moved = shifts(recordings)
+    streams = [
+        _shifted(recording, name, round(shift.seconds * 1e9))
+        for recording, name, shift in zip(recordings, names, moved, strict=True)
+    ]
+    try:
+        with target.open("xb") as file:
+            writer = Writer(file, chunk_size=CHUNK_BYTES)
+            writer.start(profile="swarmtrack")
+            for recording, name, shift in zip(recordings, names, moved, strict=True):
+                added = {"shift_s": repr(shift.seconds), "shifted_by": shift.by}
+                writer.add_metadata(f"swarmtrack.merged{name}", {**recording.preface, **added})
+            count = _write(heapq.merge(*streams, key=lambda entry: entry[0]), writer)
+            writer.finish()  # type: ignore[no-untyped-call]
+    except FileExistsError:
+        raise RecordingError(f"{target}: exists already, expected the name of a new file") from None
+    except OSError as error:
+        raise RecordingError(f"{target}: {error.strerror}, expected a file that can be written") from error
+    return moved, count
+
+
+_Entry = tuple[int, str, Message, Recording]
+
+
+def _shifted(recording: Recording, name: str, shift_ns: int) -> Iterator[_Entry]:
+    for message in recording.messages():
+        own = message.topic.startswith("/drone-")  # a swarm's recording says of whom it speaks
+        yield (
+            message.log_time_ns + shift_ns,
+            message.topic if own else name + message.topic,
+            message,
+            recording,
+        )
+
+
+def _write(entries: Iterator[_Entry], writer: Writer) -> int:
+    schemas: dict[tuple[str, bytes], int] = {}
+    channels: dict[str, int] = {}
+    count = 0
+    for log_time, topic, message, recording in entries:
+        if topic not in channels:
+            known = next(
+                (
+                    s.schemas[message.channel.schema_id]
+                    for s in recording.segments
+                    if message.channel.schema_id in s.schemas
+                ),
+                None,
+            )
+            schema_id = 0
+            if known is not None:
+                key = (known.name, known.data)
+                if key not in schemas:
+                    schemas[key] = writer.register_schema(known.name, known.encoding, known.data)
+                schema_id = schemas[key]
+            channels[topic] = writer.register_channel(topic, message.channel.message_encoding, schema_id)
+        writer.add_message(channels[topic], log_time, message.data, publish_time=log_time)
+        count += 1
+    return count
+
+
+def _names(recordings: Sequence[Recording]) -> list[str]:
+    """/drone-1, and /drone-1/2 for a second life of the same drone."""
+    seen: dict[str, int] = {}
+    names = []
+    for recording in recordings:
+        name = f"/drone-{recording.drone_id}" if recording.kind == "drone" else "/swarm"
+        seen[name] = seen.get(name, 0) + 1
+        names.append(name if seen[name] == 1 else f"{name}/{seen[name]}")
+    return names
+
+
+def _utc_offset(recording: Recording) -> float:
+    return float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
+
+
+def _hearsay(recording: Recording) -> _Hearsay:
+    said: dict[Said, float] = {}
+    heard: dict[Said, float] = {}
+    for message in recording.messages():
+        if message.topic == SAID_TOPIC:
+            record = msgspec.json.decode(message.data)
+            said[record["drone_id"], record["boot"], record["sequence"]] = float(record["t_s"])
+        elif message.topic == SIGHTINGS_TOPIC:
+            record = msgspec.json.decode(message.data)
+            heard[record["observer"], record["boot"], record["sequence"]] = float(record["t_s"])
+    return _Hearsay(said, heard)
+
+
+def _offset(one: _Hearsay, other: _Hearsay) -> float | None:
+    """The other's clock minus the one's [s]; None where neither heard the other."""
+    there = min((other.heard[key] - t for key, t in one.said.items() if key in other.heard), default=math.inf)
+    back = min((one.heard[key] - t for key, t in other.said.items() if key in one.heard), default=math.inf)
+    if math.isinf(there) and math.isinf(back):
+        return None
+    if math.isinf(back):
+        return there
+    return -back if math.isinf(there) else 0.5 * (there - back)

@@ -1,0 +1,106 @@
+"""What a drone made of its inputs: the tracks of every scan, in full, and digests by which a replay is compared."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from swarmtrack.errors import RecordingError
+from swarmtrack.messages import IdentifiedTrack, Track, TrackList, TrackStatus
+from swarmtrack.onboard import ScanReport
+from swarmtrack.recording.inputs import numbers, plain
+
+TRACKS_TOPIC = "/tracks"
+ASKED_TOPIC = "/asked"
+
+_ENCODER = msgspec.json.Encoder()
+_DECODER = msgspec.json.Decoder(dict[str, Any])
+
+
+def digest(tracks: TrackList) -> str:
+    """16 hex digits of every bit that a list of tracks says."""
+    state = hashlib.blake2b(digest_size=8)
+    state.update(struct.pack("<dd", tracks.t, tracks.scan_t))
+    for entry in tracks.tracks:
+        track = entry.track
+        since = -1.0 if track.coasting_since is None else track.coasting_since
+        words = f"{track.id} {track.status} {entry.identity}".encode()
+        state.update(
+            words + struct.pack("<dddd", track.t, track.probability, entry.identity_probability, since)
+        )
+        for part in (track.mean, track.cov, track.size):
+            state.update(np.ascontiguousarray(part, dtype=np.float64).tobytes())
+    return state.hexdigest()
+
+
+def encode_report(report: ScanReport) -> bytes:
+    tracks = report.tracks
+    return _ENCODER.encode(
+        {
+            "t_s": tracks.t,
+            "sequence": int(report.sequence),
+            "digest": digest(tracks),
+            "tracks": [_track_record(entry) for entry in tracks.tracks],
+        }
+    )
+
+
+def decode_report(data: bytes) -> tuple[str, ScanReport]:
+    """Its digest as it was in flight, and the report. Raises RecordingError."""
+    try:
+        record = _DECODER.decode(data)
+        t = float(record["t_s"])
+        entries = tuple(_identified(part) for part in record["tracks"])
+        return record["digest"], ScanReport(record["sequence"], TrackList(t, t, entries))
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"{TRACKS_TOPIC}: a record that is no swarmtrack.Tracks: {error}") from None
+
+
+def encode_asked(n: int, tracks: TrackList) -> bytes:
+    """That somebody asked for the tracks as of `tracks.t`: an input as well, the n-th of the recording."""
+    return _ENCODER.encode(
+        {"n": n, "t_s": tracks.t, "digest": digest(tracks), "tracks": len(tracks.tracks)},
+    )
+
+
+def decode_asked(data: bytes) -> tuple[int, float, str]:
+    """The number of the input, when tracks were asked for, and the digest of the answer. Raises RecordingError."""
+    try:
+        record = _DECODER.decode(data)
+        return record["n"], float(record["t_s"]), str(record["digest"])
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"{ASKED_TOPIC}: a record that is no swarmtrack.Asked: {error}") from None
+
+
+def _track_record(entry: IdentifiedTrack) -> dict[str, Any]:
+    track = entry.track
+    return {
+        "id": int(track.id),
+        "t_s": float(track.t),
+        "identity": entry.identity,
+        "identity_probability": float(entry.identity_probability),
+        "status": str(track.status),
+        "probability": plain(float(track.probability)),
+        "mean_px": numbers(track.mean),
+        "cov": numbers(track.cov),
+        "size_px": numbers(track.size),
+        "coasting_since_s": None if track.coasting_since is None else float(track.coasting_since),
+    }
+
+
+def _identified(record: dict[str, Any]) -> IdentifiedTrack:
+    track = Track(
+        id=record["id"],
+        t=record["t_s"],
+        mean=np.array(record["mean_px"], dtype=np.float64).reshape(4),
+        cov=np.array(record["cov"], dtype=np.float64).reshape(4, 4),
+        status=TrackStatus(record["status"]),
+        probability=float(record["probability"]),
+        size=np.array(record["size_px"], dtype=np.float64).reshape(2),
+        coasting_since=record["coasting_since_s"],
+    )
+    return IdentifiedTrack(track, record["identity"], record["identity_probability"])

@@ -1,0 +1,217 @@
+"""Reads recordings, complete or cut off: whatever is whole comes out, and what is not is told.
+
+`mcap`'s own readers want an index at the end of the file, or stop with an exception in the middle of a chunk. A live or
+broken recording has no index, so files are read from their beginning, record by record, in the order of writing.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+
+from swarmtrack.errors import RecordingError
+from swarmtrack.recording.writer import ACTIVE, PREFACE, SUFFIX
+
+MAGIC = b"\x89MCAP0\r\n"
+FORMAT = "1"
+LARGEST_RECORD = 256 << 20  # bytes: a length beyond it is no length but garbage
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+
+
+class Message(NamedTuple):
+    """One message of a file. data: as written, in the channel's encoding."""
+
+    channel: Channel
+    log_time_ns: int
+    data: bytes
+
+    @property
+    def topic(self) -> str:
+        return str(self.channel.topic)
+
+
+@dataclass(slots=True)
+class Segment:
+    """One file, to be iterated over once or more; what else was found is known after the iteration."""
+
+    path: Path
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
+    damage: str | None = None
+    """What is wrong with the file, in words; None: nothing, it is complete."""
+
+    def messages(self) -> Iterator[Message]:
+        """In the order of writing. Raises RecordingError for what is no MCAP file at all."""
+        try:
+            file: IO[bytes] = self.path.open("rb")
+        except OSError as error:
+            raise RecordingError(f"{self.path}: {error.strerror}, expected a recording") from error
+        with file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise RecordingError(f"{self.path}: is no MCAP file, expected a recording")
+            self.damage = None
+            yield from self._records(file)
+
+    def _records(self, file: IO[bytes]) -> Iterator[Message]:
+        while True:
+            at = file.tell()
+            head = file.read(_HEAD.size)
+            if len(head) < _HEAD.size:
+                self.damage = f"is cut off after {at} bytes"
+                return
+            opcode, length = _HEAD.unpack(head)
+            if length > LARGEST_RECORD:
+                self.damage = f"has no record at byte {at}"
+                return
+            body = file.read(length)
+            if len(body) < length:
+                self.damage = f"is cut off after {at} bytes"
+                return
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return  # what follows is an index of what we read
+            try:
+                yield from self._record(opcode, body)
+            except (ValueError, KeyError, struct.error, zstandard.ZstdError, RuntimeError, EOFError) as error:
+                self.damage = f"holds what cannot be read at byte {at} ({error or type(error).__name__})"
+                return
+
+    def _record(self, opcode: int, body: bytes) -> Iterator[Message]:
+        match opcode:
+            case Opcode.CHUNK:
+                yield from self._chunk(_unpacked(Chunk.read(_stream(body))))
+            case Opcode.MESSAGE:
+                yield self._message(body)
+            case Opcode.SCHEMA:
+                schema = Schema.read(_stream(body))
+                self.schemas[schema.id] = schema
+            case Opcode.CHANNEL:
+                channel = Channel.read(_stream(body))
+                self.channels[channel.id] = channel
+            case Opcode.METADATA:
+                metadata = Metadata.read(_stream(body))
+                self.metadata[metadata.name] = metadata.metadata
+            case Opcode.ATTACHMENT:
+                attachment = Attachment.read(_stream(body))
+                self.attachments[attachment.name] = attachment
+
+    def _chunk(self, data: bytes) -> Iterator[Message]:
+        at = 0
+        while at < len(data):
+            opcode, length = _HEAD.unpack_from(data, at)
+            at += _HEAD.size
+            if at + length > len(data):
+                raise ValueError("a record that ends beyond its chunk")
+            body = data[at : at + length]
+            at += length
+            if opcode == Opcode.MESSAGE:  # nearly all are
+                yield self._message(body)
+            else:
+                yield from self._record(opcode, body)
+
+    def _message(self, body: bytes) -> Message:
+        channel, _, log_time, _ = _MESSAGE.unpack_from(body)
+        return Message(self.channels[channel], log_time, body[_MESSAGE.size :])
+
+
+def _stream(body: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(body))
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    match chunk.compression:
+        case "zstd":
+            return bytes(zstandard.decompress(chunk.data, chunk.uncompressed_size))
+        case "":
+            return bytes(chunk.data)
+    raise ValueError(f"compressed by {chunk.compression!r}")
+
+
+@dataclass(slots=True)
+class Recording:
+    """One life of one process: its segments in order."""
+
+    folder: Path
+    segments: list[Segment]
+    preface: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """ "drone", or "swarm" for what `swarmtrack record` and `sim` heard of all."""
+        return self.preface["kind"]
+
+    @property
+    def drone_id(self) -> int:
+        return int(self.preface["drone_id"])
+
+    @property
+    def first_segment(self) -> int:
+        """1 where it is whole; more where the oldest segments gave way to newer ones."""
+        return int(self.preface["segment"])
+
+    @property
+    def damage(self) -> list[str]:
+        """What is wrong with its files, a sentence each; known after they were read."""
+        return [f"{segment.path} {segment.damage}" for segment in self.segments if segment.damage]
+
+    def messages(self) -> Iterator[Message]:
+        for segment in self.segments:
+            yield from segment.messages()
+
+    def attached(self, name: str) -> Any:
+        """An attachment in JSON. Raises RecordingError."""
+        try:
+            return json.loads(self.attachments[name].data)
+        except (KeyError, ValueError):
+            raise RecordingError(
+                f"{self.segments[0].path}: its attachment {name} is missing or no JSON, expected that of an agent"
+            ) from None
+
+
+def files_below(path: Path) -> list[Path]:
+    """All MCAP files at or below a path, in order. Raises RecordingError where there is none."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise RecordingError(f"{path}: no such file or folder, expected a recording")
+    found = sorted(p for p in path.rglob("*") if p.name.endswith((SUFFIX, SUFFIX + ACTIVE)) and p.is_file())
+    if not found:
+        raise RecordingError(f"{path}: holds no {SUFFIX} file, expected a recording")
+    return found
+
+
+def recordings_below(path: Path) -> list[Recording]:
+    """Every recording at or below a path, by folder. Raises RecordingError for files that are none of ours."""
+    by_folder: dict[Path, list[Segment]] = {}
+    for file in files_below(path):
+        by_folder.setdefault(file.parent, []).append(Segment(file))
+    return [_opened(folder, segments) for folder, segments in by_folder.items()]
+
+
+def _opened(folder: Path, segments: list[Segment]) -> Recording:
+    recording = Recording(folder, segments)
+    for segment in segments:
+        for _ in segment.messages():
+            break  # the preface stands before the first message
+        if PREFACE in segment.metadata:
+            recording.preface, recording.attachments = segment.metadata[PREFACE], segment.attachments
+            break
+    else:
+        raise RecordingError(f"{segments[0].path}: is no recording of ours, expected metadata {PREFACE!r}")
+    found = recording.preface.get("format")
+    if found != FORMAT:
+        raise RecordingError(f"{segments[0].path}: is of format {found}, this program reads format {FORMAT}")
+    return recording

@@ -1,0 +1,71 @@
+"""JSON schemas of our topics, for viewers that plot them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from swarmtrack.recording.inputs import Entry, Form
+
+Schema = dict[str, Any]
+
+NUMBER: Schema = {"type": "number"}
+INTEGER: Schema = {"type": "integer"}
+TEXT: Schema = {"type": "string"}
+_PLAIN: dict[str, Schema] = {
+    "number": NUMBER,
+    "integer": INTEGER,
+    "string": TEXT,
+    "boolean": {"type": "boolean"},
+    "integers": {"type": "array", "items": INTEGER},
+    "strings": {"type": "array", "items": TEXT},
+}
+
+
+def array(items: Schema) -> Schema:
+    return {"type": "array", "items": items}
+
+
+def table(title: str, **properties: Schema) -> Schema:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+def of_form(form: Form) -> Schema:
+    """Of an input; with its running number."""
+    return table(form.schema, n=INTEGER, **{entry.key: _of_entry(entry) for entry in form.entries})
+
+
+def _of_entry(entry: Entry) -> Schema:
+    if entry.form is not None:
+        inner = {part.key: _of_entry(part) for part in entry.form.entries}
+        return array(table(entry.form.schema, **inner))
+    schema = _PLAIN[entry.type]
+    for _ in entry.shape or ():
+        schema = array(schema)
+    return schema
+
+
+TRACKS = table(
+    "swarmtrack.Tracks",
+    t_s=NUMBER,
+    sequence=INTEGER,
+    digest=TEXT,
+    tracks=array(
+        table(
+            "swarmtrack.Track",
+            id=INTEGER,
+            t_s=NUMBER,
+            identity={},  # a drone's ID, "foreign" or null
+            identity_probability=NUMBER,
+            status=TEXT,
+            probability=NUMBER,
+            mean_px=array(NUMBER),
+            cov=array(array(NUMBER)),
+            size_px=array(NUMBER),
+            coasting_since_s=NUMBER,
+        )
+    ),
+)
+ASKED = table("swarmtrack.Asked", n=INTEGER, t_s=NUMBER, digest=TEXT, tracks=INTEGER)
+SAID = table("swarmtrack.Said", drone_id=INTEGER, boot=TEXT, sequence=INTEGER, t_s=NUMBER)
+FRAME = table("swarmtrack.Frame", sequence=INTEGER, t_s=NUMBER, t_sigma_s=NUMBER)
+HEALTH: Schema = {"title": "swarmtrack.Health", "type": "object"}

@@ -1,0 +1,173 @@
+"""What a flight was flown with: the config, and what only the agent could resolve, into a recording and back."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack import __version__
+from swarmtrack.config import DISTORTIONS, DroneConfig, MountedCamera, config_of, mount_camera
+from swarmtrack.errors import ConfigError, RecordingError
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.recording.reader import FORMAT, Recording
+from swarmtrack.recording.writer import Attachment
+from swarmtrack.toml_layers import Layer, Layers, Table, merge
+from swarmtrack.tracking import TRACKERS
+
+CONFIG, RESOLVED, CALIBRATION = "config.json", "resolved_config.json", "calibration.json"
+WHAT_IF = ("drone", "camera", "tracker", "identity", "motion", "detector")
+"""Tables of the config that have a say in a replay."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSettings:
+    """start: team_from_body, None where the autopilot says it."""
+
+    config: DroneConfig
+    mounted: MountedCamera
+    start: Pose | None
+
+
+def preface(settings: FlightSettings, boot: str, now: float, utc: float) -> dict[str, str]:
+    """Metadata of every segment. now [s] of our monotonic clock is utc."""
+    config = settings.config
+    return {
+        "format": FORMAT,
+        "kind": "drone",
+        "drone_id": str(config.drone.id),
+        "team": config.network.team,
+        "boot": boot,
+        "monotonic_s": repr(now),
+        "utc_s": repr(utc),
+        "tracker": config.tracker.name,
+        **versions(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of what has a say in the last bit of a result."""
+    found = {"swarmtrack": __version__, "python": platform.python_version(), "machine": platform.machine()}
+    for package in ("numpy", "scipy"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def attachments(settings: FlightSettings) -> tuple[Attachment, ...]:
+    """The config as its files say it, the same with all defaults, and the numbers of camera and start."""
+    lens, mount = settings.mounted.camera, settings.mounted.body_from_camera
+    distortion = lens.distortion and {
+        "model": type(lens.distortion).__name__.lower(),
+        "coefficients": list(lens.distortion.coefficients),
+    }
+    start = settings.start
+    calibration = {
+        "intrinsics": {
+            **{name: float(getattr(lens, name)) for name in ("fx", "fy", "cx", "cy")},
+            **{name: int(getattr(lens, name)) for name in ("width", "height")},
+        },
+        "distortion": distortion,
+        "body_from_camera": _pose_record(mount),
+        "time_offset_s": settings.mounted.time_offset_s,
+        "start": None if start is None else _pose_record(start),
+    }
+    layers = settings.config.layers
+    return (
+        _json(CONFIG, layers.table if layers else settings.config.model_dump(mode="json", by_alias=True)),
+        _json(RESOLVED, settings.config.model_dump(mode="json", by_alias=True)),
+        _json(CALIBRATION, calibration),
+    )
+
+
+def read_settings(
+    recording: Recording, tracker: str | None = None, changes: Sequence[str] = ()
+) -> tuple[FlightSettings, list[str]]:
+    """What it was flown with, changed by `key=value` as one would write it into the config; and notes for people.
+
+    Another tracker gets those of the recorded parameters that it knows. Raises RecordingError, and ConfigError as the
+    config does.
+    """
+    table: Table = recording.attached(CONFIG)
+    calibration = recording.attached(CALIBRATION)
+    recorded = Layer(recording.segments[0].path, "", table)
+    asked = _layer_of(changes)
+    notes = []
+    if tracker is not None:
+        asked.table.setdefault("tracker", {})["name"] = tracker
+    name = asked.table.get("tracker", {}).get("name")
+    if name in TRACKERS and name != table.get("tracker", {}).get("name"):
+        known = {field.name for field in fields(TRACKERS[name].Parameters)} | {"name"}
+        section = table.setdefault("tracker", {})
+        for key in sorted(section.keys() - known):
+            del section[key]
+            notes.append(f"tracker.{key} was recorded for another tracker: {name} has none")
+    config = config_of(Layers([recorded, asked], merge(table, asked.table)))
+    try:
+        mounted = _mounted(calibration)
+        start = None if calibration["start"] is None else _pose(calibration["start"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"{recorded.path}: {CALIBRATION}: {error!r}, expected what an agent writes"
+        ) from None
+    if "camera" in asked.table and not config.camera.simulated:
+        mounted = mount_camera(config.camera)
+    elif "time_offset_s" in asked.table.get("camera", {}):
+        mounted = mounted._replace(time_offset_s=config.camera.time_offset_s or 0.0)
+    if "start" in asked.table.get("drone", {}):
+        start = None if config.drone.start.source is not None else config.drone.start.pose()
+    return FlightSettings(config, mounted, start), notes
+
+
+def _layer_of(changes: Sequence[str]) -> Layer:
+    """`tracker.p_detection=0.8` and the like as a file of the config; a word needs no quotes."""
+    lines = []
+    for change in changes:
+        key, equals, value = change.partition("=")
+        key, value = key.strip(), value.strip()
+        if not equals or not re.fullmatch(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)+", key):
+            raise ConfigError([f"--set {change}: expected TABLE.KEY=VALUE, as in tracker.p_detection=0.8"])
+        if key.partition(".")[0] not in WHAT_IF:
+            raise ConfigError(
+                [f"--set {change}: has no say in a replay, expected a key of {', '.join(WHAT_IF)}"]
+            )
+        try:
+            tomllib.loads(f"{key} = {value}")
+        except tomllib.TOMLDecodeError:
+            value = json.dumps(value)
+        lines.append(f"{key} = {value}")
+    text = "\n".join(lines)
+    try:
+        return Layer(Path("--set"), text, tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([f"--set: {error}, expected each key once"]) from None
+
+
+def _mounted(record: dict[str, Any]) -> MountedCamera:
+    lens = record["distortion"]
+    distortion = None if lens is None else DISTORTIONS[lens["model"]](tuple(lens["coefficients"]))
+    camera = PinholeCamera(**record["intrinsics"], distortion=distortion)
+    return MountedCamera(camera, _pose(record["body_from_camera"]), record["time_offset_s"])
+
+
+def _pose_record(pose: Pose) -> dict[str, Any]:
+    return {"rotation": pose.rotation.tolist(), "position_m": pose.position.tolist()}
+
+
+def _pose(record: dict[str, Any]) -> Pose:
+    return Pose(np.array(record["rotation"]), np.array(record["position_m"]))
+
+
+def _json(name: str, value: Any) -> Attachment:
+    return Attachment(name, "application/json", json.dumps(value, indent=1, default=str).encode())

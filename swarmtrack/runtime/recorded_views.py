@@ -1,0 +1,145 @@
+"""What a recording holds for the eye: pictures, boxes, poses and events as Foxglove's own messages, which Foxglove,
+Lichtblick and rerun show without being told how. A replay reads none of it but the pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import msgspec
+from foxglove.messages import (
+    Color,
+    CompressedImage,
+    ImageAnnotations,
+    Log,
+    LogLevel,
+    Point2,
+    PointsAnnotation,
+    PointsAnnotationType,
+    Pose,
+    PoseInFrame,
+    Quaternion,
+    TextAnnotation,
+    Timestamp,
+    Vector3,
+)
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.messages import FOREIGN, EgoPose, Frame, Identity, Input
+from swarmtrack.onboard import ScanReport
+from swarmtrack.recording import schemas
+from swarmtrack.recording.writer import Topic
+from swarmtrack.runtime.outputs import SeenTrack, as_seen
+
+IMAGE = Topic.well_known("/camera/image", CompressedImage)
+FRAME = Topic.of_json("/camera/frames", schemas.FRAME)
+BOXES = Topic.well_known("/camera/annotations", ImageAnnotations)
+POSE = Topic.well_known("/pose", PoseInFrame)
+EVENTS = Topic.well_known("/log", Log)
+
+JPEG_QUALITY = 90
+UNKNOWN_BOX = 24.0  # px
+# By drone, told apart by the colour-blind as well (Okabe & Ito, 2008); unknown is grey, foreign white.
+COLOURS = (
+    (0.90, 0.62, 0.0),
+    (0.34, 0.71, 0.91),
+    (0.0, 0.62, 0.45),
+    (0.94, 0.89, 0.26),
+    (0.84, 0.37, 0.0),
+    (0.8, 0.47, 0.65),
+)
+GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
+
+Written = tuple[Topic, bytes]
+
+
+class Views:
+    """Makes them of what is recorded."""
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self._camera = camera
+        self._told: tuple[str, ...] = ()
+
+    def of_input(self, event: Input, log_time_ns: int) -> Iterator[Written]:
+        """Where the drone is, by its own autopilot."""
+        if not isinstance(event, EgoPose) or event.position is None:
+            return
+        x, y, z = event.position.tolist()
+        qw, qx, qy, qz = to_quaternion(event.world_from_body).tolist()
+        pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+        yield POSE, PoseInFrame(timestamp=_stamp(log_time_ns), frame_id="local_ned", pose=pose).encode()
+
+    def of_report(self, report: ScanReport, exposed_ns: int) -> Written:
+        """Boxes and names in the image."""
+        seen = as_seen(report, self._camera)
+        stamp = _stamp(exposed_ns)
+        annotations = ImageAnnotations(
+            points=[_box(track, stamp) for track in seen], texts=[_label(track, stamp) for track in seen]
+        )
+        return BOXES, annotations.encode()
+
+    def of_events(self, events: tuple[str, ...], log_time_ns: int) -> Iterator[Written]:
+        """Those of the health that are new. It repeats the last ones, oldest first."""
+        new = events
+        for k in range(len(self._told) + 1):
+            if events[: len(self._told) - k] == self._told[k:]:
+                new = events[len(self._told) - k :]
+                break
+        self._told = events
+        for line in new:
+            message = Log(timestamp=_stamp(log_time_ns), level=LogLevel.Info, message=line, name="agent")
+            yield EVENTS, message.encode()
+
+    def of_frame(self, frame: Frame, exposed_ns: int) -> Iterator[Written]:
+        """The picture, and its exact time."""
+        import cv2  # noqa: PLC0415
+
+        ok, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if not ok:
+            return
+        exact = {"sequence": int(frame.sequence), "t_s": float(frame.t), "t_sigma_s": float(frame.t_sigma)}
+        yield FRAME, msgspec.json.encode(exact)
+        image = CompressedImage(
+            timestamp=_stamp(exposed_ns), frame_id="camera", data=jpeg.tobytes(), format="jpeg"
+        )
+        yield IMAGE, image.encode()
+
+
+def _stamp(ns: int) -> Timestamp:
+    return Timestamp(sec=ns // 1_000_000_000, nsec=ns % 1_000_000_000)
+
+
+def _colour(identity: Identity) -> Color:
+    if identity is None or identity == FOREIGN:
+        r, g, b = GREY if identity is None else WHITE
+    else:
+        r, g, b = COLOURS[(identity - 1) % len(COLOURS)]
+    return Color(r=r, g=g, b=b, a=1.0)
+
+
+def _box(track: SeenTrack, stamp: Timestamp) -> PointsAnnotation:
+    u, v = track.centre.tolist()
+    w, h = (UNKNOWN_BOX if math.isnan(side) else side for side in track.size.tolist())
+    corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    return PointsAnnotation(
+        timestamp=stamp,
+        type=PointsAnnotationType.LineLoop,
+        points=[Point2(x=u + 0.5 * sx * w, y=v + 0.5 * sy * h) for sx, sy in corners],
+        outline_color=_colour(track.entry.identity),
+        thickness=2.0,
+    )
+
+
+def _label(track: SeenTrack, stamp: Timestamp) -> TextAnnotation:
+    identity = track.entry.identity
+    name = "?" if identity is None else str(identity)
+    u, v = track.centre.tolist()
+    return TextAnnotation(
+        timestamp=stamp,
+        position=Point2(x=u, y=v),
+        text=f"{name}  (track {track.entry.track.id}, {track.entry.track.status})",
+        font_size=12.0,
+        text_color=_colour(identity),
+        background_color=Color(r=0.0, g=0.0, b=0.0, a=0.5),
+    )

@@ -1,0 +1,135 @@
+"""Records what the agent is told and what it makes of it; costs the event loop an entry in a queue.
+
+Whatever passes the door is queued as it is, with the time: the messages are frozen, so nothing is copied. Every input
+has a running number, so that a replay sees a gap. How it is written and bounded: `runtime/recording_thread.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import msgspec
+
+from swarmtrack.codec import HealthMessage, as_record
+from swarmtrack.messages import Frame, Input, LinkStatus, SightingReport, TrackList
+from swarmtrack.onboard import ScanReport
+from swarmtrack.recording import inputs, outputs, schemas
+from swarmtrack.recording.settings import FlightSettings, attachments, preface
+from swarmtrack.recording.writer import Bounds, Preface, Topic
+from swarmtrack.runtime.clock import Clock, ManualClock
+from swarmtrack.runtime.recorded_views import Views
+from swarmtrack.runtime.recording_thread import Job, RecordingThread, Write, name_of_life
+
+_INPUTS = {form.kind: Topic.of_json(form.topic, schemas.of_form(form)) for form in inputs.FORMS}
+TRACKS = Topic.of_json(outputs.TRACKS_TOPIC, schemas.TRACKS)
+ASKED = Topic.of_json(outputs.ASKED_TOPIC, schemas.ASKED)
+SAID = Topic.of_json("/said", schemas.SAID)
+HEALTH = Topic.of_json("/health", schemas.HEALTH)
+
+
+class Recorder:
+    """Implements `DoorListener`, and hears beside the door what viewers want to see."""
+
+    def __init__(self, settings: FlightSettings, boot: str, clock: Clock) -> None:
+        self._settings = settings
+        self._boot = boot
+        self._clock = clock
+        self._utc_offset = clock.utc() - clock.now()
+        """As it is now, for the whole recording: a wall clock that is set must not fold the time axis."""
+        # As fast as it goes, nobody is late: the flight waits for the disk instead of losing records.
+        self._thread = RecordingThread(waits=isinstance(clock, ManualClock))
+        self._n = 0
+        self._next_frame = -math.inf
+        self._views = Views(settings.mounted.camera)
+
+    def open(self) -> None:
+        """Begin. Raises RecordingError where the folder cannot be made."""
+        section, drone_id = self._settings.config.recording, self._settings.config.drone.id
+        assert section.dir is not None, "no recording was asked for"
+        now, utc = self._clock.now(), self._clock.utc()
+        self._utc_offset = utc - now
+        root = section.dir / f"drone-{drone_id}"
+        self._thread.open(
+            root / name_of_life(utc, self._boot),
+            Preface(preface(self._settings, self._boot, now, utc), attachments(self._settings)),
+            Bounds(root, section.segment_s, int(section.max_mb * 1e6), section.when_full == "oldest"),
+        )
+
+    def close(self) -> None:
+        self._thread.close()
+
+    def status(self) -> LinkStatus:
+        return self._thread.status()
+
+    def take_news(self) -> str | None:
+        return self._thread.take_news()
+
+    # --- on the event loop --------------------------------------------------------------
+
+    def told(self, event: Input) -> None:
+        self._n += 1
+        self._put(partial(self._write_input, self._n, event))
+
+    def asked(self, tracks: TrackList) -> None:
+        self._n += 1
+        self._put(partial(self._write_asked, self._n, tracks))
+
+    def scanned(self, report: ScanReport) -> None:
+        self._put(partial(self._write_report, report))
+
+    def said(self, report: SightingReport) -> None:
+        """Told to the team; by its number the clocks of two recordings are compared."""
+        self._put(partial(self._write_said, report))
+
+    def health(self, message: HealthMessage) -> None:
+        self._put(partial(self._write_health, message))
+
+    def frame(self, frame: Frame) -> None:
+        """A frame that the detector is about to see; of these, as many as were asked for are kept."""
+        section = self._settings.config.recording
+        if section.frames == "none" or frame.t < self._next_frame:
+            return
+        period = 1.0 / section.frames_hz
+        self._next_frame = max(self._next_frame + period, frame.t + 0.5 * period)
+        self._put(partial(self._write_frame, frame))
+
+    def _put(self, job: Job) -> None:
+        self._thread.put(self._ns(self._clock.now()), job)
+
+    def _ns(self, t: float) -> int:
+        """Our time t as UTC."""
+        return round((t + self._utc_offset) * 1e9)
+
+    # --- in the thread ------------------------------------------------------------------
+
+    def _write_input(self, n: int, event: Input, write: Write, log_time: int) -> None:
+        write(_INPUTS[type(event)], log_time, inputs.encode(n, event))
+        for topic, data in self._views.of_input(event, log_time):
+            write(topic, log_time, data)
+
+    def _write_asked(self, n: int, tracks: TrackList, write: Write, log_time: int) -> None:
+        write(ASKED, log_time, outputs.encode_asked(n, tracks))
+
+    def _write_report(self, report: ScanReport, write: Write, log_time: int) -> None:
+        write(TRACKS, log_time, outputs.encode_report(report))
+        topic, data = self._views.of_report(report, self._ns(report.tracks.t))
+        write(topic, log_time, data)
+
+    def _write_said(self, report: SightingReport, write: Write, log_time: int) -> None:
+        record = {
+            "drone_id": report.observer,
+            "boot": report.boot,
+            "sequence": report.sequence,
+            "t_s": report.t,
+        }
+        write(SAID, log_time, msgspec.json.encode(record))
+
+    def _write_health(self, message: HealthMessage, write: Write, log_time: int) -> None:
+        write(HEALTH, log_time, msgspec.json.encode(as_record(message)))
+        for topic, data in self._views.of_events(message.events, log_time):
+            write(topic, log_time, data)
+
+    def _write_frame(self, frame: Frame, write: Write, log_time: int) -> None:
+        for topic, data in self._views.of_frame(frame, self._ns(frame.t)):
+            write(topic, log_time, data)

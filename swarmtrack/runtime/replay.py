@@ -1,0 +1,216 @@
+"""A recorded flight through the real `Onboard`, as fast as it goes.
+
+Every input passes the same door in the same order as in flight, and `Onboard` reads no clock: on the same machine and
+versions its tracks are the same, bit for bit. Whether they are is told by digests: the recording holds one of every
+scan's tracks and of every answer to "where are they now", and each is compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+
+from swarmtrack.errors import RecordingError
+from swarmtrack.messages import Detections, Frame, Input, StampKind, TrackList
+from swarmtrack.onboard import Onboard, ScanReport
+from swarmtrack.recording import inputs, outputs
+from swarmtrack.recording.reader import Message, Recording
+from swarmtrack.recording.settings import FlightSettings
+from swarmtrack.runtime.assembly import make_onboard
+from swarmtrack.runtime.door import Door
+
+if TYPE_CHECKING:
+    from swarmtrack.detection.detector import Detector
+
+FRAMES_TOPIC, IMAGES_TOPIC = "/camera/frames", "/camera/image"
+FRAMES_KEPT = 64  # read, and their detections not met yet
+
+Watcher = Callable[[TrackList], None]
+"""Is given every answer to the question for tracks, in order."""
+
+
+class Stream(NamedTuple):
+    """How far a kind of results agrees: how many of the recorded ones, and when the first differs [s of flight]."""
+
+    recorded: int
+    same: int
+    parted_s: float | None
+
+
+NOTHING = Stream(0, 0, None)
+
+
+@dataclass(slots=True)
+class _Compared:
+    """A stream of recorded digests beside one of replayed ones; either may run ahead by a few."""
+
+    recorded: list[str] = field(default_factory=list)
+    replayed: list[str] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    """Of the replayed ones."""
+
+    def result(self, begin: float) -> Stream:
+        parted = next(
+            (i for i, (was, now) in enumerate(zip(self.recorded, self.replayed, strict=False)) if was != now),
+            None,
+        )
+        same = sum(was == now for was, now in zip(self.recorded, self.replayed, strict=False))
+        return Stream(len(self.recorded), same, None if parted is None else self.times[parted] - begin)
+
+
+@dataclass(slots=True)
+class Replayed:
+    """What came of a replay. Times of `scans` and `recorded_scans` are those of the agent's clock, from `begin` on."""
+
+    begin: float = 0.0
+    seconds: float = 0.0
+    """Of flight."""
+    inputs: int = 0
+    inputs_lost: int = 0
+    """Missing in the recording, by their running numbers: from there on nothing need be the same."""
+    scans: list[ScanReport] = field(default_factory=list)
+    recorded_scans: list[ScanReport] = field(default_factory=list)
+    scans_compared: Stream = NOTHING
+    answers_compared: Stream = NOTHING
+    digest: str = ""
+    """Of all scans and answers replayed: equal digests, equal flights."""
+    refused: int = 0
+    """Records that could not be read."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether everything that was recorded came out again, bit for bit."""
+        streams = (self.scans_compared, self.answers_compared)
+        return self.inputs_lost == 0 and all(stream.same == stream.recorded for stream in streams)
+
+
+class Replayer:
+    """One recording, once through an `Onboard` of its own.
+
+    detector: sees the recorded frames anew instead of what was detected in flight; frames that were not recorded are
+    then not seen.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: FlightSettings,
+        *,
+        detector: Detector | None = None,
+        watcher: Watcher | None = None,
+    ) -> None:
+        self._recording = recording
+        self._onboard: Onboard = make_onboard(settings.config, settings.mounted, settings.start)
+        self._door = Door(self._onboard)
+        self._detector = detector
+        self._watcher = watcher
+        self._result = Replayed()
+        self._scans = _Compared()
+        self._answers = _Compared()
+        self._hash = hashlib.blake2b(digest_size=16)
+        self._last_n = 0
+        self._exact_times: dict[str, Any] | None = None
+        self._frames: dict[int, Frame] = {}
+
+    def run(self) -> Replayed:
+        """Raises RecordingError where nothing of it can be replayed."""
+        if self._recording.kind != "drone":
+            raise RecordingError(
+                f"{self._recording.folder}: holds what was heard of a swarm, expected what a drone was told"
+            )
+        result = self._result
+        first = last = None
+        for message in self._recording.messages():
+            first = message.log_time_ns if first is None else first
+            last = message.log_time_ns
+            try:
+                self._take(message)
+            except RecordingError:
+                result.refused += 1
+        if first is None or last is None:
+            raise RecordingError(f"{self._recording.folder}: holds no inputs, expected a recorded flight")
+        result.seconds = (last - first) * 1e-9
+        result.begin = float(self._recording.preface["monotonic_s"])
+        result.scans_compared = self._scans.result(result.begin)
+        result.answers_compared = self._answers.result(result.begin)
+        result.digest = self._hash.hexdigest()
+        return result
+
+    def _take(self, message: Message) -> None:
+        topic = message.topic
+        if topic in inputs.FORM_OF_TOPIC:
+            n, event = inputs.decode(topic, message.data)
+            self._count(n)
+            for told in self._instead(event):
+                self._door.tell(told)
+            self._collect()
+        elif topic == outputs.ASKED_TOPIC:
+            n, t, digest = outputs.decode_asked(message.data)
+            self._count(n)
+            tracks = self._door.tracks(t)
+            self._note(self._answers, outputs.digest(tracks), t)
+            self._answers.recorded.append(digest)
+            if self._watcher is not None:
+                self._watcher(tracks)
+            self._collect()
+        elif topic == outputs.TRACKS_TOPIC:
+            digest, report = outputs.decode_report(message.data)
+            self._scans.recorded.append(digest)
+            self._result.recorded_scans.append(report)
+        elif self._detector is not None and topic == FRAMES_TOPIC:
+            self._exact_times = msgspec.json.decode(message.data)
+        elif self._detector is not None and topic == IMAGES_TOPIC:
+            self._keep_frame(message.data)
+
+    def _count(self, n: int) -> None:
+        self._result.inputs += 1
+        self._result.inputs_lost += max(0, n - self._last_n - 1)
+        self._last_n = n
+
+    def _collect(self) -> None:
+        """In flight too the finished scans are taken after every input."""
+        for report in self._door.take_reports():
+            self._result.scans.append(report)
+            self._note(self._scans, outputs.digest(report.tracks), report.tracks.t)
+
+    def _note(self, stream: _Compared, digest: str, t: float) -> None:
+        stream.replayed.append(digest)
+        stream.times.append(t)
+        self._hash.update(digest.encode())
+
+    # --- frames, detected anew ----------------------------------------------------------
+
+    def _instead(self, event: Input) -> Iterator[Input]:
+        """The event, or what our detector sees in the frame that it was detected in."""
+        if self._detector is None or not isinstance(event, Detections):
+            yield event
+            return
+        frame = self._frames.pop(event.sequence, None)
+        if frame is None:
+            return
+        guided = self._detector.is_guided(frame.image)
+        boxes = self._onboard.expected_boxes(frame.t) if guided else None
+        detections = self._detector.detect(frame, boxes)
+        if detections is not None:
+            yield detections
+
+    def _keep_frame(self, data: bytes) -> None:
+        import cv2  # noqa: PLC0415
+        import numpy as np  # noqa: PLC0415
+
+        exact, self._exact_times = self._exact_times, None
+        start, end = data.find(b"\xff\xd8"), data.rfind(b"\xff\xd9")
+        if exact is None or start < 0 or end < 0:
+            return
+        image = cv2.imdecode(np.frombuffer(data[start : end + 2], np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            return
+        pixels = np.asarray(image, np.uint8)
+        frame = Frame(exact["t_s"], exact["t_sigma_s"], exact["sequence"], pixels, StampKind.MEDIA)
+        self._frames[frame.sequence] = frame
+        while len(self._frames) > FRAMES_KEPT:
+            del self._frames[min(self._frames)]

@@ -1,0 +1,183 @@
+"""Records what a swarm says, for `swarmtrack record` and `swarmtrack sim --record`.
+
+Every message stands twice in the file: as it was heard, byte for byte (`/heard`, MessagePack), from which the verdict
+of a simulated flight is judged again; and decoded, in JSON, one topic a drone and kind, for viewers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+from foxglove.messages import Pose, PoseInFrame, Quaternion, Timestamp, Vector3
+
+from swarmtrack import codec
+from swarmtrack.errors import RecordingError
+from swarmtrack.geometry import pose as geometry
+from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.recording.reader import FORMAT, Message
+from swarmtrack.recording.settings import versions
+from swarmtrack.recording.writer import Attachment, Bounds, Preface, Topic
+from swarmtrack.runtime.clock import Clock
+from swarmtrack.runtime.recording_thread import RecordingThread, Write, name_of_life
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.zenoh_bridge import Sample
+
+HEARD_TOPIC, FLIGHT_TOPIC, TRUTH_TOPIC, VERDICT_TOPIC = "/heard", "/flight", "/truth", "/verdict"
+HEARD = Topic(HEARD_TOPIC, "swarmtrack.Heard", b"", "msgpack", "")
+FLIGHT = Topic.of_json(FLIGHT_TOPIC, {"title": "swarmtrack.Flight", "type": "object"})
+TRUTH = Topic.of_json(TRUTH_TOPIC, {"title": "swarmtrack.Truth", "type": "object"})
+VERDICT = Topic.of_json(VERDICT_TOPIC, {"title": "swarmtrack.Verdict", "type": "object"})
+CLOSE_S = 10.0  # nobody waits for us to end
+
+
+class Heard(msgspec.Struct, array_like=True, frozen=True):
+    """A sample, and when it was heard by the listener's clocks [s]."""
+
+    t: float
+    utc: float
+    key: str
+    alive: bool
+    payload: bytes
+
+    @property
+    def sample(self) -> Sample:
+        return Sample(self.key, self.payload, self.alive, self.t)
+
+
+class FlightEvent(msgspec.Struct, frozen=True):
+    """A process was started or ended by plan, by the clocks of whoever did [s]."""
+
+    event: str
+    drone_id: int
+    t_s: float
+    utc_s: float
+
+
+class TruePose(NamedTuple):
+    """A drone in truth. t: world time [s]; pose: world_from_body."""
+
+    t: float
+    drone_id: int
+    pose: geometry.Pose
+
+
+class SwarmRecorder:
+    """Heard samples, and what only the simulation knows, into `folder/swarm`."""
+
+    def __init__(self, clock: Clock, team: str) -> None:
+        self._clock = clock
+        self._team = team
+        self._utc_offset = clock.utc() - clock.now()
+        self._thread = RecordingThread()
+        self._topics: dict[tuple[int, Kind], Topic] = {}
+
+    def open(
+        self,
+        folder: Path,
+        *,
+        bounds: Mapping[str, Any] | None = None,
+        metadata: Mapping[str, str] | None = None,
+        attachments: Sequence[Attachment] = (),
+    ) -> None:
+        """bounds: of `Bounds`, other than usual. Raises RecordingError where nothing can be written."""
+        now, utc = self._clock.now(), self._clock.utc()
+        self._utc_offset = utc - now
+        root = folder / "swarm"
+        known = {"monotonic_s": repr(now), "utc_s": repr(utc), "team": self._team}
+        self._thread.open(
+            root / name_of_life(utc, self._team),
+            Preface(
+                {"format": FORMAT, "kind": "swarm", **known, **(metadata or {}), **versions()},
+                tuple(attachments),
+            ),
+            Bounds(root, **{"drop_oldest": False, **(bounds or {})}),
+        )
+
+    def close(self) -> None:
+        self._thread.close(CLOSE_S)
+
+    @property
+    def thread(self) -> RecordingThread:
+        """Its counters and troubles."""
+        return self._thread
+
+    def heard(self, sample: Sample, t: float, utc: float) -> None:
+        """t, utc: when, by our clocks [s]."""
+        self._thread.put(
+            self._ns(t), partial(self._write_heard, Heard(t, utc, sample.key, sample.alive, sample.payload))
+        )
+
+    def flown(self, event: str, drone_id: int) -> None:
+        """event: "started" or "ended", of a process."""
+        t, utc = self._clock.now(), self._clock.utc()
+        data = msgspec.json.encode(FlightEvent(event, drone_id, t, utc))
+        self._thread.put(self._ns(t), lambda write, ns: write(FLIGHT, ns, data))
+
+    def truth(self, epoch: float, true: TruePose) -> None:
+        """epoch: of world time, on our clock."""
+        self._thread.put(self._ns(epoch + true.t), partial(_write_truth, true))
+
+    def verdict(self, record: Mapping[str, Any]) -> None:
+        data = msgspec.json.encode(record)
+        self._thread.put(self._ns(self._clock.now()), lambda write, ns: write(VERDICT, ns, data))
+
+    def _ns(self, t: float) -> int:
+        return round((t + self._utc_offset) * 1e9)
+
+    def _write_heard(self, heard: Heard, write: Write, log_time: int) -> None:
+        write(HEARD, log_time, msgspec.msgpack.encode(heard))
+        address = keys.parse(heard.key)
+        if address is None:
+            return
+        record: Mapping[str, Any] = {"key": heard.key, "alive": heard.alive}
+        decode = keys.DECODERS.get(address.kind)
+        if decode is not None and heard.alive:
+            try:
+                record = codec.as_record(decode(heard.payload))
+            except codec.DecodeError as error:
+                record = {"key": heard.key, "error": str(error), "bytes": len(heard.payload)}
+        write(self._topic(address.drone_id, address.kind), log_time, msgspec.json.encode(record))
+
+    def _topic(self, drone_id: int, kind: Kind) -> Topic:
+        topic = self._topics.get((drone_id, kind))
+        if topic is None:
+            schema = {"title": f"swarmtrack.{kind.capitalize()}Message", "type": "object"}
+            topic = self._topics[drone_id, kind] = Topic.of_json(f"/drone-{drone_id}/{kind}", schema)
+        return topic
+
+
+def _write_truth(true: TruePose, write: Write, log_time: int) -> None:
+    x, y, z = true.pose.position.tolist()
+    qw, qx, qy, qz = to_quaternion(true.pose.rotation).tolist()
+    record = {
+        "t_s": true.t,
+        "drone_id": true.drone_id,
+        "position_m": [x, y, z],
+        "quaternion_wxyz": [qw, qx, qy, qz],
+    }
+    write(TRUTH, log_time, msgspec.json.encode(record))
+    pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    stamp = Timestamp(sec=log_time // 10**9, nsec=log_time % 10**9)
+    topic = Topic.well_known(f"/drone-{true.drone_id}/truth", PoseInFrame)
+    write(topic, log_time, PoseInFrame(timestamp=stamp, frame_id="team_ned", pose=pose).encode())
+
+
+def read_heard(message: Message) -> Heard:
+    """Of `/heard`. Raises RecordingError."""
+    try:
+        return msgspec.msgpack.decode(message.data, type=Heard)
+    except msgspec.MsgspecError as error:
+        raise RecordingError(f"{HEARD_TOPIC}: a record that is no swarmtrack.Heard: {error}") from None
+
+
+def read_flight(message: Message) -> FlightEvent:
+    """Of `/flight`. Raises RecordingError."""
+    try:
+        return msgspec.json.decode(message.data, type=FlightEvent)
+    except msgspec.MsgspecError as error:
+        raise RecordingError(f"{FLIGHT_TOPIC}: a record that is no swarmtrack.Flight: {error}") from None
