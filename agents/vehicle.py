@@ -19,6 +19,10 @@ from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
+ONE_BOX = (
+    "one box for all teammates; QGroundControl draws it only beside a MAVLink camera that tracks, "
+    "which the agent is not (docs/telling.md)"
+)
 LAST_WORD = (
     0.3  # s for the interpreter's own end: with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
 )
@@ -102,11 +106,14 @@ def _check(path: Path) -> int:
     else:
         autopilot = link_address(link)
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
+        print(f"telling    {', '.join(config.autopilot.tell) or 'nothing but our heartbeat'}")
     detector = (
         "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
     )
     print(f"detector   {detector}")
     print(f"tracker    {config.tracker.name}")
+    if "camera_tracking" in config.autopilot.tell:
+        print(f"warning: autopilot.tell: camera_tracking: {ONE_BOX}")
     print(f"{path}: ok")
     return DONE
 

@@ -238,6 +238,25 @@ class AutopilotSection(Section):
     signing_key: Path | None = Field(
         default=None, description="a file with the 32 bytes of the key as 64 hex digits"
     )
+    component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
+        default=191, description="ours, 191 … 194, where another onboard computer speaks as 191"
+    )
+    tell: tuple[Literal["status", "camera_tracking"], ...] = Field(
+        default=("status",),
+        description='what the ground station hears by way of the autopilot: "status": texts, and how many teammates '
+        'are identified; "camera_tracking": the box of one of them; []: nothing but our heartbeat',
+    )
+
+    @field_validator("tell", mode="before")
+    @classmethod
+    def _places_are_not_told(cls, tell: object) -> object:
+        for word in tell if isinstance(tell, list | tuple) else ():
+            if word in ("adsb", "follow_target"):
+                raise ValueError(
+                    f"found {found(word)}, expected status or camera_tracking: one camera tells directions, and that "
+                    "message wants a place (docs/telling.md)"
+                )
+        return tell
 
 
 class DetectorSection(Section):

@@ -193,6 +193,7 @@ def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None)
         clock=clock,
         imu_rate_hz=section.imu_rate_hz,
         system_id=section.system_id,
+        component_id=section.component_id,
         signing_key=section.signing_key,
         gps=_gps(config),
     )

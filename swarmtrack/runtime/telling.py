@@ -1,0 +1,173 @@
+"""What the autopilot is told, and by way of it the ground station: `[autopilot] tell` (docs/telling.md).
+
+Nothing here moves the vehicle: these messages are for people, and for programs that only look.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import numpy as np
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.agreement import Disagreement
+from swarmtrack.messages import Array, IdClash, PeerDeparted, PeerEvent, TrackStatus
+from swarmtrack.onboard import ScanReport
+from swarmtrack.runtime.assembly import Parts
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.runtime.outputs import SeenTrack, as_seen
+from swarmtrack.runtime.status_lines import Lasting, StatusLines
+from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_value, status_text
+
+PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
+NUMBER_EVERY = 1.0  # s between two of the number of identified teammates
+NUMBER = "trk_n"  # its name
+BLIND_AFTER = 1.0  # s without a scan: what was seen then is not seen now
+HOLD = 3.0  # s that a source must be away, or back, to be news
+# s likewise for how many teammates are seen; drones fly in and out of view, so not more often than every REST.
+SIGHT_HOLD, SIGHT_REST = 2.0, 10.0
+
+
+class Teller:
+    """Told of scans and events, it speaks to the autopilot of `parts` where that is one that can be spoken to."""
+
+    def __init__(self, parts: Parts) -> None:
+        self.lines = StatusLines()
+        self._parts = parts
+        self._wall = SystemClock()
+        tell = parts.config.autopilot.tell
+        self._autopilot = parts.autopilot if isinstance(parts.autopilot, MavlinkAutopilot) and tell else None
+        self._texts, self._boxes = "status" in tell, "camera_tracking" in tell
+        self._scan: ScanReport | None = None
+        self._scan_at = -math.inf
+        self._ready = False
+        self._camera = Lasting(True, hold=HOLD)
+        self._network = Lasting(True, hold=HOLD)
+        self._trouble = Lasting("", hold=HOLD)
+        self._sight = Lasting((0, 0), hold=SIGHT_HOLD, rest=SIGHT_REST)
+        self._number_at = -math.inf
+        self._texts_sent = 0
+        self._shown: int | None = None  # the track whose box is told
+        self._idle_at = -math.inf
+
+    # ── what happens ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    def see(self, report: ScanReport) -> None:
+        """A scan was tracked."""
+        self._scan, self._scan_at = report, self._wall.now()
+
+    def on_peer(self, event: PeerEvent) -> None:
+        """Something about a teammate."""
+        match event:
+            case PeerDeparted(drone_id=drone_id):
+                self.add(Severity.WARNING, f"drone {drone_id} is gone")
+            case IdClash(drone_id=drone_id, ours=True):
+                self.add(Severity.ERROR, f"another agent is drone {drone_id} too")
+            case IdClash(drone_id=drone_id):
+                self.add(Severity.WARNING, f"two agents are drone {drone_id}")
+
+    def on_disagreement(self, found: Disagreement) -> None:
+        """A teammate sees somebody elsewhere than we do."""
+        if found.overruled:
+            self.add(Severity.WARNING, f"outvoted on drone {found.drone_id}: unknown")
+        else:
+            self.add(Severity.WARNING, f"drone {found.observer} disputes drone {found.drone_id}")
+
+    def add(self, severity: Severity, text: str) -> None:
+        """A line for the pilot."""
+        if self._autopilot is not None and self._texts:
+            self.lines.add(severity, f"swarmtrack: {text}", self._wall.now())
+
+    # ── what is said ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def run(self) -> None:
+        """Until cancelled; returns where there is nobody to tell."""
+        while self._autopilot is not None:
+            await asyncio.sleep(PERIOD)
+            self.tick(self._wall.now())
+
+    def tick(self, now: float) -> None:
+        """Say what is due."""
+        if self._autopilot is None:
+            return
+        seen = self._seen(now)
+        if self._texts:
+            named = {track.entry.identity for track in seen}
+            self._look_for_news(len(named), now)
+            self._say_line(now)
+            if now - self._number_at >= NUMBER_EVERY:
+                self._number_at = now
+                self._autopilot.tell(named_value(now, NUMBER, len(named)))
+        if self._boxes:
+            self._show(seen, now)
+
+    def _seen(self, now: float) -> list[SeenTrack]:
+        """The teammates in view that have a name, in the pixels of the image."""
+        if self._scan is None or now - self._scan_at > BLIND_AFTER:
+            return []
+        tracks = as_seen(self._scan, self._parts.lens)
+        return [
+            track
+            for track in tracks
+            if track.entry.track.status is TrackStatus.CONFIRMED and isinstance(track.entry.identity, int)
+        ]
+
+    def _look_for_news(self, named: int, now: float) -> None:
+        parts = self._parts
+        assert self._autopilot is not None
+        camera, network = parts.camera.status().ok, parts.transport.status().ok
+        trouble = self._autopilot.trouble
+        if trouble == "no autopilot":
+            return  # it would not hear us
+        if not self._ready:
+            self._ready = self._scan is not None and camera and not trouble
+            if self._ready:
+                self.add(Severity.INFO, f"ready, drone {parts.config.drone.id}")
+        if self._camera.is_news(camera, now):
+            self._say_of("" if camera else "no camera", "camera")
+        if self._network.is_news(network, now):
+            self._say_of("" if network else "no network", "network")
+        before = self._trouble.told
+        if self._trouble.is_news(trouble, now):
+            self._say_of(trouble, before.removeprefix("no "))
+        team = len(parts.onboard.teammates)
+        if self._sight.is_news((named, team), now):
+            self.add(Severity.INFO, f"sees {named} of {team}")
+
+    def _say_of(self, trouble: str, what: str) -> None:
+        if trouble:
+            self.add(Severity.WARNING, trouble)
+        else:
+            self.add(Severity.INFO, f"{what} is there")
+
+    def _say_line(self, now: float) -> None:
+        line = self.lines.next(now)
+        if line is None or self._autopilot is None:
+            return
+        number = self._texts_sent % 65535 + 1
+        if all(self._autopilot.tell(m) for m in status_text(line.severity, line.text, number)):
+            self._texts_sent += 1
+            self.lines.said()
+
+    def _show(self, seen: list[SeenTrack], now: float) -> None:
+        """The box of one teammate: the message has room for one. The largest, for as long as it has a name."""
+        assert self._autopilot is not None
+        boxed = {track.entry.track.id: track for track in seen if np.isfinite(track.size).all()}
+        if self._shown not in boxed:
+            self._shown = max(boxed, key=lambda i: float(boxed[i].size.prod()), default=None)
+        if self._shown is not None:
+            self._idle_at = -math.inf
+            self._autopilot.tell(image_status(_corners(boxed[self._shown], self._parts.lens)))
+        elif now - self._idle_at >= NUMBER_EVERY:
+            self._idle_at = now
+            self._autopilot.tell(image_status(None))
+
+
+def _corners(track: SeenTrack, lens: PinholeCamera) -> Array:
+    """Top left and bottom right of a box, (2, 2), as shares of the image's width and height."""
+    half = 0.5 * track.size
+    # Pixel centres are whole numbers: the image begins half a pixel before the first.
+    corners = np.array((track.centre - half, track.centre + half)) + 0.5
+    return np.asarray(corners / (lens.width, lens.height))
