@@ -15,6 +15,7 @@ COMMANDS = {
     "sim": ("swarmtrack.agents.swarm", "fly a local swarm: simulator, one agent a drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
+    "config": ("swarmtrack.agents.config", "write, check and explain configs"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),

@@ -44,7 +44,7 @@ def main(argv: list[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "±" on a terminal without it is no reason to end a flight
     try:
-        return _check(arguments.config) if arguments.check else _fly(arguments)
+        return check(arguments.config) if arguments.check else _fly(arguments)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return WRONG_USAGE
@@ -85,7 +85,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _check(path: Path) -> int:
+def check(path: Path) -> int:
+    """`--check`: print what an agent would do with this config. Raises SwarmtrackError where it could not."""
     from swarmtrack.config import load_config
     from swarmtrack.runtime.assembly import assemble
     from swarmtrack.runtime.outputs import check_outputs

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Literal, NamedTuple, TypeVar
 from urllib.parse import quote
 
 import numpy as np
@@ -19,7 +19,6 @@ from pydantic import (
     Field,
     PrivateAttr,
     Strict,
-    TypeAdapter,
     ValidationError,
     field_validator,
     model_validator,
@@ -127,23 +126,31 @@ class TeamSection(Section):
 
 
 class Vehicle(Section):
-    """[drone]"""
+    """[drone]: who this drone is, and where it starts."""
 
     id: Annotated[int, Strict(), Field(ge=1, le=65535, description="1 … 65535, unique in the team")]
-    start: Start = Start()
+    start: Start = Field(
+        default=Start(), description="where it stands in the team frame when its agent starts"
+    )
 
 
 class Intrinsics(Section):
-    fx: Positive
-    fy: Positive
-    cx: Number
-    cy: Number
-    width: Count
-    height: Count
+    """Of a pinhole camera, for images of one size."""
+
+    fx: Positive = Field(description="focal length along a row, px")
+    fy: Positive = Field(description="focal length along a column, px")
+    cx: Number = Field(description="column of the optical axis, px; the first pixel's centre is 0")
+    cy: Number = Field(description="row of the optical axis, px")
+    width: Count = Field(description="of the image, px")
+    height: Count = Field(description="of the image, px")
 
 
 class Lens(Section):
-    model: Literal["radtan", "equidistant"]
+    """How a lens bends straight lines."""
+
+    model: Literal["radtan", "equidistant"] = Field(
+        description="radtan (also called plumb_bob): ordinary lenses; equidistant: fisheyes"
+    )
     coefficients: tuple[Number, ...] = Field(
         description="radtan: k1 k2 p1 p2 [k3 [k4 k5 k6]]; equidistant: k1 … k4"
     )
@@ -172,7 +179,7 @@ class Mount(Section):
 
 
 class CameraSection(Section):
-    """[camera]"""
+    """[camera]: where its frames come from, what its lens does, how it sits on the drone."""
 
     source: Text = Field(
         description="v4l2:///dev/video0, file://, images://, rtsp://, http://, detections:// or sim://"
@@ -224,7 +231,7 @@ class CameraSection(Section):
 
 
 class AutopilotSection(Section):
-    """[autopilot]"""
+    """[autopilot]: the MAVLink link, what it is asked for and what it is told."""
 
     link: Text = Field(
         default="none", description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE or none"
@@ -260,7 +267,7 @@ class AutopilotSection(Section):
 
 
 class DetectorSection(Section):
-    """[detector]"""
+    """[detector]: which network looks at the frames, and how (docs/detector.md)."""
 
     model: Text = Field(default="default", description='"default", the one that is shipped, or an .onnx file')
     score_threshold: Probability | None = Field(default=None, description="instead of the model's own")
@@ -312,17 +319,17 @@ class DetectorSection(Section):
 
 
 class TrackerSection(ParameterSection):
-    """[tracker]: a name, and that tracker's own parameters."""
+    """[tracker]: a name, and that tracker's own parameters (docs/tracking.md)."""
 
     name: Text = Field(default=DEFAULT_TRACKER, description="which tracker")
 
 
 class IdentitySection(ParameterSection):
-    """[identity]"""
+    """[identity]: when a track is given a drone's ID (docs/decisions/0008-who-is-who.md)."""
 
 
 class NetworkSection(Section):
-    """[network]"""
+    """[network]: the team, and how drones reach each other (docs/security.md)."""
 
     team: str = Field(
         default="swarm", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="letters, digits, - and _"
@@ -377,7 +384,7 @@ class NetworkSection(Section):
 
 
 class OutputSection(Section):
-    """[output]"""
+    """[output]: what is written for people, beside the network. Paths are relative to the working directory."""
 
     jsonl: Path | None = Field(default=None, description="a line for each processed frame")
     video: Path | None = Field(default=None, description="annotated frames, .mp4")
@@ -387,7 +394,7 @@ class OutputSection(Section):
 
 
 class MotionSection(Section):
-    """[motion]"""
+    """[motion]: the gyro that carries tracks from one exposure to the next."""
 
     history_s: Annotated[Number, Field(ge=0.1, le=60.0)] = Field(
         default=2.0, description="how late a detection may come and still be placed at its exposure"
@@ -408,6 +415,11 @@ class LayeredConfig(Section):
     """A config that knows its files."""
 
     _layers: Layers | None = PrivateAttr(default=None)
+
+    def problem(self, key: tuple[str, ...], text: str) -> str:
+        """A sentence on an entry, with the file and line that count: `FILE:LINE: KEY: text`."""
+        named = f"{'.'.join(key)}: {text}"
+        return str(self._layers.problem(key, named)) if self._layers else named
 
     @contextmanager
     def blamed(self, *key: str) -> Iterator[None]:
@@ -518,20 +530,6 @@ def mount_camera(section: CameraSection) -> MountedCamera:
         body_from_camera = Mount().pose()
     offsets = (section.time_offset_s, file_offset_s, 0.0)
     return MountedCamera(camera, body_from_camera, next(s for s in offsets if s is not None))
-
-
-def config_schema() -> dict[str, Any]:
-    """JSON schema of a drone's config, for editors."""
-    schema = DroneConfig.model_json_schema(by_alias=True)
-    trackers = [kind.Parameters for kind in TRACKERS.values()]
-    for section, kinds in (("TrackerSection", trackers), ("IdentitySection", [IdentityParameters])):
-        table = schema["$defs"][section]
-        for kind in kinds:
-            table.setdefault("properties", {}).update(TypeAdapter(kind).json_schema()["properties"])
-        table["additionalProperties"] = False
-    one_or_more = [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]
-    schema["properties"]["extends"] = {"anyOf": one_or_more, "description": "files this one is layered over"}
-    return schema
 
 
 def _resolve_inputs(table: Table, folder: Path) -> None:
