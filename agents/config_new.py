@@ -103,7 +103,7 @@ class Plan(NamedTuple):
     team: str
     camera: str
     lens: list[str]
-    guessed: bool
+    calibration: Path | None
     link: str
     notes: tuple[str, ...]
     start: str
@@ -122,6 +122,8 @@ def create(args: argparse.Namespace) -> None:
     texts = {drone_file: drone_text(plan)}
     if args.force or not team_file.exists():
         texts = {team_file: team_text(plan.team, args), **texts}
+    if plan.calibration is not None:
+        texts |= _beside(args.out, plan.calibration, args.force)
     before = {path: path.read_bytes() if path.exists() else None for path in texts}
     try:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -138,11 +140,23 @@ def create(args: argparse.Namespace) -> None:
         raise ConfigError([f"nothing was written, because it would not work:\n{error}"]) from error
     kept = "" if team_file in texts else f" ({team_file} is as it was)"
     print(f"written: {', '.join(map(str, texts))}{kept}")
-    if plan.guessed:
+    if plan.lens and plan.calibration is None:
         print(
             "the lens is guessed: `swarmtrack calibrate` measures it, and tracks and identities get better by it"
         )
     print(f"next: swarmtrack doctor --config {drone_file}")
+
+
+def _beside(folder: Path, calibration: Path, force: bool) -> dict[Path, str]:
+    """A copy of the calibration for the config's folder, which can then be carried to the drone as it is."""
+    copy, text = folder / calibration.name, calibration.read_text(encoding="utf-8")
+    if not copy.exists():
+        return {copy: text}
+    if copy.read_text(encoding="utf-8") == text:
+        return {}
+    if not force:
+        raise ConfigError([f"{copy}: is there already and another one, expected another name, or --force"])
+    return {copy: text}
 
 
 def _restore(before: dict[Path, bytes | None]) -> None:
@@ -189,7 +203,7 @@ def _plan(args: argparse.Namespace, drone_id: int, team_file: Path, ask: Ask[obj
         if args.camera
         else str(ask("camera: usb, or an address", "usb", _camera, "--camera"))
     )
-    lens, guessed, size = _lens(args, camera, ask)
+    lens, calibration, size = _lens(args, camera, ask)
     kinds = f"autopilot: {', '.join(WIRINGS)}, or an address"
     wiring = _wiring(args.autopilot) if args.autopilot else ask(kinds, "px4-uart", _wiring, "--autopilot")
     assert isinstance(wiring, Wiring)
@@ -204,7 +218,7 @@ def _plan(args: argparse.Namespace, drone_id: int, team_file: Path, ask: Ask[obj
         team=team,
         camera=camera.format(width=size[0], height=size[1]) if camera == USB_CAMERA else camera,
         lens=lens,
-        guessed=guessed,
+        calibration=calibration,
         link=wiring.link,
         notes=wiring.notes,
         start=start,
@@ -229,10 +243,12 @@ def _team(args: argparse.Namespace, team_file: Path, ask: Ask[object]) -> str:
     return there
 
 
-def _lens(args: argparse.Namespace, camera: str, ask: Ask[object]) -> tuple[list[str], bool, tuple[int, int]]:
-    """Lines of [camera] on the lens, whether they are a guess, and the image's size."""
+def _lens(
+    args: argparse.Namespace, camera: str, ask: Ask[object]
+) -> tuple[list[str], Path | None, tuple[int, int]]:
+    """Lines of [camera] on the lens, the file it was read from, and the image's size."""
     if camera.startswith("sim:"):
-        return [], False, (0, 0)
+        return [], None, (0, 0)
     file = args.calibration
     if file is None and args.fov is None:
         answer = str(ask("calibration file; - for none yet", "-", _calibration_answer, "--calibration"))
@@ -241,10 +257,7 @@ def _lens(args: argparse.Namespace, camera: str, ask: Ask[object]) -> tuple[list
         from swarmtrack.calibration import load_calibration
 
         lens = load_calibration(file, None).camera
-        # Beside the config where it lies there, so that both can be copied to the drone.
-        inside = file.resolve().is_relative_to(args.out.resolve())
-        path = file.resolve().relative_to(args.out.resolve()) if inside else file.resolve()
-        return [f"calibration = {_quoted(str(path))}"], False, (lens.width, lens.height)
+        return [f"calibration = {_quoted(file.name)}"], file, (lens.width, lens.height)
     width, height = args.size or (640, 480)
     if args.size is None and camera == USB_CAMERA:
         width, height = ask("size of the images", "640x480", _size, "--size")  # type: ignore[misc]
@@ -259,7 +272,7 @@ def _lens(args: argparse.Namespace, camera: str, ask: Ask[object]) -> tuple[list
             f"# A guess by the lens' angle of {fov:g} degrees. Measure it: swarmtrack calibrate",
             f"intrinsics = {{ {numbers}, width = {width}, height = {height} }}",
         ],
-        True,
+        None,
         (width, height),
     )
 

@@ -24,7 +24,15 @@ COMMANDS = {
 
 def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
-    words = sys.argv[1:] if argv is None else argv
+    arguments = parse(sys.argv[1:] if argv is None else argv)
+    code = _run(arguments)
+    if argv is None:
+        end_at_once_if_stuck(code)
+    return code
+
+
+def parse(words: list[str]) -> argparse.Namespace:
+    """What a command line asks for; ends the program with a usage message where it is wrong."""
     parser = argparse.ArgumentParser(
         prog="swarmtrack",
         description="Relative perception for drone swarms. One drone's agent: swarmtrack-agent.",
@@ -38,11 +46,7 @@ def main(argv: list[str] | None = None) -> int:
         )
         if name in words[:1]:
             import_module(module).add_arguments(command)
-    arguments = parser.parse_args(words)
-    code = _run(arguments)
-    if argv is None:
-        end_at_once_if_stuck(code)
-    return code
+    return parser.parse_args(words)
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -65,14 +65,21 @@ def test_a_guessed_lens_has_the_angle_that_was_told_and_says_that_it_is_a_guess(
     assert "# A guess" in (tmp_path / "drone-1.toml").read_text()
 
 
-def test_a_calibration_beside_the_config_is_named_relative_to_it(config, tmp_path):
+def test_a_calibration_lies_beside_the_config_that_names_it(config, tmp_path):
     (tmp_path / "cam.yaml").write_bytes(CALIBRATION.read_bytes())
     code, out, err = config("new", "--id", 1, "--calibration", "cam.yaml")
     assert code == 0, err
     assert 'calibration = "cam.yaml"' in (tmp_path / "drone-1.toml").read_text()
     assert "guess" not in out
-    assert config("new", "--id", 2, "--calibration", CALIBRATION, "--start", 0, 3, 0, 0)[0] == 0
-    assert f'calibration = "{CALIBRATION}"' in (tmp_path / "drone-2.toml").read_text()
+    code, out, err = config("new", "--id", 2, "--calibration", CALIBRATION, "--out", "a/b")
+    assert code == 0, err
+    assert 'calibration = "usb-camera.yaml"' in (tmp_path / "a" / "b" / "drone-2.toml").read_text()
+    assert (tmp_path / "a" / "b" / "usb-camera.yaml").read_bytes() == CALIBRATION.read_bytes()
+    (tmp_path / "cam.yaml").write_text((tmp_path / "cam.yaml").read_text() + "# another\n")
+    (tmp_path / "a" / "b" / "cam.yaml").write_bytes(CALIBRATION.read_bytes())
+    code, _, err = config("new", "--id", 3, "--calibration", "cam.yaml", "--out", "a/b")
+    assert code == 2
+    assert "a/b/cam.yaml: is there already and another one" in err
 
 
 def test_a_second_drone_joins_the_team_that_is_there(config, tmp_path):
