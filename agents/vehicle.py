@@ -19,10 +19,13 @@ from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
-ONE_BOX = (
-    "one box for all teammates; QGroundControl draws it only beside a MAVLink camera that tracks, "
-    "which the agent is not (docs/telling.md)"
-)
+# What --check says of `autopilot.tell` beyond the harmless (docs/telling.md).
+DANGERS = {
+    "camera_tracking": "one box for all teammates; QGroundControl draws it only beside a MAVLink camera that tracks, "
+    "which the agent is not",
+    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it hears of; places are the teammates' own "
+    "word, checked by the camera's direction only",
+}
 LAST_WORD = (
     0.3  # s for the interpreter's own end: with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
 )
@@ -114,8 +117,9 @@ def check(path: Path) -> int:
     )
     print(f"detector   {detector}")
     print(f"tracker    {config.tracker.name}")
-    if "camera_tracking" in config.autopilot.tell:
-        print(f"warning: autopilot.tell: camera_tracking: {ONE_BOX}")
+    for word in config.autopilot.tell:
+        if word in DANGERS:
+            print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")
     print(f"{path}: ok")
     return DONE
 

@@ -248,20 +248,21 @@ class AutopilotSection(Section):
     component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
         default=191, description="ours, 191 … 194, where another onboard computer speaks as 191"
     )
-    tell: tuple[Literal["status", "camera_tracking"], ...] = Field(
+    tell: tuple[Literal["status", "camera_tracking", "adsb"], ...] = Field(
         default=("status",),
         description='what the ground station hears by way of the autopilot: "status": texts, and how many teammates '
-        'are identified; "camera_tracking": the box of one of them; []: nothing but our heartbeat',
+        'are identified; "camera_tracking": the box of one of them; "adsb": their places, but read '
+        "docs/telling.md first; []: nothing but our heartbeat",
     )
 
     @field_validator("tell", mode="before")
     @classmethod
-    def _places_are_not_told(cls, tell: object) -> object:
+    def _nobody_is_followed(cls, tell: object) -> object:
         for word in tell if isinstance(tell, list | tuple) else ():
-            if word in ("adsb", "follow_target"):
+            if word == "follow_target":
                 raise ValueError(
-                    f"found {found(word)}, expected status or camera_tracking: one camera tells directions, and that "
-                    "message wants a place (docs/telling.md)"
+                    'found "follow_target", expected status, camera_tracking or adsb: a vehicle flies after what that '
+                    "message says, and one camera measures no range (docs/telling.md)"
                 )
         return tell
 
@@ -475,7 +476,7 @@ def load_config(path: str | Path) -> DroneConfig:
     """Read a drone's config and all it extends. Raises ConfigError with every problem that was found."""
     layers = read_layers(Path(path), _resolve_inputs)
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
-    problems += _start_problems(layers)
+    problems += _start_problems(layers) + _telling_problems(layers)
     return _validated(DroneConfig, layers, problems)
 
 
@@ -577,6 +578,20 @@ def _start_problems(layers: Layers) -> list[Problem]:
         )
     key = ("drone", "start", "from")
     return [layers.problem(key, f'drone.start.from: "{source}" {want}') for want in wants]
+
+
+def _telling_problems(layers: Layers) -> list[Problem]:
+    """What places on the Earth need elsewhere."""
+    autopilot, team = layers.table.get("autopilot"), layers.table.get("team")
+    tell = autopilot.get("tell") if isinstance(autopilot, dict) else None
+    if not isinstance(tell, list) or "adsb" not in tell or (isinstance(team, dict) and "origin" in team):
+        return []
+    text = "expected [team] origin = { lat_deg = …, lon_deg = …, alt_m = … } beside it"
+    return [
+        layers.problem(
+            ("autopilot", "tell"), f'autopilot.tell: "adsb" without an origin of the team frame, {text}'
+        )
+    ]
 
 
 def _tracker_problems(layers: Layers) -> list[Problem]:

@@ -28,6 +28,8 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     LinkStatus,
     PeerDeparted,
+    Sighting,
+    SightingReport,
     Track,
     TrackList,
     TrackStatus,
@@ -49,6 +51,10 @@ autopilot.tell = {tell}
 [camera]
 source = "http://127.0.0.1:9/"
 intrinsics = {{ fx = 600.0, fy = 600.0, cx = 319.5, cy = 255.5, width = 640, height = 512 }}
+"""
+ORIGIN = """
+[team]
+origin = { lat_deg = 47.4, lon_deg = 8.5, alt_m = 488.0 }
 """
 
 
@@ -148,7 +154,7 @@ class Told:
 
     def __init__(self, tmp_path, tell='["status"]'):
         path = tmp_path / "drone.toml"
-        path.write_text(CONFIG.format(tell=tell), encoding="utf-8")
+        path.write_text(CONFIG.format(tell=tell) + ORIGIN, encoding="utf-8")
         self.ground = Ground(boot_at=60.0)
         self.flight = Flight(self.ground)
         self.camera, self.network = Source(), Source()
@@ -305,6 +311,68 @@ async def test_the_box_is_of_one_teammate_with_a_name_and_stays_with_it(tmp_path
         assert told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")[-1].rec_top_x > 150 / 640
     assert not told.ground.of("STATUSTEXT")
     assert not told.ground.of("NAMED_VALUE_FLOAT")
+
+
+class Looking:
+    """In place of Onboard: sees drone 2 from the team's origin, straight north."""
+
+    def __init__(self, clock, sigma=0.01):
+        self.teammates = {}
+        self._clock, self._sigma = clock, sigma
+
+    def sighting_report(self, boot, sequence):
+        north = np.array((1.0, 0.0, 0.0))
+        ray = Sighting(2, 0.99, north, self._sigma)
+        return SightingReport(1, boot, sequence, self._clock.now(), 0.0, np.zeros(3), 0.1, (2, 3), (ray,))
+
+
+def says_it_stands(drone_id, t, position, sigma=0.1):
+    return SightingReport(drone_id, "0000000a", 1, t, 0.05, np.array(position), sigma, (), ())
+
+
+async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_sees_it_there(tmp_path):
+    told = Told(tmp_path, '["adsb"]')
+    clock = told.flight.clock
+    told.parts.onboard = Looking(clock)
+    told.parts.clock = clock
+    async with told.flight:
+        told.fly(4.0)
+        assert not told.ground.of("ADSB_VEHICLE")  # nobody has said where it is
+        for _ in range(3):
+            told.teller.on_peer(says_it_stands(2, clock.now(), (100.0, 1.0, -20.0 + 20.5)))
+            told.teller.on_peer(says_it_stands(3, clock.now(), (50.0, 0.0, 0.0)))  # not in view
+            told.fly(1.0)
+        places = told.ground.of("ADSB_VEHICLE")
+        assert len(places) == 3
+        place = places[-1]
+        assert (place.callsign, place.emitter_type) == ("ST2", common.ADSB_EMITTER_TYPE_UAV)
+        assert place.tslc <= 1
+        assert place.lat == pytest.approx(474000000 + 100.0 / 111_180.0 * 1e7, abs=20)
+        assert place.lon == pytest.approx(85000000 + 1.0 / 75_460.0 * 1e7, abs=20)
+        assert place.altitude == pytest.approx(487_500, abs=10)
+        assert place.flags & common.ADSB_FLAGS_VALID_COORDS
+        assert not place.flags & (common.ADSB_FLAGS_VALID_HEADING | common.ADSB_FLAGS_VALID_VELOCITY)
+        assert len({m.ICAO_address for m in places}) == 1
+        assert 0 < place.ICAO_address < 1 << 24
+        told.fly(5.0)  # silent since
+        silent = len(told.ground.of("ADSB_VEHICLE"))
+        assert silent <= 5
+        for elsewhere in ((0.0, 100.0, 0.0), (-100.0, 0.0, 0.0)):  # a word that the camera gives the lie to
+            told.teller.on_peer(says_it_stands(2, clock.now(), elsewhere))
+            told.fly(2.0)
+        told.teller.on_peer(
+            says_it_stands(2, clock.now(), (100.0, 0.0, 0.0), sigma=50.0)
+        )  # too vague to be wrong
+        told.fly(2.0)
+        assert len(told.ground.of("ADSB_VEHICLE")) == silent
+    assert not told.ground.of("STATUSTEXT")
+
+
+async def test_a_flood_of_places_is_not_remembered(tmp_path):
+    told = Told(tmp_path, '["adsb"]')
+    for drone_id in range(2, 5000):
+        told.teller.on_peer(says_it_stands(drone_id, 0.0, (1.0, 0.0, 0.0)))
+    assert len(told.teller._places._reports) <= 256
 
 
 async def test_with_an_empty_list_only_our_heartbeat_goes_out(tmp_path):
@@ -465,9 +533,10 @@ def test_of_too_many_lines_the_least_severe_go_first():
 @pytest.mark.parametrize(
     ("tell", "words"),
     [
-        ('["adsb"]', 'found "adsb", expected status or camera_tracking: one camera tells directions'),
+        ('["adsb"]', '"adsb" without an origin of the team frame, expected [team] origin'),
+        ('["follow_target"]', "one camera measures no range"),
         ('["follow_target"]', "docs/telling.md"),
-        ('["sms"]', "'status' or 'camera_tracking'"),
+        ('["sms"]', "'status', 'camera_tracking' or 'adsb'"),
         ('"status"', "a list"),
         ("3", "a list"),
     ],
@@ -484,7 +553,7 @@ def test_what_cannot_be_told_is_refused_with_the_reason(tmp_path, tell, words):
 
 def test_check_says_what_is_told_and_warns(tmp_path):
     path = tmp_path / "drone.toml"
-    path.write_text(CONFIG.format(tell='["status", "camera_tracking"]'), encoding="utf-8")
+    path.write_text(CONFIG.format(tell='["status", "camera_tracking", "adsb"]') + ORIGIN, encoding="utf-8")
     result = subprocess.run(
         [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(path), "--check"],
         capture_output=True,
@@ -493,5 +562,9 @@ def test_check_says_what_is_told_and_warns(tmp_path):
         check=False,
     )
     assert result.returncode == 0, result.stderr
-    assert "telling    status, camera_tracking" in result.stdout
+    assert "telling    status, camera_tracking, adsb" in result.stdout
+    assert (
+        "warning: autopilot.tell: adsb: an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades"
+        in result.stdout
+    )
     assert "warning: autopilot.tell: camera_tracking" in result.stdout

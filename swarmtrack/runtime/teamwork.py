@@ -66,6 +66,7 @@ class Teamwork:
                     onboard.on_membership(event)
                 case SightingReport():
                     onboard.on_sightings(event)
+                    self._teller.on_peer(event)
                     self._tell_of_disagreements()
                     continue  # one a second from everybody: no news
                 case AnnouncementRequested():

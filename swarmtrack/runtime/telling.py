@@ -1,28 +1,32 @@
 """What the autopilot is told, and by way of it the ground station: `[autopilot] tell` (docs/telling.md).
 
-Nothing here moves the vehicle: these messages are for people, and for programs that only look.
+These messages are for people, and for programs that only look. One can make a vehicle evade, ADSB_VEHICLE: it is sent
+only where the config asks for it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+import zlib
 
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreement import Disagreement
-from swarmtrack.messages import Array, IdClash, PeerDeparted, PeerEvent, TrackStatus
+from swarmtrack.messages import Array, IdClash, PeerDeparted, PeerEvent, SightingReport, TrackStatus
 from swarmtrack.onboard import ScanReport
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
+from swarmtrack.runtime.stated_places import StatedPlaces
 from swarmtrack.runtime.status_lines import Lasting, StatusLines
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_value, status_text
+from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
 
 PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
 NUMBER_EVERY = 1.0  # s between two of the number of identified teammates
+PLACES_EVERY = 1.0  # s: as often as teammates tell theirs
 NUMBER = "trk_n"  # its name
 BLIND_AFTER = 1.0  # s without a scan: what was seen then is not seen now
 HOLD = 3.0  # s that a source must be away, or back, to be news
@@ -51,6 +55,10 @@ class Teller:
         self._texts_sent = 0
         self._shown: int | None = None  # the track whose box is told
         self._idle_at = -math.inf
+        origin = parts.config.team.origin
+        # A config that asks for "adsb" has an origin.
+        self._places = StatedPlaces(origin.place()) if origin is not None and "adsb" in tell else None
+        self._places_at = -math.inf
 
     # ── what happens ─────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -67,6 +75,8 @@ class Teller:
                 self.add(Severity.ERROR, f"another agent is drone {drone_id} too")
             case IdClash(drone_id=drone_id):
                 self.add(Severity.WARNING, f"two agents are drone {drone_id}")
+            case SightingReport() if self._places is not None:
+                self._places.told(event)
 
     def on_disagreement(self, found: Disagreement) -> None:
         """A teammate sees somebody elsewhere than we do."""
@@ -102,6 +112,9 @@ class Teller:
                 self._autopilot.tell(named_value(now, NUMBER, len(named)))
         if self._boxes:
             self._show(seen, now)
+        if self._places is not None and now - self._places_at >= PLACES_EVERY:
+            self._places_at = now
+            self._tell_places(self._places)
 
     def _seen(self, now: float) -> list[SeenTrack]:
         """The teammates in view that have a name, in the pixels of the image."""
@@ -151,6 +164,15 @@ class Teller:
             self._texts_sent += 1
             self.lines.said()
 
+    def _tell_places(self, places: StatedPlaces) -> None:
+        """Teammates on the map: each where it says that it is, while our camera sees it there."""
+        parts = self._parts
+        assert self._autopilot is not None
+        own = parts.onboard.sighting_report(parts.boot, 0)
+        for found in places.seen(own, parts.clock.now()):
+            address = _address(parts.config.network.team, found.drone_id)
+            self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address))
+
     def _show(self, seen: list[SeenTrack], now: float) -> None:
         """The box of one teammate: the message has room for one. The largest, for as long as it has a name."""
         assert self._autopilot is not None
@@ -163,6 +185,11 @@ class Teller:
         elif now - self._idle_at >= NUMBER_EVERY:
             self._idle_at = now
             self._autopilot.tell(image_status(None))
+
+
+def _address(team: str, drone_id: int) -> int:
+    """24 bits that are the same on every drone and in every flight, as an ICAO address is; 0 is nobody's."""
+    return zlib.crc32(f"{team}/{drone_id}".encode()) % 0xFFFFFF + 1
 
 
 def _corners(track: SeenTrack, lens: PinholeCamera) -> Array:

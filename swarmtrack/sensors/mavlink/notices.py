@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.messages import Array
 
 CHUNK = 50  # bytes of a STATUSTEXT
 LONGEST_TEXT = 4 * CHUNK
 LONGEST_NAME = 10  # bytes of a NAMED_VALUE_FLOAT's name
+LONGEST_CALLSIGN = 8  # bytes, and a zero after them
 NOT_USED = math.nan  # what the dialect asks for in fields that do not apply
 
 
@@ -46,6 +48,30 @@ def named_value(now: float, name: str, value: float) -> Any:
     """NAMED_VALUE_FLOAT; now [s]: of our clock, which counts from this computer's boot as the message wants it."""
     return common.MAVLink_named_value_float_message(
         int(now * 1e3) % 2**32, name.encode("ascii")[:LONGEST_NAME], value
+    )
+
+
+def adsb_vehicle(callsign: str, place: Geodetic, age: float, address: int) -> Any:
+    """ADSB_VEHICLE: place with its height above mean sea level; age [s] of it; address: 24 bits, the same each time.
+
+    Neither heading nor velocity is told, and the flags say so.
+    """
+    return common.MAVLink_adsb_vehicle_message(
+        ICAO_address=address,
+        lat=round(1e7 * math.degrees(place.latitude)),
+        lon=round(1e7 * math.degrees(place.longitude)),
+        altitude_type=common.ADSB_ALTITUDE_TYPE_GEOMETRIC,
+        altitude=round(1e3 * place.height),
+        heading=0,
+        hor_velocity=0,
+        ver_velocity=0,
+        callsign=callsign.encode("ascii")[:LONGEST_CALLSIGN],
+        emitter_type=common.ADSB_EMITTER_TYPE_UAV,
+        tslc=min(round(age), 255),
+        flags=common.ADSB_FLAGS_VALID_COORDS
+        | common.ADSB_FLAGS_VALID_ALTITUDE
+        | common.ADSB_FLAGS_VALID_CALLSIGN,
+        squawk=0,
     )
 
 
