@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmtrack.agents.config_new import WIRINGS
+from swarmtrack.agents.config_answers import WIRINGS
 from swarmtrack.agents.config_reference import json_schema, reference
 from swarmtrack.agents.main import main
 from swarmtrack.config import DroneConfig, load_config
@@ -217,7 +217,8 @@ def test_on_a_terminal_it_asks_and_asks_again(tmp_path):
     person.answer("name of the team [swarm]", "red")
     person.answer("camera", "")
     person.answer("calibration file", "nothing.yaml")
-    person.until("expected a file that is there")
+    person.until("nothing.yaml")
+    person.until("nothing.yaml")
     person.answer("calibration file", "")
     person.answer("size of the images [640x480]", "1280x720")
     person.answer("angle", "90")

@@ -25,7 +25,7 @@ from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
 
 PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
-NUMBER_EVERY = 1.0  # s between two of the number of identified teammates
+NUMBER_EVERY = 1.0  # s between two of the number of identified teammates, and two looks for news
 PLACES_EVERY = 1.0  # s: as often as teammates tell theirs
 NUMBER = "trk_n"  # its name
 BLIND_AFTER = 1.0  # s without a scan: what was seen then is not seen now
@@ -104,12 +104,12 @@ class Teller:
             return
         seen = self._seen(now)
         if self._texts:
-            named = {track.entry.identity for track in seen}
-            self._look_for_news(len(named), now)
-            self._say_line(now)
             if now - self._number_at >= NUMBER_EVERY:
                 self._number_at = now
-                self._autopilot.tell(named_value(now, NUMBER, len(named)))
+                named = len({track.entry.identity for track in seen})
+                self._look_for_news(named, now)
+                self._autopilot.tell(named_value(now, NUMBER, named))
+            self._say_line(now)
         if self._boxes:
             self._show(seen, now)
         if self._places is not None and now - self._places_at >= PLACES_EVERY:
