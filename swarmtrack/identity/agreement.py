@@ -147,8 +147,9 @@ def _log_odds(probability: float) -> float:
 
 
 def stands_there(own: SightingReport, ray: Sighting, report: SightingReport) -> bool:
-    """Whether our ray to a teammate leads to where it says it stands; a report that is too vague never does."""
-    if report.t_sigma > VAGUE_T or report.position_sigma > VAGUE_PLACE:
+    """Whether our ray to a teammate leads to where it says it stands, within `FARTHEST`; a vague report is no place."""
+    vague = report.t_sigma > VAGUE_T or report.position_sigma > VAGUE_PLACE
+    if vague or float(np.linalg.norm(report.position - own.position)) > FARTHEST:
         return False
     moved = SPEED * (abs(own.t - report.t) + report.t_sigma)
     return _miss_of_point(own, ray, report, moved)[1] <= GATE

@@ -9,12 +9,21 @@ from __future__ import annotations
 import asyncio
 import math
 import zlib
+from dataclasses import replace
 
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreement import Disagreement
-from swarmtrack.messages import Array, IdClash, PeerDeparted, PeerEvent, SightingReport, TrackStatus
+from swarmtrack.messages import (
+    Array,
+    IdClash,
+    IdentifiedTrack,
+    PeerDeparted,
+    PeerEvent,
+    SightingReport,
+    TrackStatus,
+)
 from swarmtrack.onboard import ScanReport
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import SystemClock
@@ -102,30 +111,28 @@ class Teller:
         """Say what is due."""
         if self._autopilot is None:
             return
-        seen = self._seen(now)
         if self._texts:
             if now - self._number_at >= NUMBER_EVERY:
                 self._number_at = now
-                named = len({track.entry.identity for track in seen})
+                named = len({entry.identity for entry in self._named(now)})
                 self._look_for_news(named, now)
                 self._autopilot.tell(named_value(now, NUMBER, named))
             self._say_line(now)
         if self._boxes:
-            self._show(seen, now)
+            self._show(now)
         if self._places is not None and now - self._places_at >= PLACES_EVERY:
             self._places_at = now
             self._tell_places(self._places)
 
-    def _seen(self, now: float) -> list[SeenTrack]:
-        """The teammates in view that have a name, in the pixels of the image."""
+    def _named(self, now: float) -> tuple[IdentifiedTrack, ...]:
+        """The teammates in view that have a name."""
         if self._scan is None or now - self._scan_at > BLIND_AFTER:
-            return []
-        tracks = as_seen(self._scan, self._parts.lens)
-        return [
-            track
-            for track in tracks
-            if track.entry.track.status is TrackStatus.CONFIRMED and isinstance(track.entry.identity, int)
-        ]
+            return ()
+        return tuple(
+            entry
+            for entry in self._scan.tracks.tracks
+            if entry.track.status is TrackStatus.CONFIRMED and isinstance(entry.identity, int)
+        )
 
     def _look_for_news(self, named: int, now: float) -> None:
         parts = self._parts
@@ -173,15 +180,17 @@ class Teller:
             address = _address(parts.config.network.team, found.drone_id)
             self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address))
 
-    def _show(self, seen: list[SeenTrack], now: float) -> None:
+    def _show(self, now: float) -> None:
         """The box of one teammate: the message has room for one. The largest, for as long as it has a name."""
         assert self._autopilot is not None
-        boxed = {track.entry.track.id: track for track in seen if np.isfinite(track.size).all()}
+        boxed = {entry.track.id: entry for entry in self._named(now) if np.isfinite(entry.track.size).all()}
         if self._shown not in boxed:
-            self._shown = max(boxed, key=lambda i: float(boxed[i].size.prod()), default=None)
-        if self._shown is not None:
+            self._shown = max(boxed, key=lambda i: float(boxed[i].track.size.prod()), default=None)
+        if self._shown is not None and self._scan is not None:
+            one = self._scan._replace(tracks=replace(self._scan.tracks, tracks=(boxed[self._shown],)))
             self._idle_at = -math.inf
-            self._autopilot.tell(image_status(_corners(boxed[self._shown], self._parts.lens)))
+            for track in as_seen(one, self._parts.lens):
+                self._autopilot.tell(image_status(_corners(track, self._parts.lens)))
         elif now - self._idle_at >= NUMBER_EVERY:
             self._idle_at = now
             self._autopilot.tell(image_status(None))
