@@ -19,6 +19,7 @@ from autopilot_flight import Flight, Listener, SimulatedLink
 from fake_autopilot import FakeAutopilot, serve_udp
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.codec import link_health
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError
 from swarmtrack.identity.agreement import Disagreement
@@ -140,13 +141,13 @@ async def test_the_ground_station_reads_who_we_are_that_we_are_ready_and_how_man
 
 
 class Source:
-    """In place of a camera: up or not."""
+    """In place of a camera or a network: up or not."""
 
-    def __init__(self):
-        self.ok = True
+    def __init__(self, name):
+        self.name, self.ok = name, True
 
     def status(self):
-        return LinkStatus("camera", self.ok, "")
+        return LinkStatus(self.name, self.ok, "")
 
 
 class Told:
@@ -157,12 +158,10 @@ class Told:
         path.write_text(CONFIG.format(tell=tell) + ORIGIN, encoding="utf-8")
         self.ground = Ground(boot_at=60.0)
         self.flight = Flight(self.ground)
-        self.camera, self.network = Source(), Source()
+        self.camera, self.network = Source("camera"), Source("zenoh")
         self.parts = dataclasses.replace(
             assemble(load_config(path)),
             autopilot=self.flight.unit,
-            camera=self.camera,
-            transport=self.network,
         )
         self.teller = Teller(self.parts)
         self.teller._wall = self.flight.clock
@@ -192,6 +191,7 @@ class Told:
                 )
             )
             self.sequence += 1
+            self.teller.see_links(link_health(link) for link in (self.camera.status(), self.network.status()))
             if self.camera.ok:
                 self.teller.see(ScanReport(self.sequence, TrackList(now, now, tracks)))
             self.teller.tick(now)
@@ -210,14 +210,14 @@ async def test_what_is_lost_and_comes_back_is_told_once_it_lasts(tmp_path):
         told.camera.ok = True  # too short to be news
         told.fly(4.0)
         assert told.texts == ["ready, drone 1"]
-        told.camera.ok = False
+        told.camera.ok = told.network.ok = False
         told.fly(5.0)
-        told.camera.ok = True
+        told.camera.ok = told.network.ok = True
         told.ground.imu_gap = True
         told.ground.offered = ()
         told.ground.reboot(told.flight.clock.now())
         told.fly(12.0)
-        assert told.texts[1:] == ["no camera", "camera is there", "no IMU"]
+        assert told.texts[1:] == ["no camera", "no network", "camera is there", "network is there", "no IMU"]
         severities = {text: severity for severity, text in told.ground.texts}
         assert severities["swarmtrack: no camera"] == common.MAV_SEVERITY_WARNING
         assert severities["swarmtrack: camera is there"] == common.MAV_SEVERITY_INFO

@@ -240,6 +240,7 @@ class Agent:
             await asyncio.sleep(HEALTH_PERIOD)
             self.health.drops["status_texts_untold"] = self._teller.lines.untold
             message = self.health.message()
+            self._teller.see_links(message.links)
             try:
                 self._parts.transport.publish(Kind.HEALTH, encode_health(message))
             except ValueError:

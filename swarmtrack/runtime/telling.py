@@ -9,10 +9,12 @@ from __future__ import annotations
 import asyncio
 import math
 import zlib
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from swarmtrack.codec import LinkHealth
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreement import Disagreement
 from swarmtrack.messages import (
@@ -36,6 +38,7 @@ from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_sta
 PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
 NUMBER_EVERY = 1.0  # s between two of the number of identified teammates, and two looks for news
 PLACES_EVERY = 1.0  # s: as often as teammates tell theirs
+NETWORKS = ("zenoh", "memory")  # names of links to the team
 NUMBER = "trk_n"  # its name
 BLIND_AFTER = 1.0  # s without a scan: what was seen then is not seen now
 HOLD = 3.0  # s that a source must be away, or back, to be news
@@ -55,6 +58,7 @@ class Teller:
         self._texts, self._boxes = "status" in tell, "camera_tracking" in tell
         self._scan: ScanReport | None = None
         self._scan_at = -math.inf
+        self._links: Mapping[str, bool] = {}
         self._ready = False
         self._camera = Lasting(True, hold=HOLD)
         self._network = Lasting(True, hold=HOLD)
@@ -74,6 +78,10 @@ class Teller:
     def see(self, report: ScanReport) -> None:
         """A scan was tracked."""
         self._scan, self._scan_at = report, self._wall.now()
+
+    def see_links(self, links: Iterable[LinkHealth]) -> None:
+        """How everything is that this agent is connected to, as in the health."""
+        self._links = {link.name: link.ok for link in links}
 
     def on_peer(self, event: PeerEvent) -> None:
         """Something about a teammate."""
@@ -137,10 +145,11 @@ class Teller:
     def _look_for_news(self, named: int, now: float) -> None:
         parts = self._parts
         assert self._autopilot is not None
-        camera, network = parts.camera.status().ok, parts.transport.status().ok
         trouble = self._autopilot.trouble
-        if trouble == "no autopilot":
-            return  # it would not hear us
+        if not self._links or trouble == "no autopilot":
+            return  # not looked at yet; or it would not hear us
+        camera = self._links.get("camera", True)
+        network = all(ok for name, ok in self._links.items() if name in NETWORKS)
         if not self._ready:
             self._ready = self._scan is not None and camera and not trouble
             if self._ready:
