@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PATIENCE = 60.0  # s
 PROGRAMS = ("swarmtrack", "swarmtrack-agent")
+BEFORE = ("sudo", "nohup", "exec", "nice", "-u", "-n")  # with the options of sudo and nice that take a word
 # Of these all actions are over in a moment and touch nothing but the folder they are told.
 QUICK = ("config", "keys")
 QUICK_FLAGS = {"--check", "--list", "--version", "--help", "-h"}
@@ -50,7 +51,7 @@ def commands(page: Path) -> list[Command]:
     found = []
     text = page.read_text(encoding="utf-8")
     for block in re.finditer(
-        r"(?:<!-- (?P<mark>.*?) -->\n)?```(?:sh|bash)\n(?P<body>.*?)```", text, re.DOTALL
+        r"(?:<!-- (?P<mark>[^\n]*?) -->\n *)?```(?:sh|bash)\n(?P<body>.*?)```", text, re.DOTALL
     ):
         first = text[: block.start("body")].count("\n") + 1
         mark = block["mark"] or ""
@@ -74,8 +75,8 @@ def own_words(line: str) -> list[str]:
         if set(word) <= set("|&;<>"):
             break
         words.append(word)
-    while words and (words[0] in ("sudo", "nohup", "exec") or re.match(r"\w+=", words[0])):
-        words = words[1:]
+    while words and (words[0] in BEFORE or re.match(r"\w+=", words[0])):
+        words = words[2:] if words[0] in ("-u", "-n") else words[1:]
     if not words or Path(words[0]).name not in PROGRAMS:
         return []
     return [Path(words[0]).name, *words[1:]]
@@ -119,11 +120,17 @@ def test_a_command_that_is_none_is_found():
     assert "invalid choice: 'fly'" in parse(["swarmtrack", "fly"])
     assert "unrecognized arguments: --bogus" in parse(["swarmtrack", "config", "check", "a.toml", "--bogus"])
     assert "--config" in parse(["swarmtrack-agent"])
-    assert own_words("sudo A=1 .venv/bin/swarmtrack sim | tee log  # three drones") == ["swarmtrack", "sim"]
+    assert own_words("sudo -u pilot A=1 .venv/bin/swarmtrack sim | tee log  # three drones") == [
+        "swarmtrack",
+        "sim",
+    ]
     assert own_words("# swarmtrack sim") == own_words("scp swarmtrack host:") == []
 
 
 def is_quick(words: list[str]) -> bool:
+    """Whether it can be run here: over in a moment, and on files that the page itself makes or configs/ holds."""
+    if any(word.startswith(("/etc/", "/var/", "/opt/")) for word in words):
+        return False
     if QUICK_FLAGS & set(words):
         return True
     return words[0] == "swarmtrack" and len(words) > 1 and words[1] in QUICK
