@@ -31,7 +31,7 @@ QUICK = ("config", "keys")
 QUICK_FLAGS = {"--check", "--list", "--version", "--help", "-h"}
 # Commands and pages that other branches bring; where they are there, they are held to the same.
 AWAITED = {"calibrate", "doctor", "healthy", "import", "log", "monitor", "record", "replay"}
-AWAITED_PAGES = {"calibration.md", "deployment.md", "troubleshooting.md"}
+AWAITED_PAGES = {"calibration.md", "deployment.md", "recording.md", "troubleshooting.md"}
 
 
 class Command(NamedTuple):
