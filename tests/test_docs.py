@@ -212,6 +212,15 @@ def help_of(words: list[str]) -> str | None:
     return "".join(texts)
 
 
+def test_the_first_drone_is_set_up_as_the_readme_says():
+    readme, bringup = (
+        page.read_text(encoding="utf-8") for page in (ROOT / "README.md", ROOT / "docs" / "bringup.md")
+    )
+    setup = re.search(r"<!-- run -->\n```sh\n(.*?)\S+swarmtrack sim\n```", readme, re.DOTALL)[1]
+    assert setup.count("\n") == 3
+    assert f"```sh\n{setup}" in bringup
+
+
 # ── links and configs ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
