@@ -15,6 +15,7 @@ COMMANDS = {
     "sim": ("swarmtrack.agents.swarm", "fly a local swarm: simulator, one agent a drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
+    "config": ("swarmtrack.agents.config", "write, check and explain configs"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "train": ("swarmtrack.agents.train", "train a detector"),
@@ -28,7 +29,15 @@ COMMANDS = {
 
 def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
-    words = sys.argv[1:] if argv is None else argv
+    arguments = parse(sys.argv[1:] if argv is None else argv)
+    code = _run(arguments)
+    if argv is None:
+        end_at_once_if_stuck(code)
+    return code
+
+
+def parse(words: list[str]) -> argparse.Namespace:
+    """What a command line asks for; ends the program with a usage message where it is wrong."""
     parser = argparse.ArgumentParser(
         prog="swarmtrack",
         description="Relative perception for drone swarms. One drone's agent: swarmtrack-agent.",
@@ -42,11 +51,7 @@ def main(argv: list[str] | None = None) -> int:
         )
         if name in words[:1]:
             import_module(module).add_arguments(command)
-    arguments = parser.parse_args(words)
-    code = _run(arguments)
-    if argv is None:
-        end_at_once_if_stuck(code)
-    return code
+    return parser.parse_args(words)
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -19,6 +19,13 @@ from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
+# What --check says of `autopilot.tell` beyond the harmless (docs/telling.md).
+DANGERS = {
+    "camera_tracking": "one box for all teammates; QGroundControl draws it only beside a MAVLink camera that tracks, "
+    "which the agent is not",
+    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it hears of; places are the teammates' own "
+    "word, checked by the camera's direction only",
+}
 LAST_WORD = (
     0.3  # s for the interpreter's own end: with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
 )
@@ -31,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # As a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    arguments = _parser().parse_args(argv)
+    arguments = parser().parse_args(argv)
     logging.basicConfig(
         level=logging.getLevelNamesMapping()[arguments.log.upper()],
         format="%(asctime)s %(levelname)-7s %(name)s: %(message)s",
@@ -40,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "±" on a terminal without it is no reason to end a flight
     try:
-        return _check(arguments.config) if arguments.check else _fly(arguments)
+        return check(arguments.config) if arguments.check else _fly(arguments)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return WRONG_USAGE
@@ -54,7 +61,8 @@ def main(argv: list[str] | None = None) -> int:
         return DONE
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """Of the program's command line."""
     parser = argparse.ArgumentParser(
         prog="swarmtrack-agent",
         description="Track the drones in this drone's camera, and learn who is who.",
@@ -81,7 +89,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _check(path: Path) -> int:
+def check(path: Path) -> int:
+    """`--check`: print what an agent would do with this config. Raises SwarmtrackError where it could not."""
     from swarmtrack.config import load_config
     from swarmtrack.runtime.assembly import assemble
     from swarmtrack.runtime.outputs import check_outputs
@@ -102,11 +111,15 @@ def _check(path: Path) -> int:
     else:
         autopilot = link_address(link)
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
+        print(f"telling    {', '.join(config.autopilot.tell) or 'nothing but our heartbeat'}")
     detector = (
         "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
     )
     print(f"detector   {detector}")
     print(f"tracker    {config.tracker.name}")
+    for word in config.autopilot.tell:
+        if word in DANGERS:
+            print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")
     print(f"{path}: ok")
     return DONE
 

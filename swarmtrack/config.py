@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Literal, NamedTuple, TypeVar
 from urllib.parse import quote
 
 import numpy as np
@@ -19,7 +19,6 @@ from pydantic import (
     Field,
     PrivateAttr,
     Strict,
-    TypeAdapter,
     ValidationError,
     field_validator,
     model_validator,
@@ -127,23 +126,31 @@ class TeamSection(Section):
 
 
 class Vehicle(Section):
-    """[drone]"""
+    """[drone]: who this drone is, and where it starts."""
 
     id: Annotated[int, Strict(), Field(ge=1, le=65535, description="1 … 65535, unique in the team")]
-    start: Start = Start()
+    start: Start = Field(
+        default=Start(), description="where it stands in the team frame when its agent starts"
+    )
 
 
 class Intrinsics(Section):
-    fx: Positive
-    fy: Positive
-    cx: Number
-    cy: Number
-    width: Count
-    height: Count
+    """Of a pinhole camera, for images of one size."""
+
+    fx: Positive = Field(description="focal length along a row, px")
+    fy: Positive = Field(description="focal length along a column, px")
+    cx: Number = Field(description="column of the optical axis, px; the first pixel's centre is 0")
+    cy: Number = Field(description="row of the optical axis, px")
+    width: Count = Field(description="of the image, px")
+    height: Count = Field(description="of the image, px")
 
 
 class Lens(Section):
-    model: Literal["radtan", "equidistant"]
+    """How a lens bends straight lines."""
+
+    model: Literal["radtan", "equidistant"] = Field(
+        description="radtan (also called plumb_bob): ordinary lenses; equidistant: fisheyes"
+    )
     coefficients: tuple[Number, ...] = Field(
         description="radtan: k1 k2 p1 p2 [k3 [k4 k5 k6]]; equidistant: k1 … k4"
     )
@@ -172,7 +179,7 @@ class Mount(Section):
 
 
 class CameraSection(Section):
-    """[camera]"""
+    """[camera]: where its frames come from, what its lens does, how it sits on the drone."""
 
     source: Text = Field(
         description="v4l2:///dev/video0, file://, images://, rtsp://, http://, detections:// or sim://"
@@ -224,7 +231,7 @@ class CameraSection(Section):
 
 
 class AutopilotSection(Section):
-    """[autopilot]"""
+    """[autopilot]: the MAVLink link, what it is asked for and what it is told."""
 
     link: Text = Field(
         default="none", description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE or none"
@@ -238,10 +245,30 @@ class AutopilotSection(Section):
     signing_key: Path | None = Field(
         default=None, description="a file with the 32 bytes of the key as 64 hex digits"
     )
+    component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
+        default=191, description="ours, 191 … 194, where another onboard computer speaks as 191"
+    )
+    tell: tuple[Literal["status", "camera_tracking", "adsb"], ...] = Field(
+        default=("status",),
+        description='what the ground station hears by way of the autopilot: "status": texts, and how many teammates '
+        'are identified; "camera_tracking": the box of one of them; "adsb": their places, but read '
+        "docs/telling.md first; []: nothing but our heartbeat",
+    )
+
+    @field_validator("tell", mode="before")
+    @classmethod
+    def _nobody_is_followed(cls, tell: object) -> object:
+        for word in tell if isinstance(tell, list | tuple) else ():
+            if word == "follow_target":
+                raise ValueError(
+                    'found "follow_target", expected status, camera_tracking or adsb: a vehicle flies after what that '
+                    "message says, and one camera measures no range (docs/telling.md)"
+                )
+        return tell
 
 
 class DetectorSection(Section):
-    """[detector]"""
+    """[detector]: which network looks at the frames, and how (docs/detector.md)."""
 
     model: Text = Field(default="default", description='"default", the one that is shipped, or an .onnx file')
     score_threshold: Probability | None = Field(default=None, description="instead of the model's own")
@@ -293,17 +320,17 @@ class DetectorSection(Section):
 
 
 class TrackerSection(ParameterSection):
-    """[tracker]: a name, and that tracker's own parameters."""
+    """[tracker]: a name, and that tracker's own parameters (docs/tracking.md)."""
 
     name: Text = Field(default=DEFAULT_TRACKER, description="which tracker")
 
 
 class IdentitySection(ParameterSection):
-    """[identity]"""
+    """[identity]: when a track is given a drone's ID (docs/decisions/0008-who-is-who.md)."""
 
 
 class NetworkSection(Section):
-    """[network]"""
+    """[network]: the team, and how drones reach each other (docs/security.md)."""
 
     team: str = Field(
         default="swarm", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="letters, digits, - and _"
@@ -358,7 +385,7 @@ class NetworkSection(Section):
 
 
 class OutputSection(Section):
-    """[output]"""
+    """[output]: what is written for people, beside the network. Paths are relative to the working directory."""
 
     jsonl: Path | None = Field(default=None, description="a line for each processed frame")
     video: Path | None = Field(default=None, description="annotated frames, .mp4")
@@ -392,7 +419,7 @@ class RecordingSection(Section):
 
 
 class MotionSection(Section):
-    """[motion]"""
+    """[motion]: the gyro that carries tracks from one exposure to the next."""
 
     history_s: Annotated[Number, Field(ge=0.1, le=60.0)] = Field(
         default=2.0, description="how late a detection may come and still be placed at its exposure"
@@ -418,6 +445,11 @@ class LayeredConfig(Section):
     def layers(self) -> Layers | None:
         """The files that it was read from."""
         return self._layers
+
+    def problem(self, key: tuple[str, ...], text: str) -> str:
+        """A sentence on an entry, with the file and line that count: `FILE:LINE: KEY: text`."""
+        named = f"{'.'.join(key)}: {text}"
+        return str(self._layers.problem(key, named)) if self._layers else named
 
     @contextmanager
     def blamed(self, *key: str) -> Iterator[None]:
@@ -484,7 +516,7 @@ def load_config(path: str | Path, over: Layer | None = None) -> DroneConfig:
 def config_of(layers: Layers) -> DroneConfig:
     """A drone's config from what its files said. Raises ConfigError with every problem that was found."""
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
-    problems += _start_problems(layers)
+    problems += _start_problems(layers) + _telling_problems(layers)
     return _validated(DroneConfig, layers, problems)
 
 
@@ -541,20 +573,6 @@ def mount_camera(section: CameraSection) -> MountedCamera:
     return MountedCamera(camera, body_from_camera, next(s for s in offsets if s is not None))
 
 
-def config_schema() -> dict[str, Any]:
-    """JSON schema of a drone's config, for editors."""
-    schema = DroneConfig.model_json_schema(by_alias=True)
-    trackers = [kind.Parameters for kind in TRACKERS.values()]
-    for section, kinds in (("TrackerSection", trackers), ("IdentitySection", [IdentityParameters])):
-        table = schema["$defs"][section]
-        for kind in kinds:
-            table.setdefault("properties", {}).update(TypeAdapter(kind).json_schema()["properties"])
-        table["additionalProperties"] = False
-    one_or_more = [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]
-    schema["properties"]["extends"] = {"anyOf": one_or_more, "description": "files this one is layered over"}
-    return schema
-
-
 def _resolve_inputs(table: Table, folder: Path) -> None:
     """Make the relative paths of inputs absolute, from the folder of the file that names them."""
     rules: list[tuple[str, str, Callable[[str], str]]] = [
@@ -600,6 +618,20 @@ def _start_problems(layers: Layers) -> list[Problem]:
         )
     key = ("drone", "start", "from")
     return [layers.problem(key, f'drone.start.from: "{source}" {want}') for want in wants]
+
+
+def _telling_problems(layers: Layers) -> list[Problem]:
+    """What places on the Earth need elsewhere."""
+    autopilot, team = layers.table.get("autopilot"), layers.table.get("team")
+    tell = autopilot.get("tell") if isinstance(autopilot, dict) else None
+    if not isinstance(tell, list) or "adsb" not in tell or (isinstance(team, dict) and "origin" in team):
+        return []
+    text = "expected [team] origin = { lat_deg = …, lon_deg = …, alt_m = … } beside it"
+    return [
+        layers.problem(
+            ("autopilot", "tell"), f'autopilot.tell: "adsb" without an origin of the team frame, {text}'
+        )
+    ]
 
 
 def _tracker_problems(layers: Layers) -> list[Problem]:

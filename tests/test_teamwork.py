@@ -12,6 +12,7 @@ from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import EVENTS_KEPT, Health
 from swarmtrack.runtime.teamwork import LINES, Teamwork
+from swarmtrack.runtime.telling import Teller
 
 CONFIG = """
 drone.id = 1
@@ -44,7 +45,7 @@ def parts(tmp_path):
 def listen(parts, events):
     told = replace(parts, transport=Told(events))
     health = Health(parts)
-    asyncio.run(Teamwork(told, health).listen())
+    asyncio.run(Teamwork(told, health, Teller(told)).listen())
     return health
 
 

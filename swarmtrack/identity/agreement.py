@@ -146,8 +146,17 @@ def _log_odds(probability: float) -> float:
     return min(max(math.log(p / (1.0 - p)), 0.0), SURE)
 
 
+def stands_there(own: SightingReport, ray: Sighting, report: SightingReport) -> bool:
+    """Whether our ray to a teammate leads to where it says it stands, within `FARTHEST`; a vague report is no place."""
+    vague = report.t_sigma > VAGUE_T or report.position_sigma > VAGUE_PLACE
+    if vague or float(np.linalg.norm(report.position - own.position)) > FARTHEST:
+        return False
+    moved = SPEED * (abs(own.t - report.t) + report.t_sigma)
+    return _miss_of_point(own, ray, report, moved)[1] <= GATE
+
+
 def _miss_of_point(
-    view: OwnView, ours: Sighting, report: SightingReport, moved: float
+    view: OwnView | SightingReport, ours: Sighting, report: SightingReport, moved: float
 ) -> tuple[float, float]:
     """How far our ray passes by where the reporter says it stands: metres, and squared Mahalanobis distance."""
     towards = report.position - view.position

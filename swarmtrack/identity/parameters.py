@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentityParameters:
-    """profile `paper`: Algorithm 1 as printed, in one shot; `default`: the posterior, with "unknown"."""
+    """Beside the model itself, when it is sure enough."""
 
     profile: str = "default"
+    """`paper`: Algorithm 1 as printed, in one shot; `default`: the posterior, with "unknown"."""
     probability: float = 0.95
     """An ID is stated only above it."""
     scans: int = 3

@@ -23,7 +23,9 @@ from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.outputs import JsonLines, as_seen
 from swarmtrack.runtime.systemd import Notifier
 from swarmtrack.runtime.teamwork import Teamwork
+from swarmtrack.runtime.telling import Teller
 from swarmtrack.sensors.base import Camera, DetectionSource
+from swarmtrack.sensors.mavlink.notices import Severity
 from swarmtrack.transport.base import Kind
 
 if TYPE_CHECKING:
@@ -42,7 +44,8 @@ class Agent:
 
     def __init__(self, parts: Parts, *, console: Console) -> None:
         self.health = Health(parts)
-        self._team = Teamwork(parts, self.health)
+        self._teller = Teller(parts)
+        self._team = Teamwork(parts, self.health, self._teller)
         self._parts = parts
         self._console = console
         self._notifier = Notifier()
@@ -80,6 +83,7 @@ class Agent:
                     tasks.create_task(self._team.report(), name="identities"),
                     tasks.create_task(self._publish_tracks(warm), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
+                    tasks.create_task(self._teller.run(), name="tell"),
                 ]
                 stop = tasks.create_task(self._stop.wait(), name="stop")
                 await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
@@ -123,6 +127,7 @@ class Agent:
                 'in the air already, but announced at its fixed drone.start: expected from = "local" or "gps"'
             )
             self.health.events.append(line)
+            self._teller.add(Severity.WARNING, "in the air, start not known")
             log.warning("drone %d is %s", self._parts.config.drone.id, line)
 
     def _warm_up(self) -> None:
@@ -196,6 +201,7 @@ class Agent:
         for report in self._parts.door.take_reports():
             self.health.scans.tick()
             self._console.see(report)
+            self._teller.see(report)
             written = self._jsonl or self._video
             seen = as_seen(report, self._parts.lens) if written else []
             if self._jsonl:
@@ -244,9 +250,11 @@ class Agent:
         while True:
             await asyncio.sleep(HEALTH_PERIOD)
             self._tell_of_recording()
+            self.health.drops["status_texts_untold"] = self._teller.lines.untold
             message = self.health.message()
             if self._parts.recorder:
                 self._parts.recorder.health(message)
+            self._teller.see_links(message.links)
             try:
                 self._parts.transport.publish(Kind.HEALTH, encode_health(message))
             except ValueError:

@@ -206,6 +206,7 @@ def _autopilot(
         clock=clock,
         imu_rate_hz=section.imu_rate_hz,
         system_id=section.system_id,
+        component_id=section.component_id,
         signing_key=section.signing_key,
         gps=_gps(config),
     )

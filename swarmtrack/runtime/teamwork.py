@@ -23,6 +23,7 @@ from swarmtrack.messages import (
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import UTC_SIGMA
 from swarmtrack.runtime.health import Health
+from swarmtrack.runtime.telling import Teller
 from swarmtrack.transport.base import Kind, Transport
 
 log = logging.getLogger(__name__)
@@ -36,9 +37,10 @@ LINES, LINES_PERIOD = 16, 10.0
 class Teamwork:
     """Carries events from the transport into Onboard, and Onboard's wishes and findings to the team."""
 
-    def __init__(self, parts: Parts, health: Health) -> None:
+    def __init__(self, parts: Parts, health: Health, teller: Teller) -> None:
         self._parts = parts
         self._health = health
+        self._teller = teller
         self._posed = asyncio.Event()
         self._asked = asyncio.Event()
         self._announced = 0
@@ -62,6 +64,7 @@ class Teamwork:
                     door.tell(event)
                 case SightingReport():
                     door.tell(event)
+                    self._teller.on_peer(event)
                     self._tell_of_disagreements()
                     continue  # one a second from everybody: no news
                 case AnnouncementRequested():
@@ -69,6 +72,7 @@ class Teamwork:
             about = 0 if isinstance(event, AnnouncementRequested) else event.drone_id  # who asks is not told
             level = logging.WARNING if isinstance(event, IdClash) else logging.INFO
             self._note(about, _describe(event), level)
+            self._teller.on_peer(event)
 
     async def announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is, and those of simulated teammates; then again
@@ -138,6 +142,7 @@ class Teamwork:
             pair = (found.observer, found.drone_id)
             if found.overruled or pair not in self._disputed:
                 self._note(found.observer, _describe_disagreement(found), logging.WARNING)
+                self._teller.on_disagreement(found)
             self._disputed.add(pair)
             if found.overruled:
                 self._disputed.clear()

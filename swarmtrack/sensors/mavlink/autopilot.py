@@ -182,6 +182,23 @@ class MavlinkAutopilot:
         """One line for people, and the counters, all since the start."""
         return self._diagnosis.status(self._now())
 
+    @property
+    def trouble(self) -> str:
+        """What of the autopilot's is missing, in a few words for a pilot; empty while gyro and position come."""
+        return self._diagnosis.trouble(self._now())
+
+    def tell(self, message: Any) -> bool:
+        """Say a message of the dialect to the autopilot, and by way of it to ground stations. Never blocks.
+
+        False, and nothing is sent, where nobody would hear it: into a recording, or while the autopilot is silent.
+        """
+        contact = self._contact
+        deaf = contact.system is None or contact.down is not None or self._link.recording
+        if deaf or self._now() - contact.heard_at > LOST_AFTER:
+            return False
+        self._send(message)
+        return True
+
     # ── Receiver: called by the link ─────────────────────────────────────────────────────────────────────────────
 
     def opened(self) -> None:

@@ -137,6 +137,12 @@ class Diagnosis:
         asked = "" if self._link.recording else f"{self._requests.imu_stream.asked_hz:g} Hz asked, "
         return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {telemetry.imu_source.name}{clock}"
 
+    def trouble(self, now: float) -> str:
+        """What is missing, in a few words for a pilot; a hiccup is nothing."""
+        if self.state in (State.STREAMING, State.STALE, State.ENDED):
+            return "no position" if self._telemetry.lack(now) else ""
+        return "no IMU" if self.state is State.REQUESTING else "no autopilot"
+
     def status(self, now: float) -> LinkStatus:
         """One line for people, and the counters, all since the start."""
         if self._link.address.scheme == "none":

@@ -1,0 +1,107 @@
+"""`swarmtrack config`: a first config, checks of one or of a whole team's, and all keys for editors and people."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from swarmtrack.errors import ConfigError, SwarmtrackError
+
+EXAMPLE = """\
+for example:
+  swarmtrack config new                            # asks
+  swarmtrack config new --id 2 --autopilot ardupilot-uart --calibration cam2.yaml --start 0 3 0 -90
+  swarmtrack config check drone-1.toml drone-2.toml drone-3.toml
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    from swarmtrack.agents import config_new
+
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = EXAMPLE
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+
+    new = actions.add_parser(
+        "new", help="write a commented config for a drone, and its team's", allow_abbrev=False
+    )
+    config_new.add_arguments(new)
+
+    check = actions.add_parser(
+        "check", help="what swarmtrack-agent --check says; several files: also as a team"
+    )
+    check.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a drone's config")
+
+    for action, text in (
+        ("schema", "all keys as a JSON schema"),
+        ("reference", "all keys as a page in Markdown"),
+    ):
+        writing = actions.add_parser(action, help=text)
+        writing.add_argument("--out", type=Path, metavar="FILE", help="write it there (default: print it)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Raises SwarmtrackError."""
+    return ACTIONS[args.action](args)
+
+
+def _new(args: argparse.Namespace) -> int:
+    from swarmtrack.agents.config_new import create
+
+    create(args)
+    return 0
+
+
+def _check(args: argparse.Namespace) -> int:
+    from swarmtrack.agents.config_team import contradictions
+    from swarmtrack.agents.vehicle import check
+    from swarmtrack.config import load_config
+
+    configs, code = [], 0
+    for path in args.files:
+        try:
+            code = max(code, check(path))
+            configs.append(load_config(path))
+        except SwarmtrackError as error:
+            code = 2
+            print(error if isinstance(error, ConfigError) else f"{path}: {error}", file=sys.stderr)
+    problems = contradictions(configs)
+    for problem in problems:
+        print(problem, file=sys.stderr)
+    if len(configs) > 1 and not problems:
+        print(f"drones {', '.join(str(config.drone.id) for config in configs)} agree with each other")
+    return 2 if problems else code
+
+
+def _schema(args: argparse.Namespace) -> int:
+    from swarmtrack.agents.config_reference import json_schema
+
+    return _write(json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n", args.out)
+
+
+def _reference(args: argparse.Namespace) -> int:
+    from swarmtrack.agents.config_reference import reference
+
+    return _write(reference(), args.out)
+
+
+def _write(text: str, out: Path | None) -> int:
+    if out is None:
+        print(text, end="")
+        return 0
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError([f"--out: {out}: {error.strerror}, expected a file that can be written"]) from error
+    return 0
+
+
+ACTIONS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "new": _new,
+    "check": _check,
+    "schema": _schema,
+    "reference": _reference,
+}

@@ -1,0 +1,102 @@
+"""What the configs of one team must agree on: each may be right by itself, and the team still not hear each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+from swarmtrack.config import DroneConfig
+
+SAME_PLACE = 0.1  # m: nearer than this two drones do not stand beside each other
+
+
+class Common(NamedTuple):
+    """An entry that must be the same for all of a team."""
+
+    key: tuple[str, str]
+    of: Callable[[DroneConfig], object]
+
+
+COMMON = (
+    Common(("network", "team"), lambda config: config.network.team),
+    Common(("network", "topology"), lambda config: config.network.topology),
+    Common(("network", "peers"), lambda config: config.network.peers),
+    Common(("network", "routers"), lambda config: config.network.routers),
+    Common(("team", "origin"), lambda config: config.team.origin),
+)
+
+
+def contradictions(configs: Sequence[DroneConfig]) -> list[str]:
+    """Sentences `FILE:LINE: key: found, expected`, each of the later of two files that do not fit together."""
+    problems = []
+    for first, other in combinations(configs, 2):
+        problems += _of_two(first, other)
+    if len(configs) > 1:
+        problems += [
+            config.problem(("network", "transport"), '"memory" reaches nobody, expected "zenoh" for a team')
+            for config in configs
+            if config.network.transport == "memory"
+        ]
+    return list(dict.fromkeys(problems))
+
+
+def _of_two(first: DroneConfig, other: DroneConfig) -> list[str]:
+    problems = []
+    who = f"drone {first.drone.id}"
+    if first.drone.id == other.drone.id:
+        text = (
+            f"{other.drone.id}, which another of these files is too, expected one that is unique in the team"
+        )
+        return [other.problem(("drone", "id"), text)]
+    for common in COMMON:
+        mine, theirs = common.of(other), common.of(first)
+        if mine != theirs:
+            text = f"{_shown(mine)}, expected what {who} says: {_shown(theirs)}"
+            problems.append(other.problem(common.key, text))
+    problems += _of_keys(first, other)
+    here, there = _start(other), _start(first)
+    if here is not None and there is not None and math.dist(here, there) < SAME_PLACE:
+        text = f"{_shown(here)}, where {who} starts too, expected a place of its own"
+        problems.append(other.problem(("drone", "start", "position_m"), text))
+    return problems
+
+
+def _of_keys(first: DroneConfig, other: DroneConfig) -> list[str]:
+    ours, theirs = other.network.keys_of(other.drone.id), first.network.keys_of(first.drone.id)
+    key, who = ("network", "keys"), f"drone {first.drone.id}"
+    if (ours is None) != (theirs is None):
+        found, expected = ("none", "keys") if ours is None else (_shown(str(ours)), "none")
+        return [
+            other.problem(
+                key, f"{found}, expected {expected} as {who} has: with and without, they do not link"
+            )
+        ]
+    if ours is None or theirs is None or _authority(ours) == _authority(theirs):
+        return []
+    return [
+        other.problem(key, f"{_shown(str(ours))} is of another CA than the keys of {who}, expected the same")
+    ]
+
+
+def _authority(folder: Path) -> bytes | None:
+    try:
+        return (folder / "ca.pem").read_bytes()
+    except OSError:
+        return None
+
+
+def _start(config: DroneConfig) -> tuple[float, float, float] | None:
+    """Where it says it stands, if it says so itself."""
+    simulated = config.camera.simulated and "start" not in config.drone.model_fields_set
+    return None if simulated or config.drone.start.source is not None else config.drone.start.position_m
+
+
+def _shown(value: object) -> str:
+    if value is None or value in ((), {}):
+        return "nothing"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(str, value))}]"
+    return f'"{value}"' if isinstance(value, str) else str(value)

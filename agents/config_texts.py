@@ -1,0 +1,125 @@
+"""The text of a first config: of a drone, and of its team."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+NOBODY: Mapping[int, str] = MappingProxyType({})
+BY_TAPE = """\
+# Where it stands when its agent starts: [north, east, down] in the team frame (up is negative), the nose clockwise from
+# north. from = "local" or "gps" instead survives a restart in the air."""
+BY_AUTOPILOT = "# Its place is its autopilot's to say, also after a restart in the air."
+MOUNT = """
+# Where the camera sits: zero angles look along the nose, upright; pitch 20 looks 20 degrees up, yaw 90 to the right.
+# position_m is [forward, right, down] from the autopilot.
+body_from_camera = { rpy_deg = [0.0, 0.0, 0.0], position_m = [0.0, 0.0, 0.0] }"""
+
+
+class DronePlan(NamedTuple):
+    """What drone-ID.toml says. lens: lines of [camera]; notes: on the link; start: the value of drone.start."""
+
+    drone_id: int
+    team: str
+    camera: str
+    lens: list[str]
+    guessed: bool
+    link: str
+    notes: tuple[str, ...]
+    start: str
+
+
+class TeamPlan(NamedTuple):
+    """What team.toml says. origin: latitude and longitude in degrees, height in m; peers: hosts by drone."""
+
+    name: str
+    origin: Sequence[float] | None = None
+    peers: Mapping[int, str] = NOBODY
+    keys: str | None = None
+    insecure: bool = False
+
+
+def calibrated_lens(file: str) -> list[str]:
+    """By a calibration beside the config."""
+    return [f"calibration = {_quoted(file)}"]
+
+
+def guessed_lens(size: tuple[int, int], angle_deg: float) -> list[str]:
+    """An undistorted one with square pixels; angle: from left to right."""
+    width, height = size
+    focal = round(0.5 * width / math.tan(math.radians(0.5 * angle_deg)), 1)
+    numbers = f"fx = {focal}, fy = {focal}, cx = {(width - 1) / 2}, cy = {(height - 1) / 2}"
+    return [
+        f"# A guess by the lens' angle of {angle_deg:g} degrees. Measure it: swarmtrack calibrate intrinsics",
+        f"intrinsics = {{ {numbers}, width = {width}, height = {height} }}",
+    ]
+
+
+def drone_text(plan: DronePlan) -> str:
+    """drone-ID.toml."""
+    lens = "\n".join(plan.lens) + MOUNT if plan.lens else "# A simulated camera is calibrated."
+    notes = "".join(f"# {note}\n" for note in plan.notes)
+    return f"""\
+# Drone {plan.drone_id} of team {plan.team}. All keys: swarmtrack config reference
+# Check it with: swarmtrack config check drone-{plan.drone_id}.toml
+
+extends = "team.toml"               # what all drones share
+
+[drone]
+id = {plan.drone_id}
+{BY_AUTOPILOT if "from" in plan.start else BY_TAPE}
+start = {plan.start}
+
+[camera]
+source = {_quoted(plan.camera)}
+{lens}
+
+[autopilot]
+{notes}link = {_quoted(plan.link)}
+imu_rate_hz = 200                   # asked of the autopilot, and watched
+tell = ["status"]                   # what a ground station hears by way of the autopilot; [] for nothing
+
+# [output]
+# jsonl = "drone-{plan.drone_id}.jsonl"           # a line for each frame, in the working directory
+"""
+
+
+def team_text(plan: TeamPlan) -> str:
+    """team.toml. What was not told stands there as a comment, to be filled in."""
+    origin = "# [team]\n# origin = { lat_deg = 47.397742, lon_deg = 8.545594, alt_m = 488.0 }"
+    if plan.origin:
+        origin = "[team]\norigin = {{ lat_deg = {}, lon_deg = {}, alt_m = {} }}".format(*plan.origin)
+    keys = f"keys = {_quoted(plan.keys)}" if plan.keys else '# keys = "keys/drone-{id}"'
+    peers = ", ".join(f"{number} = {_quoted(host)}" for number, host in plan.peers.items())
+    peers = f"peers = {{ {peers} }}" if peers else '# peers = { 1 = "10.0.0.11", 2 = "10.0.0.12" }'
+    return f"""\
+# What all drones of team {plan.name} share; a copy lies on each.
+
+# Where on the Earth the team frame begins, for drones that start = {{ from = "gps" }}: a point of the field, above mean
+# sea level.
+{origin}
+
+[network]
+team = {_quoted(plan.name)}
+# Without keys and peers, drones find each other on one machine only.
+# Made by `swarmtrack keys`, a folder for each drone; {{id}} is drone.id:
+{keys}
+# HOST or HOST:PORT of every drone:
+{peers}
+# Without keys: anyone in radio range can listen and pretend.
+{"" if plan.insecure else "# "}insecure = true
+
+[detector]
+model = "default"                   # the one that is shipped, or your own .onnx file
+
+[tracker]
+name = "mbm"                        # or jpdaf, gmphd, kalman
+"""
+
+
+def _quoted(text: str) -> str:
+    """As TOML writes a string: JSON does the same."""
+    return json.dumps(text, ensure_ascii=False)

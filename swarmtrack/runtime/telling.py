@@ -1,0 +1,218 @@
+"""What the autopilot is told, and by way of it the ground station: `[autopilot] tell` (docs/telling.md).
+
+These messages are for people, and for programs that only look. One can make a vehicle evade, ADSB_VEHICLE: it is sent
+only where the config asks for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from swarmtrack.codec import LinkHealth
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.agreement import Disagreement
+from swarmtrack.messages import (
+    Array,
+    IdClash,
+    IdentifiedTrack,
+    PeerDeparted,
+    PeerEvent,
+    SightingReport,
+    TrackStatus,
+)
+from swarmtrack.onboard import ScanReport
+from swarmtrack.runtime.assembly import Parts
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.runtime.outputs import SeenTrack, as_seen
+from swarmtrack.runtime.stated_places import StatedPlaces
+from swarmtrack.runtime.status_lines import Lasting, StatusLines
+from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
+
+PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
+NUMBER_EVERY = 1.0  # s between two of the number of identified teammates, and two looks for news
+PLACES_EVERY = 1.0  # s: as often as teammates tell theirs
+NETWORKS = ("zenoh", "memory")  # names of links to the team
+NUMBER = "trk_n"  # its name
+BLIND_AFTER = 1.0  # s without a scan: what was seen then is not seen now
+HOLD = 3.0  # s that a source must be away, or back, to be news
+# s likewise for how many teammates are seen; drones fly in and out of view, so not more often than every REST.
+SIGHT_HOLD, SIGHT_REST = 2.0, 10.0
+
+
+class Teller:
+    """Told of scans and events, it speaks to the autopilot of `parts` where that is one that can be spoken to."""
+
+    def __init__(self, parts: Parts) -> None:
+        self.lines = StatusLines()
+        self._parts = parts
+        self._wall = SystemClock()
+        tell = parts.config.autopilot.tell
+        self._autopilot = parts.autopilot if isinstance(parts.autopilot, MavlinkAutopilot) and tell else None
+        self._texts, self._boxes = "status" in tell, "camera_tracking" in tell
+        self._scan: ScanReport | None = None
+        self._scan_at = -math.inf
+        self._links: Mapping[str, bool] = {}
+        self._ready = False
+        self._camera = Lasting(True, hold=HOLD)
+        self._network = Lasting(True, hold=HOLD)
+        self._trouble = Lasting("", hold=HOLD)
+        self._sight = Lasting((0, 0), hold=SIGHT_HOLD, rest=SIGHT_REST)
+        self._number_at = -math.inf
+        self._texts_sent = 0
+        self._shown: int | None = None  # the track whose box is told
+        self._idle_at = -math.inf
+        origin = parts.config.team.origin
+        # A config that asks for "adsb" has an origin.
+        self._places = StatedPlaces(origin.place()) if origin is not None and "adsb" in tell else None
+        self._places_at = -math.inf
+
+    # ── what happens ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    def see(self, report: ScanReport) -> None:
+        """A scan was tracked."""
+        self._scan, self._scan_at = report, self._wall.now()
+
+    def see_links(self, links: Iterable[LinkHealth]) -> None:
+        """How everything is that this agent is connected to, as in the health."""
+        self._links = {link.name: link.ok for link in links}
+
+    def on_peer(self, event: PeerEvent) -> None:
+        """Something about a teammate."""
+        match event:
+            case PeerDeparted(drone_id=drone_id):
+                self.add(Severity.WARNING, f"drone {drone_id} is gone")
+            case IdClash(drone_id=drone_id, ours=True):
+                self.add(Severity.ERROR, f"another agent is drone {drone_id} too")
+            case IdClash(drone_id=drone_id):
+                self.add(Severity.WARNING, f"two agents are drone {drone_id}")
+            case SightingReport() if self._places is not None:
+                self._places.told(event)
+
+    def on_disagreement(self, found: Disagreement) -> None:
+        """A teammate sees somebody elsewhere than we do."""
+        if found.overruled:
+            self.add(Severity.WARNING, f"outvoted on drone {found.drone_id}: unknown")
+        else:
+            self.add(Severity.WARNING, f"drone {found.observer} disputes drone {found.drone_id}")
+
+    def add(self, severity: Severity, text: str) -> None:
+        """A line for the pilot."""
+        if self._autopilot is not None and self._texts:
+            self.lines.add(severity, f"swarmtrack: {text}", self._wall.now())
+
+    # ── what is said ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def run(self) -> None:
+        """Until cancelled; returns where there is nobody to tell."""
+        while self._autopilot is not None:
+            await asyncio.sleep(PERIOD)
+            self.tick(self._wall.now())
+
+    def tick(self, now: float) -> None:
+        """Say what is due."""
+        if self._autopilot is None:
+            return
+        if self._texts:
+            if now - self._number_at >= NUMBER_EVERY:
+                self._number_at = now
+                named = len({entry.identity for entry in self._named(now)})
+                self._look_for_news(named, now)
+                self._autopilot.tell(named_value(now, NUMBER, named))
+            self._say_line(now)
+        if self._boxes:
+            self._show(now)
+        if self._places is not None and now - self._places_at >= PLACES_EVERY:
+            self._places_at = now
+            self._tell_places(self._places)
+
+    def _named(self, now: float) -> tuple[IdentifiedTrack, ...]:
+        """The teammates in view that have a name."""
+        if self._scan is None or now - self._scan_at > BLIND_AFTER:
+            return ()
+        return tuple(
+            entry
+            for entry in self._scan.tracks.tracks
+            if entry.track.status is TrackStatus.CONFIRMED and isinstance(entry.identity, int)
+        )
+
+    def _look_for_news(self, named: int, now: float) -> None:
+        parts = self._parts
+        assert self._autopilot is not None
+        trouble = self._autopilot.trouble
+        if not self._links or trouble == "no autopilot":
+            return  # not looked at yet; or it would not hear us
+        camera = self._links.get("camera", True)
+        network = all(ok for name, ok in self._links.items() if name in NETWORKS)
+        if not self._ready:
+            self._ready = self._scan is not None and camera and not trouble
+            if self._ready:
+                self.add(Severity.INFO, f"ready, drone {parts.config.drone.id}")
+        if self._camera.is_news(camera, now):
+            self._say_of("" if camera else "no camera", "camera")
+        if self._network.is_news(network, now):
+            self._say_of("" if network else "no network", "network")
+        before = self._trouble.told
+        if self._trouble.is_news(trouble, now):
+            self._say_of(trouble, before.removeprefix("no "))
+        team = len(parts.onboard.teammates)
+        if self._sight.is_news((named, team), now):
+            self.add(Severity.INFO, f"sees {named} of {team}")
+
+    def _say_of(self, trouble: str, what: str) -> None:
+        if trouble:
+            self.add(Severity.WARNING, trouble)
+        else:
+            self.add(Severity.INFO, f"{what} is there")
+
+    def _say_line(self, now: float) -> None:
+        line = self.lines.next(now)
+        if line is None or self._autopilot is None:
+            return
+        number = self._texts_sent % 65535 + 1
+        if all(self._autopilot.tell(m) for m in status_text(line.severity, line.text, number)):
+            self._texts_sent += 1
+            self.lines.said()
+
+    def _tell_places(self, places: StatedPlaces) -> None:
+        """Teammates on the map: each where it says that it is, while our camera sees it there."""
+        parts = self._parts
+        assert self._autopilot is not None
+        own = parts.onboard.sighting_report(parts.boot, 0)
+        for found in places.seen(own, parts.clock.now()):
+            address = _address(parts.config.network.team, found.drone_id)
+            self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address))
+
+    def _show(self, now: float) -> None:
+        """The box of one teammate: the message has room for one. The largest, for as long as it has a name."""
+        assert self._autopilot is not None
+        boxed = {entry.track.id: entry for entry in self._named(now) if np.isfinite(entry.track.size).all()}
+        if self._shown not in boxed:
+            self._shown = max(boxed, key=lambda i: float(boxed[i].track.size.prod()), default=None)
+        if self._shown is not None and self._scan is not None:
+            one = self._scan._replace(tracks=replace(self._scan.tracks, tracks=(boxed[self._shown],)))
+            self._idle_at = -math.inf
+            for track in as_seen(one, self._parts.lens):
+                self._autopilot.tell(image_status(_corners(track, self._parts.lens)))
+        elif now - self._idle_at >= NUMBER_EVERY:
+            self._idle_at = now
+            self._autopilot.tell(image_status(None))
+
+
+def _address(team: str, drone_id: int) -> int:
+    """24 bits that are the same on every drone and in every flight, as an ICAO address is; 0 is nobody's."""
+    return zlib.crc32(f"{team}/{drone_id}".encode()) % 0xFFFFFF + 1
+
+
+def _corners(track: SeenTrack, lens: PinholeCamera) -> Array:
+    """Top left and bottom right of a box, (2, 2), as shares of the image's width and height."""
+    half = 0.5 * track.size
+    # Pixel centres are whole numbers: the image begins half a pixel before the first.
+    corners = np.array((track.centre - half, track.centre + half)) + 0.5
+    return np.asarray(corners / (lens.width, lens.height))

@@ -1,0 +1,98 @@
+"""What we say to the ground station, by way of the autopilot, as messages of the dialect."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from swarmtrack.geometry.geodesy import Geodetic
+from swarmtrack.messages import Array
+
+CHUNK = 50  # bytes of a STATUSTEXT
+LONGEST_TEXT = 4 * CHUNK
+LONGEST_NAME = 10  # bytes of a NAMED_VALUE_FLOAT's name
+LONGEST_CALLSIGN = 8  # bytes, and a zero after them
+NOT_USED = math.nan  # what the dialect asks for in fields that do not apply
+
+
+class Severity(enum.IntEnum):
+    """Of a STATUSTEXT. Ground stations show all, and speak what is a warning or worse."""
+
+    ERROR = common.MAV_SEVERITY_ERROR
+    WARNING = common.MAV_SEVERITY_WARNING
+    NOTICE = common.MAV_SEVERITY_NOTICE
+    INFO = common.MAV_SEVERITY_INFO
+
+
+def status_text(severity: Severity, text: str, number: int) -> Iterator[Any]:
+    """STATUSTEXT: one message, or several chunks that belong together by `number` (1 … 65535, another each time).
+
+    Not every ground station expects more than ASCII, so other signs become `?`.
+    """
+    data = text.replace("±", "+-").replace("…", "...").encode("ascii", "replace")[:LONGEST_TEXT]
+    if len(data) <= CHUNK:
+        yield common.MAVLink_statustext_message(severity, data)
+        return
+    # The last chunk is the first that is not full: a text that fills its last one needs an empty one after it.
+    for index, start in enumerate(range(0, len(data) + 1, CHUNK)):
+        chunk = data[start : start + CHUNK]
+        yield common.MAVLink_statustext_message(severity, chunk, id=number, chunk_seq=index)
+
+
+def named_value(now: float, name: str, value: float) -> Any:
+    """NAMED_VALUE_FLOAT; now [s]: of our clock, which counts from this computer's boot as the message wants it."""
+    return common.MAVLink_named_value_float_message(
+        int(now * 1e3) % 2**32, name.encode("ascii")[:LONGEST_NAME], value
+    )
+
+
+def adsb_vehicle(callsign: str, place: Geodetic, age: float, address: int) -> Any:
+    """ADSB_VEHICLE: place with its height above mean sea level; age [s] of it; address: 24 bits, the same each time.
+
+    Neither heading nor velocity is told, and the flags say so.
+    """
+    return common.MAVLink_adsb_vehicle_message(
+        ICAO_address=address,
+        lat=round(1e7 * math.degrees(place.latitude)),
+        lon=round(1e7 * math.degrees(place.longitude)),
+        altitude_type=common.ADSB_ALTITUDE_TYPE_GEOMETRIC,
+        altitude=round(1e3 * place.height),
+        heading=0,
+        hor_velocity=0,
+        ver_velocity=0,
+        callsign=callsign.encode("ascii")[:LONGEST_CALLSIGN],
+        emitter_type=common.ADSB_EMITTER_TYPE_UAV,
+        tslc=min(round(age), 255),
+        flags=common.ADSB_FLAGS_VALID_COORDS
+        | common.ADSB_FLAGS_VALID_ALTITUDE
+        | common.ADSB_FLAGS_VALID_CALLSIGN,
+        squawk=0,
+    )
+
+
+def image_status(corners: Array | None) -> Any:
+    """CAMERA_TRACKING_IMAGE_STATUS: a box as its top left and bottom right corner, (2, 2) as shares of width and
+    height; None: nothing is tracked."""
+    if corners is None:
+        return common.MAVLink_camera_tracking_image_status_message(
+            common.CAMERA_TRACKING_STATUS_FLAGS_IDLE,
+            common.CAMERA_TRACKING_MODE_NONE,
+            common.CAMERA_TRACKING_TARGET_DATA_IN_STATUS,
+            *[NOT_USED] * 7,
+        )
+    left, top, right, bottom = np.clip(corners, 0.0, 1.0).ravel().tolist()
+    return common.MAVLink_camera_tracking_image_status_message(
+        common.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE,
+        common.CAMERA_TRACKING_MODE_RECTANGLE,
+        common.CAMERA_TRACKING_TARGET_DATA_IN_STATUS,
+        *[NOT_USED] * 3,  # point and radius, of the other mode
+        left,
+        top,
+        right,
+        bottom,
+    )
