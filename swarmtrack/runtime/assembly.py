@@ -71,21 +71,21 @@ def assemble(config: DroneConfig) -> Parts:
     boot = new_boot()
     with config.blamed("camera", "source"):
         clock: Clock = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else system
-        simulation = _simulation(config, clock)
+        simulation = simulation_of(config, clock)
     if simulation is not None:
-        mounted = _simulated_mount(config, simulation)
+        mounted = simulated_mount(config, simulation)
     else:
         with config.blamed("camera", "calibration"):
             mounted = mount_camera(config.camera)
     with config.blamed("camera", "source"):
-        camera = _camera(config, mounted, clock, simulation)
+        camera = camera_of(config, mounted, clock, simulation)
     if config.camera.detects_by_itself:
         with config.blamed("output", "video"):
             _refuse_video(config)
     with config.blamed("autopilot", "link"):
-        autopilot = _autopilot(config, clock, simulation)
+        autopilot = autopilot_of(config, clock, simulation)
     with config.blamed("detector", "model"):
-        detector = _detector(config)
+        detector = detector_of(config)
     hub = MemoryHub()
     with config.blamed("network"):
         transport = _transport(config, boot, clock, hub)
@@ -109,7 +109,7 @@ def _as_fast_as_it_goes(config: DroneConfig) -> bool:
     return ("pace", "fast") in parse_address(config.camera.source).query
 
 
-def _simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
+def simulation_of(config: DroneConfig, clock: Clock) -> Simulation | None:
     if not config.camera.simulated:
         return None
     from swarmtrack.sensors.simulated import open_simulation  # noqa: PLC0415
@@ -117,12 +117,12 @@ def _simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
     return open_simulation(config.camera.source, config.drone.id, clock)
 
 
-def _simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamera:
+def simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamera:
     camera = simulation.camera
     return MountedCamera(camera.camera, camera.body_from_camera, config.camera.time_offset_s or 0.0)
 
 
-def _camera(
+def camera_of(
     config: DroneConfig, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
 ) -> Camera | DetectionSource:
     if simulation is not None:
@@ -178,7 +178,7 @@ def _onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) ->
     )
 
 
-def _autopilot(config: DroneConfig, clock: Clock, simulation: Simulation | None) -> Autopilot | None:
+def autopilot_of(config: DroneConfig, clock: Clock, simulation: Simulation | None) -> Autopilot | None:
     section = config.autopilot
     if section.link == "none":
         return None
@@ -211,7 +211,7 @@ def _in_step(link: str) -> str:
     return str(replace(address, speed=1.0)) if address.scheme == "tlog" else link
 
 
-def _detector(config: DroneConfig) -> Detector | None:
+def detector_of(config: DroneConfig) -> Detector | None:
     if config.camera.detects_by_itself:
         return None
     from swarmtrack.detection.description import Declared  # noqa: PLC0415
@@ -244,7 +244,7 @@ def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> 
     network = config.network
     if network.transport == "memory":
         return MemoryTransport(hub, network.team, config.drone.id, boot, clock)
-    credentials = _credentials(config, clock)
+    credentials = credentials_of(config, clock)
     settings = topology.of_drone(network, config.drone.id, credentials)
     if credentials is None:
         return ZenohTransport(settings, config.drone.id, boot, clock)
@@ -252,7 +252,7 @@ def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> 
     return ZenohTransport(settings, config.drone.id, boot, clock, sign=sign, verify=verify)
 
 
-def _credentials(config: DroneConfig, clock: Clock) -> Credentials | None:
+def credentials_of(config: DroneConfig, clock: Clock) -> Credentials | None:
     folder = config.network.keys_of(config.drone.id)
     if folder is None:
         return None
