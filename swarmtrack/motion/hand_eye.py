@@ -222,8 +222,7 @@ def _normal(rest: Array, J: Array, weight: Array) -> tuple[Array, Array]:
 
 def _solved(H: Array, g: Array) -> Array:
     """A step; what was not excited stays where it is."""
-    step: Array = np.linalg.lstsq(H, g, rcond=1e-12)[0]
-    return step
+    return np.asarray(np.linalg.lstsq(H, g, rcond=1e-12)[0], dtype=float)
 
 
 def _bootstrapped(turns: Turns, rest: Array, J: Array, weight: Array) -> Array:
