@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmtrack.config import MountedCamera
+from swarmtrack.codec import decode_health, encode_health
+from swarmtrack.config import MountedCamera, load_config
 from swarmtrack.diagnosis import machine
 from swarmtrack.diagnosis.findings import FAULTS, Finding, Level, markdown_table, worst
 from swarmtrack.diagnosis.mounting import (
@@ -19,6 +20,7 @@ from swarmtrack.diagnosis.mounting import (
     check_mount,
     looks,
 )
+from swarmtrack.diagnosis.readiness import judge
 from swarmtrack.diagnosis.sources import (
     AutopilotFacts,
     CameraFacts,
@@ -42,8 +44,10 @@ from swarmtrack.diagnosis.team import _multicast
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import LinkStatus, StampKind
+from swarmtrack.messages import IdClash, LinkStatus, PeerDeparted, StampKind
 from swarmtrack.motion.hand_eye import Agreement, HandEye
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.health import Health
 
 DOCS = Path(__file__).parents[1] / "docs" / "troubleshooting.md"
 FORWARD = rotation.BODY_FROM_FORWARD_CAMERA
@@ -264,3 +268,58 @@ def test_durations_are_for_people(seconds, words):
 
 def test_the_worst_of_nothing_is_ok():
     assert worst([]) is Level.OK
+
+
+# ── the readiness of a running agent ─────────────────────────────────────────────────────────────────────────────────
+
+FINE = LinkStatus("x", True, "fine", (("fps", 30.0), ("frames", 100.0), ("age_p50_ms", 20.0)))
+CUT_OFF = LinkStatus("zenoh", False, "no router answers")
+
+
+def readiness(camera=FINE, autopilot=FINE, network=FINE, clones=()):
+    return judge(
+        camera=CameraFacts(3.0, 0.5, camera, frames=100),
+        autopilot=AutopilotFacts(3.0, status=autopilot),
+        detector=None,
+        network=network,
+        clones=clones,
+    )
+
+
+def test_a_drone_is_ready_where_nothing_fails():
+    assert readiness() == (True, ())
+    late = LinkStatus("x", True, "fine", (("fps", 30.0), ("frames", 100.0), ("age_p50_ms", 300.0)))
+    assert readiness(camera=late).ready  # a warning keeps nobody on the ground
+
+
+def test_each_failure_is_a_reason_not_to_fly():
+    silent = LinkStatus("x", False, "udpin:h:1: searching: port open, 0 bytes")
+    unplugged = LinkStatus("x", False, "unplugged; waiting for it")
+    ready, reasons = readiness(unplugged, silent, CUT_OFF, ("aaaaaaaa",))
+    assert not ready
+    assert [reason.split(":")[0] for reason in reasons] == [
+        "the camera is not there",
+        "not a byte from the autopilot in 3 s",
+        "network",
+        "another agent speaks as this drone (boots aaaaaaaa)",
+    ]
+
+
+def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
+    path = tmp_path / "drone.toml"
+    path.write_text(
+        '[drone]\nid = 1\n[camera]\nsource = "http://127.0.0.1:9/"\n'
+        "intrinsics = { fx = 160, fy = 160, cx = 79.5, cy = 59.5, width = 160, height = 120 }\n"
+        '[network]\ntransport = "memory"\n[detector]\nscore_threshold = 0.5\n'
+    )
+    parts = assemble(load_config(path))
+    health = Health(parts)
+    sent = decode_health(encode_health(health.message())).readiness
+    assert sent is not None
+    assert not sent.ready
+    assert sent.reasons[0].startswith("the camera is open but gave no frame")
+    for event in (IdClash(1, (parts.boot, "aaaaaaaa"), True), IdClash(2, ("bbbbbbbb", "cccccccc"), False)):
+        health.on_membership(event)
+    assert health.readiness().reasons[-1] == "another agent speaks as this drone (boots aaaaaaaa)"
+    health.on_membership(PeerDeparted(1, "aaaaaaaa"))
+    assert "another agent" not in health.readiness().reasons[-1]

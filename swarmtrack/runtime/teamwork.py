@@ -62,6 +62,7 @@ class Teamwork:
                     onboard.on_announcement(event)
                 case PeerArrived() | PeerDeparted() | IdClash():
                     onboard.on_membership(event)
+                    self._health.on_membership(event)
                 case SightingReport():
                     onboard.on_sightings(event)
                     self._tell_of_disagreements()
