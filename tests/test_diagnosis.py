@@ -86,7 +86,9 @@ def mounted(camera=GOOD, R=FORWARD, position=(0.1, 0.0, 0.0)):
 
 def motion(gain=(1.0, 1.0, 1.0), rpy=(0.0, 0.0, 0.0), offset=0.0):
     C = (rotation.from_euler(*rpy) @ FORWARD).T
-    found = HandEye(C, offset, np.zeros(3), np.full(3, 1e-3), 1e-3, np.ones(3), 1e-3, 0.0, 100, False)
+    found = HandEye(
+        C, offset, np.zeros(3), np.full(3, 1e-3), 1e-3, np.ones(3), np.ones(3), 1e-3, 0.0, 100, False
+    )
     return check_motion(MotionFacts("", Agreement(np.array(gain), np.ones(3), offset), found), mounted())
 
 

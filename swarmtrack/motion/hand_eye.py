@@ -49,7 +49,8 @@ class HandEye(NamedTuple):
 
     camera_from_body (3, 3); time_offset_s: exposure on the gyro's clock = stamp + this; bias (3,) rad/s, body axes;
     rotation_sigma (3,) rad about the camera's axes; time_offset_sigma_s; excitation (3,) rad/s: root mean square
-    of the rate about the least, the middle and the most excited axis; residual rad: root mean square of the robust
+    of the rate about the least, the middle and the most excited axis; rates (3,) rad/s: likewise about the body's x, y
+    and z; residual rad: root mean square of the robust
     rest, per axis and turn; outliers: share of turns that were let go; at_edge: the offset lies at the end of what was
     searched, and is none.
     """
@@ -60,6 +61,7 @@ class HandEye(NamedTuple):
     rotation_sigma: Array
     time_offset_sigma_s: float
     excitation: Array
+    rates: Array
     residual: float
     outliers: float
     turns: int
@@ -130,6 +132,7 @@ def solve(turns: Turns, gyro: GyroTurns, *, reach: float = REACH, centre: float 
         rotation_sigma=sigmas[:3],
         time_offset_sigma_s=float(sigmas[3]),
         excitation=spread,
+        rates=np.sqrt((rates**2).mean(axis=0)),
         residual=scale,
         outliers=float((weight < 0.2).mean()),
         turns=len(dt),
