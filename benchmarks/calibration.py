@@ -1,4 +1,4 @@
-"""How well calibrations find a truth that is known: extrinsics of a minute by hand, intrinsics of rendered boards.
+"""How well calibrations find a truth that is known: extrinsics by hand, intrinsics of rendered boards.
 
 *Extrinsics*: a drone is turned about all axes in a round room, its camera (320 x 240 at 15 Hz, a lens with distortion)
 mounted anyhow, its clock off by up to 100 ms, its gyro (200 Hz) with bias and noise; the position sways by centimetres.
@@ -36,7 +36,7 @@ from swarmtrack.simulation.hand_turned import HandTurned, Room
 
 NAME = "calibration"
 SEEDS = 20
-SECONDS, FPS, IMU_HZ = 60.0, 15.0, 200.0
+SECONDS, FPS, IMU_HZ = 20.0, 15.0, 200.0  # a third of the minute that the command takes
 EYE = PinholeCamera(215.0, 216.0, 161.0, 118.0, 320, 240, RadTan((-0.25, 0.06, 0.001, -0.0005)))
 GYRO_NOISE, GYRO_BIAS = 0.005, 0.01  # rad/s, a sample's; an axis'
 OFFSET = 0.1  # s
@@ -134,13 +134,13 @@ def run(out: Path, *, seeds: int = SEEDS, seconds: float = SECONDS) -> None:
     minutes: list[Minute] = []
     shown: dict[tuple[Kind, Model], list[Shown]] = {}
     boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
-    with report.progress("calibration", seeds + 4 * max(seeds // 4, 2)) as advance:
+    with report.progress("calibration", seeds + 4 * max(seeds // 6, 2)) as advance:
         for seed in range(seeds):
             minutes.append(hand_turned(seed, seconds=seconds))
             advance("by hand")
         for kind, model in boards:
             shown[kind, model] = []
-            for seed in range(max(seeds // 4, 2)):
+            for seed in range(max(seeds // 6, 2)):
                 shown[kind, model].append(board_shown(seed, kind, model))
                 advance(kind)
     extrinsics, intrinsics = (

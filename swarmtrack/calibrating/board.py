@@ -52,7 +52,7 @@ class Board:
         return self.columns * self.square_m, self.rows * self.square_m
 
     def draw(self, square_px: int) -> Image:
-        """(rows * square_px, columns * square_px) grey, without a margin. square_px: a multiple of 20, for tags' sake."""
+        """(rows * square_px, columns * square_px) grey, without a margin. square_px: a multiple of 20, for tags."""
         size = (self.columns * square_px, self.rows * square_px)
         if self.kind == "charuco":
             return np.asarray(self._charuco().generateImage(size, marginSize=0, borderBits=1), np.uint8)

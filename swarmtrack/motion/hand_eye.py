@@ -19,7 +19,6 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
-from swarmtrack.motion.gyro import GyroHistory
 
 REACH = 0.3  # s to either side that are searched
 STEP = 0.005  # s of the search's grid: rotations by hand stay below 5 Hz
@@ -84,18 +83,34 @@ class GyroTurns:
     """Gyro samples t (n,) s, rates (n, 3) rad/s, body axes, integrated over any interval within them."""
 
     def __init__(self, t: Array, rates: Array) -> None:
-        self._history = GyroHistory(history_s=1e9)
-        for when, (x, y, z) in zip(t.tolist(), rates.tolist(), strict=True):
-            self._history.append(when, (x, y, z))
-        self.first, self.last = (float(t[0]), float(t[-1])) if len(t) else (0.0, 0.0)
+        ahead = (
+            np.concatenate([[True], np.diff(np.maximum.accumulate(t)) > 0.0]) if len(t) else np.zeros(0, bool)
+        )
+        self._t, self._rates = t[ahead], rates[ahead]
+        self.first, self.last = (float(self._t[0]), float(self._t[-1])) if len(self._t) else (0.0, 0.0)
+        dt = np.diff(self._t)[:, None]
+        # As of `GyroHistory`: the rate is linear between samples; exact to the fifth order of the step.
+        before, after = self._rates[:-1], self._rates[1:]
+        steps = rotation.exp(0.5 * dt * (before + after) + dt**2 / 12.0 * np.cross(before, after))
+        self._start_from_body = _running_products(steps)
 
     def between(self, start: Array, end: Array) -> Array:
         """Rotation vectors (n, 3) rad of the body from start (n,) to end (n,), in the body's axes."""
-        before, after = self._history.orientations(start), self._history.orientations(end)
-        if before is None or after is None:
-            raise ValueError("GyroTurns.between: times outside the samples")
-        turned: Array = rotation.log(np.swapaxes(before.matrices, 1, 2) @ after.matrices)
+        before, after = self._at(start), self._at(end)
+        turned: Array = rotation.log(np.swapaxes(before, 1, 2) @ after)
         return turned
+
+    def _at(self, times: Array) -> Array:
+        """start_from_body (n, 3, 3)."""
+        t, rates = self._t, self._rates
+        if len(times) and not (t[0] <= times.min() and times.max() <= t[-1]):
+            raise ValueError("GyroTurns: asked for times outside its samples")
+        k = np.minimum(np.searchsorted(t, times, side="right") - 1, len(t) - 2)
+        dt = (times - t[k])[:, None]
+        fraction = dt / (t[k + 1] - t[k])[:, None]
+        phi = dt * (rates[k] + 0.5 * fraction * (rates[k + 1] - rates[k]))
+        oriented: Array = self._start_from_body[k] @ rotation.exp(phi)
+        return oriented
 
     def covered(self, turns: Turns, reach: float) -> Turns:
         """Those turns that lie within the samples at every offset up to `reach` s."""
@@ -154,6 +169,16 @@ def compare(
     power = (told * told).sum(axis=0)
     gain = (turns.vector * told).sum(axis=0) / np.maximum(power, 1e-12)
     return Agreement(gain, np.sqrt(((told / dt) ** 2).mean(axis=0)), offset)
+
+
+def _running_products(steps: Array) -> Array:
+    """1, S₀, S₀ S₁, … (n + 1, 3, 3) of steps (n, 3, 3), by doubling spans (Hillis & Steele (1986))."""
+    products = np.concatenate([np.eye(3)[None], steps])
+    span = 1
+    while span < len(products):
+        products = np.concatenate([products[:span], products[:-span] @ products[span:]])
+        span *= 2
+    return products
 
 
 def _shifted(turns: Turns, by: float) -> Turns:
