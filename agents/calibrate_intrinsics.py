@@ -21,7 +21,7 @@ DONE, FAILED = 0, 1
 SECONDS = 180.0
 SQUARE_MM = 28.0  # nine of them fit on A4
 RECORDED = ("file", "images")
-ARROWS = 40.0  # residuals are drawn so much longer
+ARROW = 0.02  # of the image's width: a usual residual is drawn so long
 
 
 def add_board_command(steps: Any) -> None:
@@ -275,6 +275,7 @@ def _plot(found: Fit, path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), width_ratios=(3, 2))
     u, v = found.pixels.T
     du, dv = found.residuals.T
+    longer = ARROW * found.camera.width / max(found.rms, 1e-6)
     arrows = left.quiver(
         u,
         v,
@@ -283,14 +284,14 @@ def _plot(found: Fit, path: Path) -> None:
         (du**2 + dv**2) ** 0.5,
         angles="xy",
         scale_units="xy",
-        scale=1.0 / ARROWS,
-        width=0.002,
+        scale=1.0 / longer,
+        width=0.003,
         cmap="viridis",
     )
     figure.colorbar(arrows, ax=left, label="miss, px")
     left.set(
         xlim=(0, found.camera.width), ylim=(found.camera.height, 0), aspect="equal", xlabel="u, px", ylabel="v, px",
-        title=f"corners miss by {found.rms:.3f} px RMS (arrows {ARROWS:g} times)",
+        title=f"corners miss by {found.rms:.3f} px RMS (drawn {longer:.0f} times as long)",
     )  # fmt: skip
     right.bar(range(len(found.errors)), found.errors, color="#4477aa")
     right.axhline(found.rms, color="#cc6677", linewidth=1.0)

@@ -25,6 +25,7 @@ from swarmtrack.calibration import load_calibration
 from swarmtrack.config import load_config, mount_camera
 from swarmtrack.errors import CalibrationError, SourceError
 from swarmtrack.geometry import rotation
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.motion.hand_eye import GyroTurns, HandEye, Turns, compare, solve
 from swarmtrack.simulation.boards import BoardScene, board_poses
 from swarmtrack.simulation.hand_turned import HandTurned, Room
@@ -340,6 +341,30 @@ def test_what_is_still_missing_is_said_until_it_was_shown():
         chosen.offer(view)
     assert chosen.missing() == []
     assert chosen.cells().all()
+
+
+@pytest.mark.parametrize(
+    ("turn", "nearer"),
+    [((0, 0.5, 0), "right"), ((0, -0.5, 0), "left"), ((-0.5, 0, 0), "lower"), ((0.5, 0, 0), "upper")],
+)
+def test_the_edge_that_is_towards_the_camera_is_called_by_its_name(turn, nearer):
+    views, truth = exact_views(1)
+    points = np.column_stack([Board()._charuco().getChessboardCorners()]).astype(float)
+    pose = Pose(rotation.exp(turn), np.zeros(3))
+    middle = pose.transform(points).mean(axis=0)
+    at = pose.transform(points) - middle + [0.0, 0.0, 0.5]
+    depth = {
+        "left": at[:, 0].argmin(),
+        "right": at[:, 0].argmax(),
+        "upper": at[:, 1].argmin(),
+        "lower": at[:, 1].argmax(),
+    }
+    assert at[depth[nearer], 2] < 0.5
+    chosen = Views((truth.width, truth.height), still=False)
+    assert chosen.offer(Seen(np.arange(len(points)), points, truth.project(at)[0]))
+    (line,) = [line for line in chosen.missing() if "tilted" in line]
+    assert nearer not in line
+    assert line.count("edge") == 3
 
 
 def test_a_board_that_moves_is_not_kept():

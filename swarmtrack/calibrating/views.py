@@ -85,10 +85,10 @@ class Views:
             wanted.append("the board in the empty parts of the picture")
         tilts = np.array([view.tilt for view in self.kept]).reshape(-1, 2)
         sides = (
-            (tilts[:, 0] > TILTED).any(),
             (tilts[:, 0] < -TILTED).any(),
-            (tilts[:, 1] > TILTED).any(),
+            (tilts[:, 0] > TILTED).any(),
             (tilts[:, 1] < -TILTED).any(),
+            (tilts[:, 1] > TILTED).any(),
         )
         if absent := [name for name, shown in zip(TILTS, sides, strict=True) if not shown]:
             wanted.append(f"the board tilted with {' or '.join(absent)} towards you")
@@ -116,7 +116,7 @@ def covered(pixels: list[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def as_view(seen: Seen, size: tuple[int, int]) -> View:
-    """Tilt (2,): about how far the left edge (x) and the upper edge (y) are nearer than the others, guessed."""
+    """Tilt (2,) rad, by a guessed lens: above zero where the right edge (x), the lower edge (y) are the nearer ones."""
     width, height = size
     low, high = seen.pixels.min(axis=0), seen.pixels.max(axis=0)
     place = (low + high) / 2.0 / (width, height)
