@@ -300,7 +300,7 @@ def test_each_failure_is_a_reason_not_to_fly():
     ready, reasons = readiness(unplugged, silent, CUT_OFF, ("aaaaaaaa",))
     assert not ready
     assert [reason.split(":")[0] for reason in reasons] == [
-        "the camera is not there",
+        "no camera",
         "not a byte from the autopilot in 3 s",
         "network",
         "another agent speaks as this drone (boots aaaaaaaa)",

@@ -50,7 +50,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "camera.missing": Fault(
         F,
-        "the camera is not there: {reason}",
+        "no camera: {reason}",
         "plug it in and look at `ls -l /dev/v4l/by-id/`; write that path into camera.source, it survives replugging",
     ),
     "camera.forbidden": Fault(
@@ -112,7 +112,7 @@ FAULTS: dict[str, Fault] = {
     "autopilot.address": Fault(F, "{reason}", "mend autopilot.link; README and configs/ show one of each kind"),
     "autopilot.missing": Fault(
         F,
-        "the autopilot's port is not there: {reason}",
+        "no autopilot: {reason}",
         "plug it in; look at `ls -l /dev/serial/by-id/` and write that path into autopilot.link",
     ),
     "autopilot.forbidden": Fault(

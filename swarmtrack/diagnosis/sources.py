@@ -112,7 +112,7 @@ def check_camera(facts: CameraFacts) -> list[Finding]:
     text = facts.status.text
     if not facts.status.ok or (facts.frames == 0 and facts.live):
         name = _named(CAMERA_TROUBLES, text, "camera.silent" if facts.status.ok else "camera.broken")
-        return [fault(name, reason=text, seconds=facts.seconds)]
+        return [fault(name, reason=_reason(text), seconds=facts.seconds)]
     if facts.live and age_ms > 1e3 * facts.max_age_s:
         return [fault("camera.stale", age_ms=age_ms, limit_s=facts.max_age_s)]
     findings = []
@@ -157,7 +157,7 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
     numbers, text = dict(facts.status.counters), facts.status.text
     if not facts.status.ok:
         name = _named(AUTOPILOT_TROUBLES, text, "autopilot.broken")
-        return [fault(name, reason=text, seconds=facts.seconds)]
+        return [fault(name, reason=_reason(text), seconds=facts.seconds)]
     findings = []
     asked_hz = numbers.get("imu_rate_asked_hz", 0.0)
     got_hz = numbers.get("imu_rate_hz", 0.0) if facts.got_hz is None else facts.got_hz
@@ -220,6 +220,11 @@ def _bias(facts: ImuFacts) -> list[Finding]:
 
 def _angle_deg(a: Array, b: Array) -> float:
     return math.degrees(math.acos(min(max(float(a @ b), -1.0), 1.0)))
+
+
+def _reason(text: str) -> str:
+    """Without what only a program that goes on would do about it."""
+    return re.sub(r"; (waiting for it|trying again|opening it again)$", "", text)
 
 
 def _named(troubles: tuple[tuple[str, str], ...], text: str, otherwise: str) -> str:
