@@ -19,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     clips = names.add_parser("clips", help="real drones on labelled clips, through the agent")
     rotation = names.add_parser("rotation", help="what the gyro is worth to an observer that turns")
     offset = names.add_parser("offset", help="how well the camera's clock and the gyro's bias are found")
+    calibration = names.add_parser("calibration", help="calibrations by hand and by board, against the truth")
     clients = names.add_parser("clients", help="how long until everybody knows everybody, to 100 drones")
     flood = names.add_parser("flood", help="a member that floods, and the others")
     identity = names.add_parser("identity", help="who is who from one look: the paper's rule and ours")
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         clips,
         rotation,
         offset,
+        calibration,
         clients,
         flood,
         identity,
@@ -48,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        if name not in (detector, offset, clients, flood, identity, trackers, soak):
+        if name not in (detector, offset, calibration, clients, flood, identity, trackers, soak):
             name.add_argument(
                 "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
             )
@@ -210,6 +212,12 @@ def _trackers(args: argparse.Namespace) -> None:
     )
 
 
+def _calibration(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import calibration
+
+    calibration.run(args.out, seeds=4 if args.quick else calibration.SEEDS)
+
+
 def _soak(args: argparse.Namespace) -> None:
     from swarmtrack.benchmarks import soak
 
@@ -233,6 +241,7 @@ def _detector(args: argparse.Namespace) -> None:
 
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
+    "calibration": _calibration,
     "clients": _clients,
     "clips": _clips,
     "detector": _detector,

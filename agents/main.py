@@ -14,6 +14,8 @@ from swarmtrack.errors import SwarmtrackError
 COMMANDS = {
     "sim": ("swarmtrack.agents.swarm", "fly a local swarm: simulator, one agent a drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
+    "calibrate": ("swarmtrack.agents.calibrate", "measure a camera, and how it sits on its drone"),
+    "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
     "config": ("swarmtrack.agents.config", "write, check and explain configs"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),

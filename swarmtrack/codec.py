@@ -207,6 +207,13 @@ class ConsistencyHealth(msgspec.Struct, array_like=True, frozen=True, forbid_unk
     high: Quantity
 
 
+class ReadinessHealth(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """Whether the drone could fly now, and if not, why."""
+
+    ready: bool
+    reasons: Annotated[tuple[Line, ...], Meta(max_length=16)]
+
+
 class HealthMessage(msgspec.Struct, array_like=True, frozen=True):
     """`health/<id>`: how the agent is doing. clock_offset_s: ours minus the autopilot's, null without one.
 
@@ -231,6 +238,7 @@ class HealthMessage(msgspec.Struct, array_like=True, frozen=True):
     time_offset: TimeOffsetHealth | None = None
     gyro_bias: GyroBiasHealth | None = None
     consistency: ConsistencyHealth | None = None
+    readiness: ReadinessHealth | None = None
 
 
 Message = AnnouncementMessage | SightingsMessage | TracksMessage | HealthMessage

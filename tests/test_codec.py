@@ -99,6 +99,7 @@ HEALTH = codec.HealthMessage(
     time_offset=codec.TimeOffsetHealth(0.0625, 0.0009765625, 0.0),
     gyro_bias=codec.GyroBiasHealth(None, None, (0.5, 0.0, -0.25)),
     consistency=codec.ConsistencyHealth(2.25, 1.5, 2.5),
+    readiness=codec.ReadinessHealth(False, ("no gyro",)),
 )
 
 
@@ -172,20 +173,20 @@ def test_plain_msgpack_reads_health_by_position() -> None:
 
 def test_health_is_these_bytes_until_something_is_added_at_its_end() -> None:
     assert codec.encode_health(HEALTH).hex() == (
-        "dc001001cb41d954fc40000000a83031323361626364cb404e000000000000cb4016000000000000cb40580000000000"
+        "dc001101cb41d954fc40000000a83031323361626364cb404e000000000000cb4016000000000000cb40580000000000"
         "0082a3696d7592cb4069000000000000cb4068e00000000000a663616d65726192c0cb403e00000000000081a6646574"
         "65637493cb3f847ae147ae147bcb3f947ae147ae147bcb3fe0000000000000cbbfe0000000000000cb3f50624dd2f1a9"
         "fc9194a663616d657261c3a633302066707381a3667073cb403e00000000000081a66672616d65730491b063616d6572"
         "612063616d65206261636b93cb3fb0000000000000cb3f50000000000000cb000000000000000093c0c093cb3fe00000"
         "00000000cb0000000000000000cbbfd000000000000093cb4002000000000000cb3ff8000000000000cb400400000000"
-        "0000"
+        "000092c291a76e6f206779726f"
     )
 
 
 def test_health_may_be_short_of_what_came_later_and_long_by_what_is_still_to_come() -> None:
     fields = msgpack.unpackb(codec.encode_health(HEALTH))
     older = codec.decode_health(msgpack.packb(fields[:13]))
-    assert (older.events, older.time_offset, older.consistency) == (HEALTH.events, None, None)
+    assert (older.events, older.time_offset, older.readiness) == (HEALTH.events, None, None)
     assert codec.decode_health(msgpack.packb([*fields, {"of": "tomorrow"}])) == HEALTH
     with pytest.raises(DecodeError, match="version 2"):
         codec.decode_health(msgpack.packb([2, *fields[1:]]))

@@ -26,9 +26,9 @@ LAYERS: list[set[str]] = [
         "recording",
         "security",
     },
-    {"detection", "sensors", "transport"},
+    {"detection", "sensors", "transport", "calibrating"},
     {"training"},
-    {"runtime"},
+    {"runtime", "diagnosis"},
     {"agents", "benchmarks"},
 ]
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}

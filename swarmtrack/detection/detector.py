@@ -109,6 +109,11 @@ class Detector:
         """What is known of the net, and who said it."""
         return self._net.description
 
+    @property
+    def providers(self) -> tuple[str, ...]:
+        """Of ONNX Runtime, those that really run the net, by short name, the first one first."""
+        return runs_on(self._session)
+
     def is_guided(self, image: Image) -> bool:
         """Whether `detect` wants to be told where tracks are in this image; in one it cannot use it does not."""
         if _unusable(image):
@@ -181,7 +186,7 @@ class Detector:
         """One line and the counters for the health message; not ok while the newest frame could not be used."""
         latency = self.latency
         pace = f", {1e3 * latency.infer.p50:.1f} ms a frame" if self._frames else ""
-        text = self._trouble or f"{self._path.name} on {', '.join(runs_on(self._session))}{pace}"
+        text = self._trouble or f"{self._path.name} on {', '.join(self.providers)}{pace}"
         counters = [
             ("frames", self._frames),
             ("windows", self._windows),

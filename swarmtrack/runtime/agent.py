@@ -260,10 +260,8 @@ class Agent:
             except ValueError:
                 self.health.drops["unsendable_health"] += 1
             self._console.line(self._footnotes())
-            troubles = [link for link in message.links if not link.ok]
-            self._notifier.status(
-                "; ".join(f"{link.name}: {link.text}" for link in troubles) or "all links are up"
-            )
+            assert message.readiness is not None
+            self._notifier.status("; ".join(message.readiness.reasons) or "ready")
 
     def _tell_of_recording(self) -> None:
         news = self._parts.recorder.take_news() if self._parts.recorder else None

@@ -78,19 +78,20 @@ def assemble(config: DroneConfig, imported: ManualClock | None = None) -> Parts:
     with config.blamed("camera", "source"):
         paced = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else None
         clock: Clock = imported or paced or system
-        simulation = _simulation(config, clock)
+        simulation = make_simulation(config, clock)
     if simulation is not None:
-        mounted = _simulated_mount(config, simulation)
+        mounted = simulated_mount(config, simulation)
     else:
         with config.blamed("camera", "calibration"):
             mounted = mount_camera(config.camera)
     with config.blamed("camera", "source"):
-        camera = _camera(config, mounted, clock, simulation)
+        camera = camera_of(config, mounted, clock, simulation)
     if config.camera.detects_by_itself:
         with config.blamed("output", "video"):
             _refuse_video(config)
     with config.blamed("autopilot", "link"):
-        autopilot = _autopilot(config, clock, simulation, in_step=imported is None and paced is not None)
+        in_step = imported is None and paced is not None
+        autopilot = make_autopilot(config, clock, simulation, in_step=in_step)
     with config.blamed("detector", "model"):
         detector = make_detector(config)
     hub = MemoryHub()
@@ -119,7 +120,7 @@ def _as_fast_as_it_goes(config: DroneConfig) -> bool:
     return ("pace", "fast") in parse_address(config.camera.source).query
 
 
-def _simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
+def make_simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
     if not config.camera.simulated:
         return None
     from swarmtrack.sensors.simulated import open_simulation  # noqa: PLC0415
@@ -127,12 +128,12 @@ def _simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
     return open_simulation(config.camera.source, config.drone.id, clock)
 
 
-def _simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamera:
+def simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamera:
     camera = simulation.camera
     return MountedCamera(camera.camera, camera.body_from_camera, config.camera.time_offset_s or 0.0)
 
 
-def _camera(
+def camera_of(
     config: DroneConfig, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
 ) -> Camera | DetectionSource:
     if simulation is not None:
@@ -189,9 +190,10 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
     )
 
 
-def _autopilot(
-    config: DroneConfig, clock: Clock, simulation: Simulation | None, *, in_step: bool
+def make_autopilot(
+    config: DroneConfig, clock: Clock, simulation: Simulation | None, *, in_step: bool = False
 ) -> Autopilot | None:
+    """None where the config names no link. in_step: a log is played in step with the frames."""
     section = config.autopilot
     if section.link == "none":
         return None
@@ -259,7 +261,7 @@ def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> 
     network = config.network
     if network.transport == "memory":
         return MemoryTransport(hub, network.team, config.drone.id, boot, clock)
-    credentials = _credentials(config, clock)
+    credentials = credentials_of(config, clock)
     settings = topology.of_drone(network, config.drone.id, credentials)
     if credentials is None:
         return ZenohTransport(settings, config.drone.id, boot, clock)
@@ -267,7 +269,7 @@ def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> 
     return ZenohTransport(settings, config.drone.id, boot, clock, sign=sign, verify=verify)
 
 
-def _credentials(config: DroneConfig, clock: Clock) -> Credentials | None:
+def credentials_of(config: DroneConfig, clock: Clock) -> Credentials | None:
     folder = config.network.keys_of(config.drone.id)
     if folder is None:
         return None

@@ -13,10 +13,13 @@ from swarmtrack.codec import (
     HealthMessage,
     LatencyHealth,
     RateHealth,
+    ReadinessHealth,
     TimeOffsetHealth,
     link_health,
 )
-from swarmtrack.messages import Array, LinkStatus
+from swarmtrack.diagnosis.readiness import Readiness, judge
+from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
+from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
 from swarmtrack.onboard import Onboard
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import SystemClock
@@ -43,12 +46,47 @@ class Health:
         self._started = self._wall.now()
         self._process = ProcessMeter(self._wall.now)
         self.rates: dict[str, RateHealth] = {}
+        self._clones: set[str] = set()
+        self._frames, self._frame_at = 0.0, self._started
 
     def links(self) -> list[LinkStatus]:
         """State of everything this agent is connected to."""
         parts = self._parts
         sources = [parts.autopilot, parts.camera, parts.detector, parts.transport, parts.recorder]
         return [source.status() for source in sources if source is not None]
+
+    def on_membership(self, event: PeerArrived | PeerDeparted | IdClash) -> None:
+        """Who speaks as this very drone."""
+        if event.drone_id != self._parts.config.drone.id:
+            return
+        if isinstance(event, IdClash):
+            self._clones |= set(event.boots) - {self._parts.boot}
+        elif isinstance(event, PeerDeparted):
+            self._clones.discard(event.boot)
+
+    def readiness(self) -> Readiness:
+        """Whether the drone could fly now, by what is counted anyway."""
+        parts, now = self._parts, self._wall.now()
+        camera = parts.camera.status()
+        numbers = dict(camera.counters)
+        frames = numbers.get("frames", float(numbers.get("fps", 0.0) > 0.0))
+        if frames != self._frames:
+            self._frames, self._frame_at = frames, now
+        live = not parts.paced_by_frames
+        return judge(
+            camera=CameraFacts(
+                now - self._frame_at, parts.config.camera.max_age_s, camera, frames=int(frames), live=live
+            ),
+            autopilot=AutopilotFacts(
+                now - self._started,
+                wanted=parts.autopilot is not None,
+                status=None if parts.autopilot is None else parts.autopilot.status(),
+                live=live,
+            ),
+            detector=None if parts.detector is None else parts.detector.status(),
+            network=parts.transport.status(),
+            clones=tuple(sorted(self._clones)),
+        )
 
     def message(self) -> HealthMessage:
         """Everything since the last call."""
@@ -95,6 +133,7 @@ class Health:
             time_offset=_time_offset(onboard),
             gyro_bias=_gyro_bias(onboard),
             consistency=consistency and ConsistencyHealth(*consistency),
+            readiness=ReadinessHealth(*self.readiness()),
         )
 
 

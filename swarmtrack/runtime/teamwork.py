@@ -60,8 +60,11 @@ class Teamwork:
         door = self._parts.door
         async for event in self._parts.transport.events():
             match event:
-                case Announcement() | PeerArrived() | PeerDeparted() | IdClash():
+                case Announcement():
                     door.tell(event)
+                case PeerArrived() | PeerDeparted() | IdClash():
+                    door.tell(event)
+                    self._health.on_membership(event)
                 case SightingReport():
                     door.tell(event)
                     self._teller.on_peer(event)

@@ -26,7 +26,7 @@ async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
     absent: dict[str, str] = {}
     for text in endpoints:
         endpoint = parse_endpoint(text, "network.listen")
-        error = await _obstacle(endpoint)
+        error = await obstacle(endpoint)
         if error is None:
             continue
         if error.errno != errno.EADDRNOTAVAIL and not isinstance(error, socket.gaierror):
@@ -41,7 +41,7 @@ async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
         )
 
 
-async def _obstacle(endpoint: Endpoint) -> OSError | None:
+async def obstacle(endpoint: Endpoint) -> OSError | None:
     """What is against listening at an endpoint, for good; None: nothing."""
     for _ in range(TRIES):
         error = await asyncio.to_thread(_try_to_bind, endpoint)

@@ -12,6 +12,7 @@ import zenoh
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge, Sample
 from swarmtrack.transport.zenoh_session import (
@@ -71,6 +72,10 @@ class ZenohListener:
         """Until closed."""
         while (sample := await self._samples.get()) is not None:
             yield sample
+
+    def links(self) -> LinksUp:
+        """To whom we are linked."""
+        return links_up(self._session)
 
     @property
     def dropped(self) -> int:

@@ -1,0 +1,227 @@
+"""`swarmtrack calibrate board|intrinsics|extrinsics`: what a camera's config needs, measured."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
+from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
+
+if TYPE_CHECKING:
+    from swarmtrack.config import DroneConfig, MountedCamera
+    from swarmtrack.diagnosis.watching import Watch
+
+DONE, FAILED = 0, 1
+SECONDS = 60.0
+LIVE_REACH, RECORDED_REACH = 0.3, 3.0  # s
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = "Step by step, with pictures: docs/calibration.md"
+    steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
+    add_board_command(steps)
+    add_intrinsics_command(steps)
+    extrinsics = steps.add_parser(
+        "extrinsics",
+        help="how the camera sits on the gyro, and how far their clocks are apart",
+        description="How the camera sits on the gyro, and how far their clocks are apart: take the drone, propellers "
+        "off, and turn it by hand for a minute about all its axes, to and fro, in a room or yard with much to see, "
+        "nothing of it nearer than three metres. Exit code 0: believe it, 1: turn again, and why.",
+        allow_abbrev=False,
+    )
+    extrinsics.add_argument(
+        "--config", type=Path, metavar="FILE", help="the drone's config: its camera and autopilot"
+    )
+    extrinsics.add_argument(
+        "--video", type=Path, metavar="FILE", help="instead of a config: a recorded minute, …"
+    )
+    extrinsics.add_argument("--tlog", type=Path, metavar="FILE", help="… its telemetry, …")
+    extrinsics.add_argument("--calibration", type=Path, metavar="FILE", help="… and the camera's intrinsics")
+    extrinsics.add_argument(
+        "--seconds",
+        type=positive_seconds,
+        metavar="S",
+        help=f"how long (default: {SECONDS:g}; a recording: to its end)",
+    )
+    extrinsics.add_argument(
+        "--reach",
+        type=positive_seconds,
+        metavar="S",
+        help=f"search offsets of up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
+    )
+    extrinsics.add_argument(
+        "--write", type=Path, metavar="FILE", help="put the lines into this config, if they can be believed"
+    )
+    extrinsics.add_argument("--json", action="store_true", help="the numbers instead of words")
+
+
+def run(args: argparse.Namespace) -> int:
+    logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr)
+    if args.step == "extrinsics":
+        return asyncio.run(_extrinsics(args))
+    return run_intrinsics(args)
+
+
+async def _extrinsics(args: argparse.Namespace) -> int:
+    from swarmtrack.calibrating.extrinsics import doubts, toml_lines, write_into
+    from swarmtrack.config import mount_camera
+    from swarmtrack.diagnosis.watching import Watch
+    from swarmtrack.motion.hand_eye import compare, solve
+    from swarmtrack.runtime.assembly import simulated_mount, make_simulation
+    from swarmtrack.runtime.clock import SystemClock
+
+    config = _config(args)
+    clock = SystemClock()
+    simulation = make_simulation(config, clock)
+    mounted = simulated_mount(config, simulation) if simulation else mount_camera(config.camera)
+    recorded = args.video is not None
+    seconds = args.seconds or (1e6 if recorded else SECONDS)
+    reach = args.reach or (RECORDED_REACH if recorded else LIVE_REACH)
+    watch = Watch(config, mounted, clock, simulation)
+    progress = asyncio.create_task(_tell(watch, seconds if args.seconds or not recorded else None))
+    watched = await watch.run(seconds)
+    progress.cancel()
+    motion, heard = watch.motion, watch.heard
+    found = agreement = None
+    if motion is not None and motion.found and len(heard.samples) > 10:
+        turns, gyro = motion.turns(), heard.gyro()
+        found = solve(turns, gyro, reach=reach, centre=mounted.time_offset_s)
+    if found is None:
+        return _nothing(watched, motion.frames if motion else 0)
+    agreement = compare(turns, gyro, found.camera_from_body, reach=reach, centre=mounted.time_offset_s)
+    span = float(turns.end[-1] - turns.start[0])
+    problems = doubts(found, agreement, seconds=span, reach=reach)
+    lines = toml_lines(found, mounted.body_from_camera.position)
+    if args.json:
+        print(json.dumps(_record(found, problems, lines, mounted), indent=1))
+    else:
+        _say(found, problems, lines, mounted)
+    if args.write is not None and not problems:
+        write_into(args.write, lines)
+        print(f"written into {args.write}", file=sys.stderr)
+    return FAILED if problems else DONE
+
+
+def _config(args: argparse.Namespace) -> DroneConfig:
+    from swarmtrack.config import DroneConfig, load_config
+    from swarmtrack.errors import SourceError
+
+    recording = (args.video, args.tlog, args.calibration)
+    if args.config is not None and not any(recording):
+        return load_config(args.config)
+    if args.config is not None or not all(recording):
+        raise SourceError("expected either --config FILE, or all of --video, --tlog and --calibration")
+    table: dict[str, Any] = {
+        "drone": {"id": 1},
+        "camera": {"source": f"file://{args.video.absolute()}", "calibration": str(args.calibration)},
+        "autopilot": {"link": f"tlog:{args.tlog.absolute()}"},
+        "network": {"transport": "memory"},
+    }
+    return DroneConfig.model_validate(table)
+
+
+async def _tell(watch: Watch, seconds: float | None) -> None:
+    """A line of progress on a terminal: what was turned so far, about which axis."""
+    if not sys.stderr.isatty():
+        return
+    import numpy as np
+    from rich.console import Console
+    from rich.live import Live
+
+    with suppress(asyncio.CancelledError), Live(console=Console(stderr=True), transient=True) as live:
+        for tick in range(10**9):
+            rates = np.array([sample.gyro for sample in watch.heard.samples[-20000:]]).reshape(-1, 3)
+            about = rates.std(axis=0) if len(rates) > 1 else np.zeros(3)
+            axes = "   ".join(
+                f"{name} {'█' * min(int(20 * rate), 12):12}"
+                for name, rate in zip(("roll", "pitch", "yaw"), about, strict=True)
+            )
+            turns = len(watch.motion.found) if watch.motion else 0
+            of = f" of {seconds:.0f}" if seconds else ""
+            live.update(f"{tick / 2:5.1f}{of} s   {axes}   {turns} frames understood")
+            await asyncio.sleep(0.5)
+
+
+def _nothing(watched: Any, frames: int) -> int:
+    from swarmtrack.diagnosis.sources import check_autopilot, check_camera
+
+    print("calibrate extrinsics: too little to say anything:", file=sys.stderr)
+    for finding in check_camera(watched.camera) + check_autopilot(watched.autopilot):
+        print(
+            f"  {finding.check}: {finding.found}{' -> ' if finding.remedy else ''}{finding.remedy}",
+            file=sys.stderr,
+        )
+    print(f"  {frames} frames seen", file=sys.stderr)
+    return FAILED
+
+
+def _record(found: Any, problems: list[str], lines: list[str], mounted: MountedCamera) -> dict[str, Any]:
+    import numpy as np
+
+    from swarmtrack.calibrating.extrinsics import rpy_deg
+
+    return {
+        "rpy_deg": rpy_deg(found).round(4).tolist(),
+        "rotation_sigma_deg": np.degrees(found.rotation_sigma).round(4).tolist(),
+        "time_offset_s": round(found.time_offset_s, 6),
+        "time_offset_sigma_s": round(found.time_offset_sigma_s, 6),
+        "gyro_bias_rad_s": found.bias.round(6).tolist(),
+        "residual_rad": round(found.residual, 7),
+        "outliers": round(found.outliers, 4),
+        "turns": found.turns,
+        "rates_rad_s": found.rates.round(4).tolist(),
+        "changed_by_deg": round(_change_deg(found, mounted), 3),
+        "doubts": problems,
+        "toml": lines,
+    }
+
+
+def _change_deg(found: Any, mounted: MountedCamera) -> float:
+    import numpy as np
+
+    from swarmtrack.geometry import rotation
+
+    apart = rotation.log(found.camera_from_body @ mounted.body_from_camera.rotation)
+    return float(np.degrees(np.linalg.norm(apart)))
+
+
+def _say(found: Any, problems: list[str], lines: list[str], mounted: MountedCamera) -> None:
+    import numpy as np
+
+    from swarmtrack.calibrating.extrinsics import rpy_deg
+
+    sigma = np.degrees(found.rotation_sigma)
+    angles = ", ".join(f"{angle:.2f}" for angle in rpy_deg(found))
+    print(
+        f"rotation   rpy_deg = [{angles}] ± {sigma.max():.2f}°, {_change_deg(found, mounted):.2f}° from the config's"
+    )
+    print(
+        f"clocks     time_offset_s = {found.time_offset_s:.4f} ± {found.time_offset_sigma_s:.4f} "
+        f"(the config says {mounted.time_offset_s:g})"
+    )
+    bias = ", ".join(f"{np.degrees(rate):.2f}" for rate in found.bias)
+    print(f"gyro       bias [{bias}]°/s")
+    rates = ", ".join(f"{rate:.2f}" for rate in found.rates)
+    print(
+        f"evidence   {found.turns} turns at [{rates}] rad/s about x, y, z; {found.outliers:.0%} let go, "
+        f"residual {np.degrees(found.residual):.3f}°"
+    )
+    print()
+    if problems:
+        print("Do not believe it:")
+        for problem in problems:
+            print(f"  {problem}")
+        return
+    print("Good. For the config:")
+    print()
+    print("[camera]")
+    for line in lines:
+        print(line)

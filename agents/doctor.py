@@ -1,0 +1,106 @@
+"""`swarmtrack doctor --config FILE`: why does it not work? One line a check, with what to do."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmtrack.agents.arguments import positive_seconds
+
+if TYPE_CHECKING:
+    from swarmtrack.diagnosis.findings import Finding
+
+DONE, FAILED = 0, 1
+SECONDS = 8.0
+COLOURS = {"ok": "green", "skipped": "dim", "warning": "yellow", "failure": "bold red"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Why does it not work? Camera, autopilot, calibration, detector, network, keys, disk and heat: one line each, "
+        "with what to do. Turn the drone by hand meanwhile, and its camera is compared with its gyro. "
+        "Exit code 0: all works, 1: something does not, 2: the config is wrong."
+    )
+    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="the drone's config, TOML")
+    parser.add_argument(
+        "--seconds",
+        type=positive_seconds,
+        default=SECONDS,
+        metavar="S",
+        help="how long to watch rates (default: %(default)g)",
+    )
+    parser.add_argument("--json", action="store_true", help="a list of findings instead of lines")
+
+
+def run(args: argparse.Namespace) -> int:
+    from swarmtrack.config import load_config
+    from swarmtrack.diagnosis.examination import examine
+    from swarmtrack.diagnosis.findings import Level, worst
+    from swarmtrack.runtime.clock import SystemClock
+
+    config = load_config(args.config)
+    # What sources log as it happens, the findings say at the end.
+    logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr)
+    if not args.json and sys.stderr.isatty():
+        print(
+            f"Watching for {args.seconds:g} s. Turn the drone by hand meanwhile, about all axes.",
+            file=sys.stderr,
+        )
+    findings = asyncio.run(examine(config, SystemClock(), args.seconds))
+    if args.json:
+        print(json.dumps([as_record(finding) for finding in findings], indent=1, ensure_ascii=False))
+    else:
+        show(findings)
+    return FAILED if worst(findings) is Level.FAILURE else DONE
+
+
+def as_record(finding: Finding) -> dict[str, str | None]:
+    return {
+        "check": finding.check,
+        "level": str(finding.level),
+        "fault": finding.fault or None,
+        "found": finding.found,
+        "remedy": finding.remedy or None,
+    }
+
+
+def show(findings: Sequence[Finding]) -> None:
+    """Lines for people; in colour, and wrapped, on a terminal only."""
+    if not sys.stdout.isatty():
+        for finding in findings:
+            remedy = f" -> {finding.remedy}" if finding.remedy else ""
+            print(f"{finding.level:8} {finding.check:12} {finding.found}{remedy}")
+        print(verdict(findings))
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for finding in findings:
+        colour = COLOURS[str(finding.level)]
+        words = Text(finding.found, style="dim" if finding.level == "skipped" else "")
+        if finding.remedy:
+            words.append(f"\n→ {finding.remedy}", style="cyan")
+        table.add_row(Text(str(finding.level), style=colour), finding.check, words)
+    console = Console()
+    console.print(table)
+    console.print(verdict(findings), style="bold", highlight=False)
+
+
+def verdict(findings: Sequence[Finding]) -> str:
+    """The last line."""
+    failures = sum(finding.level == "failure" for finding in findings)
+    warnings = sum(finding.level == "warning" for finding in findings)
+    if failures == warnings == 0:
+        return "All is well."
+    counted = [
+        f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((failures, "failure"), (warnings, "warning")) if n
+    ]
+    return f"{' and '.join(counted)}. More on each: docs/troubleshooting.md"

@@ -1,0 +1,252 @@
+"""How well calibrations find a truth that is known: extrinsics by hand, intrinsics of rendered boards.
+
+*Extrinsics*: a drone is turned about all axes in a round room, its camera (320 x 240 at 15 Hz, a lens with distortion)
+mounted anyhow, its clock off by up to 100 ms, its gyro (200 Hz) with bias and noise; the position sways by centimetres.
+The rendered frames go through the same functions as those of `swarmtrack calibrate extrinsics`.
+
+*Intrinsics*: 40 views of a board, rendered through a camera with known numbers, go through those of
+`swarmtrack calibrate intrinsics`: found, chosen, fitted.
+
+    python -m swarmtrack.benchmarks.calibration --out DIR [--seeds 20]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.calibrating.board import KINDS, Board, Kind
+from swarmtrack.calibrating.extrinsics import doubts
+from swarmtrack.calibrating.image_motion import ImageMotion
+from swarmtrack.calibrating.intrinsics import Fit, Model, fit
+from swarmtrack.calibrating.views import Views
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
+from swarmtrack.messages import Array
+from swarmtrack.motion.hand_eye import GyroTurns, HandEye, compare, solve
+from swarmtrack.simulation.boards import BoardScene, board_poses
+from swarmtrack.simulation.hand_turned import HandTurned, Room
+
+NAME = "calibration"
+SEEDS = 20
+SECONDS, FPS, IMU_HZ = 20.0, 15.0, 200.0  # a third of the minute that the command takes
+EYE = PinholeCamera(215.0, 216.0, 161.0, 118.0, 320, 240, RadTan((-0.25, 0.06, 0.001, -0.0005)))
+GYRO_NOISE, GYRO_BIAS = 0.005, 0.01  # rad/s, a sample's; an axis'
+OFFSET = 0.1  # s
+PIXEL_NOISE = 3.0
+WITHIN_DEG, WITHIN_S = 0.5, 3e-3  # the claims
+
+LENSES: dict[Model, PinholeCamera] = {
+    "radtan": PinholeCamera(431.0, 429.5, 322.3, 236.8, 640, 480, RadTan((-0.28, 0.09, 0.0012, -0.0008))),
+    "equidistant": PinholeCamera(
+        232.0, 231.0, 317.0, 242.0, 640, 480, Equidistant((0.03, -0.012, 0.004, -0.001))
+    ),
+}
+VIEWS = 40
+
+
+class Minute(NamedTuple):
+    """One hand-turned minute and what was made of it: errors against the truth, sigmas as claimed."""
+
+    found: HandEye
+    rotation_error: float  # rad
+    offset_error: float  # s
+    believed: bool
+
+
+def hand_turned(
+    seed: int,
+    *,
+    seconds: float = SECONDS,
+    fps: float = FPS,
+    camera: PinholeCamera = EYE,
+    amplitude: tuple[float, float, float] = (0.45, 0.45, 0.6),
+    sway_m: float = 0.03,
+) -> Minute:
+    rng = np.random.default_rng(seed)
+    hand = HandTurned(rng, amplitude=amplitude, sway_m=sway_m)
+    room = Room(rng, camera)
+    body_from_camera = rotation.from_euler(*rng.uniform(-0.7, 0.7, 3)) @ rotation.BODY_FROM_FORWARD_CAMERA
+    offset = float(rng.uniform(-OFFSET, OFFSET))
+    bias = rng.normal(0.0, GYRO_BIAS, 3)
+    t = np.arange(-0.6, seconds + 0.6, 1.0 / IMU_HZ)
+    gyro = GyroTurns(t, hand.rates(t) + bias + rng.normal(0.0, GYRO_NOISE, (len(t), 3)))
+    motion = ImageMotion(camera)
+    exposures = np.arange(0.0, seconds, 1.0 / fps)
+    eyes, places = hand.world_from_body(exposures) @ body_from_camera, hand.position(exposures)
+    for exposed, eye, place in zip(exposures, eyes, places, strict=True):
+        noise = np.clip(128.0 + rng.normal(0.0, PIXEL_NOISE, (camera.height, camera.width)), 0, 255)
+        motion.see(float(exposed) - offset, room.image(eye, place, noise.astype(np.uint8)))
+    turns = motion.turns()
+    found = solve(turns, gyro)
+    assert found is not None, "the image was understood nowhere"
+    wrong = doubts(found, compare(turns, gyro, found.camera_from_body), seconds=seconds, reach=0.3)
+    return Minute(
+        found,
+        float(np.linalg.norm(rotation.log(found.camera_from_body @ body_from_camera))),
+        found.time_offset_s - offset,
+        not wrong,
+    )
+
+
+class Shown(NamedTuple):
+    """A board shown to a camera: what was fitted, and the largest error of a ray in the image [px]."""
+
+    found: Fit
+    focal_error: float  # share
+    ray_error_px: float
+
+
+def board_shown(seed: int, kind: Kind, model: Model, *, views: int = VIEWS, noise: float = 2.0) -> Shown:
+    rng = np.random.default_rng(seed)
+    truth = LENSES[model]
+    board = Board(kind)
+    scene = BoardScene(board.draw(60), 60, board.square_m, truth)
+    chosen = Views((truth.width, truth.height), still=False)
+    for pose in board_poses(rng, truth, board.size_m, views):
+        chosen.offer(board.find(scene.image(pose, rng, noise)))
+    found = fit([view.seen for view in chosen.kept], (truth.width, truth.height), model)
+    return Shown(found, abs(found.camera.fx / truth.fx - 1.0), ray_error_px(found.camera, truth))
+
+
+def ray_error_px(found: PinholeCamera, truth: PinholeCamera) -> float:
+    """Root mean square over the image of how far a pixel's bearing is off, in pixels at the middle."""
+    u, v = np.meshgrid(np.linspace(10, truth.width - 10, 25), np.linspace(10, truth.height - 10, 19))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    a, b = found.bearing(pixels), truth.bearing(pixels)
+    # A common rotation is no error: nobody knows how the sensor stands in its housing.
+    sound = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    U, _, Vt = np.linalg.svd(b[sound].T @ a[sound])
+    R: Array = U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt
+    return truth.fx * float(np.sqrt((np.linalg.norm(a[sound] @ R.T - b[sound], axis=1) ** 2).mean()))
+
+
+def run(out: Path, *, seeds: int = SEEDS, seconds: float = SECONDS) -> None:
+    """calibration.json, .md and a plot in `out`."""
+    cv2.setNumThreads(1)  # its pool costs more than it gains on images of this size
+    minutes: list[Minute] = []
+    shown: dict[tuple[Kind, Model], list[Shown]] = {}
+    boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
+    with report.progress("calibration", seeds + 4 * max(seeds // 6, 2)) as advance:
+        for seed in range(seeds):
+            minutes.append(hand_turned(seed, seconds=seconds))
+            advance("by hand")
+        for kind, model in boards:
+            shown[kind, model] = []
+            for seed in range(max(seeds // 6, 2)):
+                shown[kind, model].append(board_shown(seed, kind, model))
+                advance(kind)
+    extrinsics, intrinsics = (
+        _extrinsics(minutes),
+        [_intrinsics(kind, model, each) for (kind, model), each in shown.items()],
+    )
+    report.write(
+        out,
+        NAME,
+        {"seconds": seconds, "extrinsics": extrinsics, "intrinsics": intrinsics},
+        _markdown(extrinsics, intrinsics),
+    )
+    _plot(out, minutes)
+
+
+def _extrinsics(minutes: list[Minute]) -> dict[str, Any]:
+    angles = np.degrees([minute.rotation_error for minute in minutes])
+    offsets = np.array([minute.offset_error for minute in minutes])
+    sigma_deg = np.degrees([float(np.linalg.norm(minute.found.rotation_sigma)) for minute in minutes])
+    sigma_s = np.array([minute.found.time_offset_sigma_s for minute in minutes])
+    return {
+        "seeds": len(minutes),
+        "believed": sum(minute.believed for minute in minutes),
+        "rotation_rms_deg": float(np.sqrt((angles**2).mean())),
+        "rotation_worst_deg": float(angles.max()),
+        "rotation_sigma_deg": float(np.sqrt((sigma_deg**2).mean())),
+        "offset_rms_s": float(np.sqrt((offsets**2).mean())),
+        "offset_worst_s": float(np.abs(offsets).max()),
+        "offset_sigma_s": float(np.sqrt((sigma_s**2).mean())),
+        "within": sum((angles < WITHIN_DEG) & (np.abs(offsets) < WITHIN_S)),
+        "angles_deg": angles.tolist(),
+        "offsets_s": offsets.tolist(),
+    }
+
+
+def _intrinsics(kind: Kind, model: Model, shown: list[Shown]) -> dict[str, Any]:
+    return {
+        "board": kind,
+        "model": model,
+        "seeds": len(shown),
+        "focal_worst_percent": 100.0 * max(each.focal_error for each in shown),
+        "ray_rms_px": float(np.mean([each.ray_error_px for each in shown])),
+        "rms_px": float(np.mean([each.found.rms for each in shown])),
+        "views": float(np.mean([len(each.found.views) for each in shown])),
+    }
+
+
+def _markdown(extrinsics: dict[str, Any], intrinsics: list[dict[str, Any]]) -> str:
+    e = extrinsics
+    number = report.number
+    rotation_row = [number(e[f"rotation_{what}_deg"], 3) for what in ("rms", "worst", "sigma")]
+    offset_row = [number(1e3 * e[f"offset_{what}_s"], 2) for what in ("rms", "worst", "sigma")]
+    hand = report.table(
+        ["by hand", "RMS", "worst", "σ claimed"],
+        [["rotation, °", *rotation_row], ["offset, ms", *offset_row]],
+    )
+    boards = report.table(
+        ["board, lens", "views", "corners miss, px RMS", "fx off, worst, %", "rays off, px RMS"],
+        [
+            [f"{i['board']}, {i['model']}", number(i["views"], 0), number(i["rms_px"], 3),
+             number(i["focal_worst_percent"], 3), number(i["ray_rms_px"], 3)]
+            for i in intrinsics
+        ],
+    )  # fmt: skip
+    claim = (
+        f"{e['within']} of {e['seeds']} minutes within {WITHIN_DEG:g}° and {1e3 * WITHIN_S:g} ms, "
+        f"{e['believed']} of them believed."
+    )
+    return f"# Calibration\n\n{hand}\n\n{claim}\n\n{boards}\n"
+
+
+def _plot(out: Path, minutes: list[Minute]) -> None:
+    plt = report.pyplot()
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6))
+    for axis, errors, sigmas, name in (
+        (
+            axes[0],
+            [math.degrees(m.rotation_error) for m in minutes],
+            [math.degrees(float(np.linalg.norm(m.found.rotation_sigma))) for m in minutes],
+            "rotation, °",
+        ),
+        (
+            axes[1],
+            [1e3 * abs(m.offset_error) for m in minutes],
+            [1e3 * m.found.time_offset_sigma_s for m in minutes],
+            "offset, ms",
+        ),
+    ):
+        axis.plot(sorted(errors), np.arange(1, len(errors) + 1), "o-", color="#4477aa", label="error")
+        axis.plot(sorted(sigmas), np.arange(1, len(sigmas) + 1), "x--", color="#cc6677", label="σ claimed")
+        axis.set(xlabel=name, ylabel="minutes with less", xlim=(0, None))
+        axis.legend()
+    figure.tight_layout()
+    figure.savefig(out / f"{NAME}.png", dpi=110)
+    plt.close(figure)
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m swarmtrack.benchmarks.calibration")
+    parser.add_argument("--out", type=Path, default=Path("bench"), metavar="DIR")
+    parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N")
+    parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S")
+    args = parser.parse_args(argv)
+    run(args.out, seeds=args.seeds, seconds=args.seconds)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

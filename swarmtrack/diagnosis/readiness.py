@@ -1,0 +1,42 @@
+"""Whether an agent is ready to fly, by what it counts anyway: those checks of doctor that cost nothing. Pure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from swarmtrack.diagnosis.findings import Finding, Level
+from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, check_autopilot, check_camera
+from swarmtrack.messages import LinkStatus
+
+MOST_REASONS = 8
+LONGEST_REASON = 256  # characters, as the wire takes them
+
+
+class Readiness(NamedTuple):
+    """reasons: why not, one sentence each; none where ready."""
+
+    ready: bool
+    reasons: tuple[str, ...]
+
+
+def judge(
+    *,
+    camera: CameraFacts,
+    autopilot: AutopilotFacts,
+    detector: LinkStatus | None,
+    network: LinkStatus,
+    clones: tuple[str, ...] = (),
+) -> Readiness:
+    """Failures count, warnings do not. clones: boots of other agents that speak as this drone."""
+    findings: list[Finding] = check_camera(camera)
+    if autopilot.wanted:
+        findings += check_autopilot(autopilot)
+    reasons = [finding.found for finding in findings if finding.level is Level.FAILURE]
+    reasons += [
+        f"{name}: {status.text}"
+        for name, status in (("detector", detector), ("network", network))
+        if status is not None and not status.ok
+    ]
+    if clones:
+        reasons.append(f"another agent speaks as this drone (boots {', '.join(clones)})")
+    return Readiness(not reasons, tuple(reason[:LONGEST_REASON] for reason in reasons[:MOST_REASONS]))

@@ -1,0 +1,231 @@
+"""Camera and autopilot: what their status lines, counters and samples amount to. Pure.
+
+Sources name their own troubles in a sentence (`LinkStatus.text`); here the sentence finds its fault, and so its remedy.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
+from swarmtrack.messages import Array, LinkStatus, StampKind
+
+LATE_MS = 150.0  # of a frame at arrival
+DAMAGED = 0.02  # share of frames
+BLANK = 2.0  # standard deviation of brightness, of 255
+ENOUGH = 0.8  # of a rate asked for
+LEAST_GYRO_HZ = 50.0  # below, a turn within a sample moves tracks by more than their own size
+LOST = 0.01  # share of gyro samples
+CLOCK_SIGMA_MS = 10.0
+STANDARD_GRAVITY = 9.80665  # m/s²
+UPSIDE_DOWN_DEG, TILTED_DEG = 120.0, 10.0
+GRAVITY_OFF = 1.0  # m/s²
+STILL_ACCELERATION = 0.5  # m/s², standard deviation: more is a drone in somebody's hands
+BIASED = 0.02  # rad/s
+STILL_TURN = 0.003  # rad/s: the attitude's own drift
+
+# The first that matches, of what a camera says when it does not work.
+CAMERA_TROUBLES = (
+    ("camera.size", r"^frames are \d+x\d+, the calibration"),
+    ("camera.missing", r"is not there|unplugged"),
+    ("camera.forbidden", r"permission denied"),
+    ("camera.busy", r": busy, held by"),
+    ("camera.unreachable", r"cannot connect|HTTP \d+|answers, but gives no video|ended the stream|^lost: "),
+    ("camera.silent", r"waiting for the first frame|no frame for|no frame yet|nothing for|not opened yet"),
+)
+AUTOPILOT_TROUBLES = (
+    ("autopilot.missing", r"no such device|unplugged|went away while"),
+    ("autopilot.forbidden", r"searching: permission"),
+    ("autopilot.busy", r"busy, (port \d+ is )?held by"),
+    (
+        "autopilot.unreachable",
+        r"nobody listens|is unknown here|no answer from|not an address of this machine|no name server|"
+        r"other end closed|connection broke|unreachable",
+    ),
+    ("autopilot.silent", r"port open, 0 bytes"),
+    ("autopilot.garbage", r"bytes but no valid frame"),
+    ("autopilot.foreign", r"no autopilot heartbeat"),
+    ("autopilot.signature", r"signing key|signs with another key"),
+    ("autopilot.no_imu", r"heartbeat, no IMU"),
+    ("autopilot.no_position", r"but no position"),
+    ("autopilot.lost", r": (lost|stale): "),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFacts:
+    """What was seen of a camera in `seconds`.
+
+    refused: why its address can never work, or empty; status: its own; asked_hz: by the config, None where nothing was;
+    frames: that came; size (width, height) px of the last; stamps: kinds seen; shade: mean and standard deviation of
+    the last frame's brightness, 0…255; live: no recording.
+    """
+
+    seconds: float
+    max_age_s: float
+    status: LinkStatus | None = None
+    refused: str = ""
+    asked_hz: float | None = None
+    frames: int = 0
+    size: tuple[int, int] | None = None
+    stamps: frozenset[StampKind] = frozenset()
+    shade: tuple[float, float] | None = None
+    live: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotFacts:
+    """What was heard of an autopilot in `seconds`. wanted: one is in the config; got_hz: gyro samples by their stamps,
+    None: what the status says; the rest as of a camera."""
+
+    seconds: float
+    wanted: bool = True
+    status: LinkStatus | None = None
+    refused: str = ""
+    live: bool = True
+    got_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuFacts:
+    """Samples of gyro and accelerometer, and attitudes. gyro, accel (n, 3) rad/s, m/s², body FRD, NaN where not
+    measured; attitudes (m, 3, 3) world_from_body at times (m,) s."""
+
+    gyro: Array
+    accel: Array
+    attitude_t: Array
+    attitudes: Array
+
+
+def check_camera(facts: CameraFacts) -> list[Finding]:
+    """One failure, or warnings, or that all is well."""
+    if facts.refused:
+        name = "camera.size" if "the calibration is for" in facts.refused else "camera.address"
+        return [fault(name, reason=facts.refused)]
+    assert facts.status is not None
+    numbers = dict(facts.status.counters)
+    age_ms = numbers.get("age_p50_ms", 0.0)
+    text = facts.status.text
+    if not facts.status.ok or (facts.frames == 0 and facts.live):
+        name = _named(CAMERA_TROUBLES, text, "camera.silent" if facts.status.ok else "camera.broken")
+        return [fault(name, reason=_reason(text), seconds=facts.seconds)]
+    if facts.live and age_ms > 1e3 * facts.max_age_s:
+        return [fault("camera.stale", age_ms=age_ms, limit_s=facts.max_age_s)]
+    findings = []
+    if facts.live and age_ms > LATE_MS:
+        findings.append(fault("camera.late", age_ms=age_ms))
+    got_hz = numbers.get("fps", 0.0)
+    if facts.live and facts.asked_hz and 0.0 < got_hz < ENOUGH * facts.asked_hz:
+        findings.append(fault("camera.slow", got_hz=got_hz, asked_hz=facts.asked_hz))
+    corrupt = numbers.get("corrupt", 0.0)
+    if corrupt > DAMAGED * (corrupt + numbers.get("frames", 0.0)):
+        share = corrupt / (corrupt + numbers.get("frames", 0.0))
+        findings.append(fault("camera.damaged", share=share))
+    if StampKind.ARRIVAL in facts.stamps:
+        findings.append(fault("camera.stamps", sigma_ms=numbers.get("t_sigma_ms", math.nan)))
+    if facts.shade is not None and facts.shade[1] < BLANK:
+        findings.append(fault("camera.blank", mean=facts.shade[0], spread=facts.shade[1]))
+    return findings or [ok("camera", _camera_in_words(facts, got_hz, age_ms))]
+
+
+def _camera_in_words(facts: CameraFacts, got_hz: float, age_ms: float) -> str:
+    kinds = {
+        StampKind.EXPOSURE: "stamped at exposure",
+        StampKind.READOUT: "stamped at the end of the frame",
+        StampKind.MEDIA: "stamped by the recording",
+    }
+    words = [f"{facts.size[0]}x{facts.size[1]}"] if facts.size else []
+    words.append(f"{got_hz:.1f} frames a second")
+    words += [kinds[kind] for kind in sorted(facts.stamps, key=str) if kind in kinds]
+    if facts.live and age_ms > 0.0:
+        words.append(f"{age_ms:.0f} ms old when they come")
+    return ", ".join(words)
+
+
+def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
+    """The link: what comes, how often, and how well its clock is known."""
+    if facts.refused:
+        exposed = re.search(r"\bmode (is )?0?\d{3}\b", facts.refused)
+        return [fault("keys.mode" if exposed else "autopilot.address", reason=facts.refused)]
+    if not facts.wanted:
+        return [fault("autopilot.none")]
+    assert facts.status is not None
+    numbers, text = dict(facts.status.counters), facts.status.text
+    if not facts.status.ok:
+        name = _named(AUTOPILOT_TROUBLES, text, "autopilot.broken")
+        return [fault(name, reason=_reason(text), seconds=facts.seconds)]
+    findings = []
+    asked_hz = numbers.get("imu_rate_asked_hz", 0.0)
+    got_hz = numbers.get("imu_rate_hz", 0.0) if facts.got_hz is None else facts.got_hz
+    if facts.live and 0.0 < got_hz < ENOUGH * asked_hz:
+        slow = "autopilot.too_slow" if got_hz < min(LEAST_GYRO_HZ, asked_hz) * 0.95 else "autopilot.slow"
+        findings.append(fault(slow, got_hz=got_hz, asked_hz=asked_hz))
+    samples, lost = numbers.get("imu_samples", 0.0), numbers.get("imu_lost", 0.0)
+    if lost > LOST * (samples + lost):
+        findings.append(fault("autopilot.losing", share=lost / (samples + lost)))
+    sigma_ms = 1e3 * numbers.get("clock_sigma_s", 0.0)
+    if facts.live and math.isfinite(sigma_ms) and sigma_ms > CLOCK_SIGMA_MS:
+        findings.append(fault("autopilot.clock", sigma_ms=sigma_ms))
+    return findings or [ok("autopilot", text)]
+
+
+def check_imu(facts: ImuFacts) -> list[Finding]:
+    """Axes: whether gravity is where it should be, and whether the gyro stands still with the drone."""
+    accel = facts.accel[np.isfinite(facts.accel).all(axis=1)]
+    if len(facts.gyro) == 0:
+        return [skipped("imu", "no samples to look at")]
+    if len(accel) < 10:
+        return [skipped("imu", "this message has no accelerations: where gravity is was not checked")]
+    felt = accel.mean(axis=0)
+    norm = float(np.linalg.norm(felt))
+    still = float(accel.std(axis=0).max()) < STILL_ACCELERATION
+    if norm < 1.0:
+        return [fault("imu.gravity", norm=norm)]
+    up = felt / norm  # at rest the accelerometer feels what holds it up
+    from_level = _angle_deg(up, np.array([0.0, 0.0, -1.0]))
+    if from_level > UPSIDE_DOWN_DEG:
+        return [fault("imu.upside_down", angle_deg=from_level)]
+    findings = []
+    if still and abs(norm - STANDARD_GRAVITY) > GRAVITY_OFF:
+        findings.append(fault("imu.gravity", norm=norm))
+    if len(facts.attitudes):
+        told = -facts.attitudes[:, 2, :].mean(axis=0)  # the world's up, in body axes
+        off = _angle_deg(up, told / np.linalg.norm(told))
+        if still and off > TILTED_DEG:
+            findings.append(fault("imu.tilted", angle_deg=off))
+        findings += _bias(facts)
+    words = f"gravity is down ({from_level:.0f}° from level, {norm:.1f} m/s²)"
+    if not still:
+        words += "; the drone moves, so no more was looked at"
+    return findings or [ok("imu", words)]
+
+
+def _bias(facts: ImuFacts) -> list[Finding]:
+    """The gyro's mean against how the attitude moved meanwhile."""
+    span = float(facts.attitude_t[-1] - facts.attitude_t[0])
+    if span < 1.0:
+        return []
+    turned = facts.attitudes[0].T @ facts.attitudes[-1]
+    angle = math.acos(min(max((float(np.trace(turned)) - 1.0) / 2.0, -1.0), 1.0))
+    steady = float(facts.gyro.std(axis=0).max()) < BIASED
+    rate = float(np.linalg.norm(facts.gyro.mean(axis=0)))
+    if steady and angle / span < STILL_TURN and rate > BIASED:
+        return [fault("imu.bias", rate_deg_s=math.degrees(rate))]
+    return []
+
+
+def _angle_deg(a: Array, b: Array) -> float:
+    return math.degrees(math.acos(min(max(float(a @ b), -1.0), 1.0)))
+
+
+def _reason(text: str) -> str:
+    """Without what only a program that goes on would do about it."""
+    return re.sub(r"; (waiting for it|trying again|opening it again)$", "", text)
+
+
+def _named(troubles: tuple[tuple[str, str], ...], text: str, otherwise: str) -> str:
+    return next((name for name, pattern in troubles if re.search(pattern, text)), otherwise)
