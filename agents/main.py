@@ -15,6 +15,8 @@ COMMANDS = {
     "sim": ("swarmtrack.agents.swarm", "fly a local swarm: simulator, one agent a drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
+    "judge": ("swarmtrack.agents.judge", "watch a simulated swarm that others started, and give a verdict"),
+    "healthy": ("swarmtrack.agents.healthy", "tell whether an agent does its work, for health checks"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
