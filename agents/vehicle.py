@@ -31,7 +31,7 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # As a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    arguments = _parser().parse_args(argv)
+    arguments = parser().parse_args(argv)
     logging.basicConfig(
         level=logging.getLevelNamesMapping()[arguments.log.upper()],
         format="%(asctime)s %(levelname)-7s %(name)s: %(message)s",
@@ -54,7 +54,8 @@ def main(argv: list[str] | None = None) -> int:
         return DONE
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """Of the program's command line."""
     parser = argparse.ArgumentParser(
         prog="swarmtrack-agent",
         description="Track the drones in this drone's camera, and learn who is who.",
