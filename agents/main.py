@@ -18,6 +18,8 @@ COMMANDS = {
     "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
     "config": ("swarmtrack.agents.config", "write, check and explain configs"),
+    "judge": ("swarmtrack.agents.judge", "watch a simulated swarm that others started, and give a verdict"),
+    "healthy": ("swarmtrack.agents.healthy", "tell whether an agent does its work, for health checks"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "train": ("swarmtrack.agents.train", "train a detector"),

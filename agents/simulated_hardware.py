@@ -9,7 +9,7 @@ import json
 import math
 import os
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, suppress
 from typing import Any, cast
@@ -272,20 +272,33 @@ async def simulate(
     oracle: bool,
     epoch: float,
     host: str,
+    port: int,
+    flown: Mapping[str, Any],
     clock: Clock,
     on_ready: Callable[[dict[int, dict[str, str]]], None],
 ) -> None:
-    """Run it all until cancelled. on_ready: called with the addresses of each drone, once everything listens."""
+    """Run it all until cancelled. on_ready: called with the addresses of each drone, once everything listens.
+
+    port: of the cameras; that of drone N's autopilot is N higher. 0: whichever are free. flown: what the server tells
+    at `/` beside the world time.
+    """
     images = Oracle(scenario, epoch) if oracle else Photographer(scenario, epoch)
     cameras = {n: Camera(n, scenario, epoch, clock, images.make) for n in scenario.members}
     autopilots = {n: make_autopilot(scenario, n, epoch, clock.now()) for n in scenario.members}
     async with AsyncExitStack() as stack:
         stack.callback(images.close)
-        http = await serve_cameras(stack, cameras, images.content_type, host)
+        http = await serve_cameras(
+            stack,
+            cameras,
+            images.content_type,
+            (host, port),
+            tell=lambda: {**flown, "world_time_s": clock.now() - epoch},
+        )
         sockets, addresses = [], {}
         for n, autopilot in autopilots.items():
             transport, protocol = await asyncio.get_running_loop().create_datagram_endpoint(
-                functools.partial(AutopilotSocket, autopilot, clock), local_addr=(host, 0)
+                functools.partial(AutopilotSocket, autopilot, clock),
+                local_addr=(host, port + n if port else 0),
             )
             stack.callback(transport.close)
             sockets.append(protocol)
@@ -304,10 +317,18 @@ async def simulate(
 
 
 async def serve_cameras(
-    stack: AsyncExitStack, cameras: dict[int, Camera], content_type: str, host: str
+    stack: AsyncExitStack,
+    cameras: dict[int, Camera],
+    content_type: str,
+    address: tuple[str, int],
+    *,
+    tell: Callable[[], dict[str, Any]],
 ) -> tuple[Any, ...]:
-    """Serve each at /ID; returns the socket's address."""
+    """Serve each at /ID, and at / what `tell` says; returns the socket's address."""
     from aiohttp import web
+
+    async def introduce(_: web.Request) -> web.Response:
+        return web.json_response(tell())
 
     async def watch(request: web.Request) -> web.StreamResponse:
         camera = cameras.get(int(request.match_info["drone"]))
@@ -326,14 +347,15 @@ async def serve_cameras(
         return response
 
     application = web.Application()
+    application.router.add_get("/", introduce)
     application.router.add_get(r"/{drone:\d{1,5}}", watch)
     # Without its cancellation, the handler of a client that left would wait for a camera that is stalled.
     runner = web.AppRunner(application, access_log=None, shutdown_timeout=0.1, handler_cancellation=True)
     await runner.setup()
     stack.push_async_callback(runner.cleanup)
-    await web.TCPSite(runner, host, 0).start()
-    address: tuple[Any, ...] = runner.addresses[0]
-    return address
+    await web.TCPSite(runner, *address).start()
+    bound: tuple[Any, ...] = runner.addresses[0]
+    return bound
 
 
 def _authority(address: tuple[Any, ...]) -> str:

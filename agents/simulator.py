@@ -6,6 +6,9 @@ drones hover. When everything listens, one line of JSON says where:
 
     {"ready": true, "drones": {"1": {"camera": "http://127.0.0.1:40001/1", "autopilot": "udpout:127.0.0.1:50001"}, …}}
 
+With `--port P` the cameras are at TCP port P, and the autopilot of drone N at UDP port P + N, for configs that were
+written before. At `/` the same server says what is flown and how late it is in that world, for `swarmtrack judge`.
+
 Then it is quiet, and ends on SIGTERM, on SIGINT, or when the pipe at its standard input closes: its parent has died.
 """
 
@@ -81,6 +84,13 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDR", help="to listen on (default: 127.0.0.1)"
     )
+    parser.add_argument(
+        "--port",
+        type=_port,
+        default=0,
+        metavar="P",
+        help="of the cameras; drone N's autopilot is at UDP port P + N (default: whichever are free)",
+    )
     return parser
 
 
@@ -92,6 +102,12 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds")
     return value
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) < 65535):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a port number below 65535")
+    return int(text)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -108,10 +124,17 @@ def main(argv: list[str] | None = None) -> int:
     except SwarmtrackError as error:
         print(error, file=sys.stderr)
         return WRONG_USAGE
+    if arguments.port + max(scenario.members) > 65535:
+        print(
+            f"--port {arguments.port}: leaves no port above it for drone {max(scenario.members)}",
+            file=sys.stderr,
+        )
+        return WRONG_USAGE
     try:
         asyncio.run(fly(scenario, arguments))
     except OSError as error:
-        print(f"--host {arguments.host}: {error.strerror or error}", file=sys.stderr)
+        where = f"--host {arguments.host}" + (f" --port {arguments.port}" if arguments.port else "")
+        print(f"{where}: {error.strerror or error}", file=sys.stderr)
         return FAILED
     return DONE
 
@@ -131,6 +154,13 @@ async def fly(scenario: Scenario, arguments: argparse.Namespace) -> None:
             oracle=arguments.detector == "oracle",
             epoch=clock.now() + LEAD if arguments.epoch is None else arguments.epoch,
             host=arguments.host,
+            port=arguments.port,
+            flown={
+                "scenario": arguments.scenario,
+                "seed": arguments.seed,
+                "drones": arguments.drones,
+                "detector": arguments.detector,
+            },
             clock=clock,
             on_ready=lambda drones: print(json.dumps({"ready": True, "drones": drones}), flush=True),
         )

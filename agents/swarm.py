@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.errors import TransportError
 
     if args.json is not None:
-        _check_writable(args.json)
+        check_writable(args.json)
     plan = FlightPlan(
         args.scenario,
         args.drones,
@@ -122,14 +122,19 @@ def run(args: argparse.Namespace) -> int:
         return FAILED
     finally:
         spectator.close()
-    if args.json is not None:
+    return conclude(report, console, args.json)
+
+
+def conclude(report: SwarmReport, console: Console, file: Path | None) -> int:
+    """Write the report where it is wanted, print the verdict; returns the exit code."""
+    if file is not None:
         text = json.dumps(report.as_record(), indent=1, allow_nan=False)
-        args.json.write_text(f"{text}\n", encoding="utf-8")
+        file.write_text(f"{text}\n", encoding="utf-8")
     print_verdict(report, console)
     return PASSED if report.passed else FAILED
 
 
-def _check_writable(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Now, not when the flight is over."""
     if not path.parent.is_dir() or path.is_dir() or not os.access(path.parent, os.W_OK):
         raise SourceError(f"--json {path}: cannot be written, expected a file in a folder that exists")

@@ -84,8 +84,9 @@ class Watch:
     """
 
     def __init__(
-        self, scenario: Scenario, clock: Clock, hearing: HeldClock, *, epoch: float, seconds: float
+        self, scenario: Scenario, clock: Clock, hearing: Clock, *, epoch: float, seconds: float
     ) -> None:
+        """Judged is from world time 0 on, for so many seconds, unless `count_from` says otherwise."""
         self.agents = {drone_id: AgentView() for drone_id in scenario.members}
         self.scorer = SwarmScorer(scenario.members, start=0.0, end=seconds)
         self.unreadable = 0
@@ -93,7 +94,7 @@ class Watch:
         self._clock = clock
         self._hearing = hearing
         self._epoch = epoch
-        self._seconds = seconds
+        self._start, self._end = 0.0, seconds
         self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
         """Tenths of a second that an agent may pass over, publishing at its rate."""
         self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
@@ -119,10 +120,24 @@ class Watch:
         return [drone_id for drone_id, agent in self.agents.items() if agent.announcement_bytes is not None]
 
     @property
+    def missing(self) -> list[int]:
+        """Who has not announced itself yet, or says nothing of what it tracks."""
+        return [
+            drone_id
+            for drone_id, agent in self.agents.items()
+            if agent.announcement_bytes is None or math.isnan(agent.first_tracks_t)
+        ]
+
+    @property
     def faults(self) -> list[Fault]:
         """What is going wrong by plan; a moment is shown for a second."""
         t = self.t
         return [f for f in self._scenario.faults if f.at_s <= t < f.at_s + max(f.seconds, 1.0)]
+
+    def count_from(self, start: float, seconds: float) -> None:
+        """Judge what is flown from this world time on, for so long; before anything was counted."""
+        self._start, self._end = start, start + seconds
+        self.scorer.count_between(self._start, self._end)
 
     # --- hearing ------------------------------------------------------------------------
 
@@ -191,7 +206,7 @@ class Watch:
         if math.isnan(agent.first_tracks_t):
             agent.first_tracks_t = t
         scan_t = t - message.scan_age_s
-        if scan_t - agent.scan_t > NEW_SCAN_S and message.sequence == agent.sequence + 1 and t >= 0.0:
+        if scan_t - agent.scan_t > NEW_SCAN_S and message.sequence == agent.sequence + 1 and t >= self._start:
             agent.latencies.append(message.scan_age_s)
         agent.scan_t, agent.sequence = scan_t, message.sequence
         index = math.floor(t * RATE_HZ)
@@ -245,7 +260,7 @@ class Watch:
         """After landing: whoever fell silent is asked for the tenths until the end, then all is judged."""
         for drone_id, agent in self.agents.items():
             if agent.boot is not None:
-                self._fill(drone_id, agent, math.floor(self._seconds * RATE_HZ))
+                self._fill(drone_id, agent, math.floor(self._end * RATE_HZ))
         while self._waiting:
             self._judge_next()
             await asyncio.sleep(0)
@@ -283,9 +298,9 @@ class Watch:
         return tuple(self._figures(drone_id, agent) for drone_id, agent in self.agents.items())
 
     def _figures(self, drone_id: int, agent: AgentView) -> AgentFigures:
-        health = [message for t, message in agent.health if t >= 1.0 and message.uptime_s >= SETTLED_S] or [
-            message for _, message in agent.health
-        ]
+        health = [
+            message for t, message in agent.health if t >= self._start + 1.0 and message.uptime_s >= SETTLED_S
+        ] or [message for _, message in agent.health]
         p50, p95 = np.percentile(agent.latencies, [50, 95]) if agent.latencies else (math.nan, math.nan)
 
         def rate(name: str) -> float:
@@ -293,7 +308,7 @@ class Watch:
 
         return AgentFigures(
             drone_id=drone_id,
-            start_s=max(0.0, self._scenario.starts_s.get(drone_id, 0.0)),
+            start_s=max(self._start, self._scenario.starts_s.get(drone_id, 0.0)),
             first_tracks_s=agent.first_tracks_t,
             track_rate_hz=rate("tracks"),
             imu_rate_hz=rate("imu"),

@@ -389,6 +389,9 @@ class OutputSection(Section):
 
     jsonl: Path | None = Field(default=None, description="a line for each processed frame")
     video: Path | None = Field(default=None, description="annotated frames, .mp4")
+    health: Path | None = Field(
+        default=None, description="the agent's health as JSON, replaced each second (`swarmtrack healthy`)"
+    )
     tracks_hz: Annotated[Positive, Field(le=1000.0)] = Field(
         default=50.0, description="of published tracks, at most"
     )

@@ -151,6 +151,10 @@ class SwarmScorer:
         self._squared_errors: dict[int, list[float]] = defaultdict(list)
         self._names: dict[tuple[int, int], list[int | str]] = defaultdict(list)
 
+    def count_between(self, start: float, end: float) -> None:
+        """Other limits than those at the beginning, for glances that are still to come."""
+        self._start, self._end = start, end
+
     def announced(self, drone_id: int, t: float) -> None:
         """The drone's announcement was on the air at t: from the first on it is a teammate."""
         self._announced.setdefault(drone_id, t)

@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from swarmtrack.codec import encode_health, encode_tracks, tracks_message
+from swarmtrack.codec import HealthMessage, as_record, encode_health, encode_tracks, tracks_message
 from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
@@ -20,6 +20,7 @@ from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import UTC_SIGMA, ManualClock, SystemClock
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import Health
+from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.outputs import JsonLines, as_seen
 from swarmtrack.runtime.systemd import Notifier
 from swarmtrack.runtime.teamwork import Teamwork
@@ -54,11 +55,14 @@ class Agent:
         with parts.config.blamed("output"):
             self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
             self._video = _open_video(parts)
+        health_file = health_path(output.health)
+        self._health_file = HealthFile(health_file) if health_file else None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         self._stop = asyncio.Event()
         self._fresh = asyncio.Event()
         self._detecting_since: float | None = None
         self._scanned_at: float | None = None
+        self._tracked_at: float | None = None
         self._all_stale = False
         self._sequence = 0
 
@@ -200,6 +204,7 @@ class Agent:
         """Hand the finished scans to whoever writes or shows them, and wake the publisher."""
         for report in self._parts.door.take_reports():
             self.health.scans.tick()
+            self._tracked_at = self._wall.now()
             self._console.see(report)
             self._teller.see(report)
             written = self._jsonl or self._video
@@ -259,6 +264,7 @@ class Agent:
                 self._parts.transport.publish(Kind.HEALTH, encode_health(message))
             except ValueError:
                 self.health.drops["unsendable_health"] += 1
+            self._write_health(message)
             self._console.line(self._footnotes())
             assert message.readiness is not None
             self._notifier.status("; ".join(message.readiness.reasons) or "ready")
@@ -268,6 +274,16 @@ class Agent:
         if news is not None:
             self.health.events.append(news)
             log.warning(news)
+
+    def _write_health(self, message: HealthMessage) -> None:
+        if self._health_file is None:
+            return
+        now = self._wall.now()
+        age = None if self._tracked_at is None else now - self._tracked_at
+        self._health_file.write(
+            as_record(message), drone_id=self._parts.config.drone.id, now=now, frame_age_s=age
+        )
+        self.health.drops["health_files"] = self._health_file.failed
 
     def _footnotes(self) -> list[str]:
         """How the agent is doing, for a line of the console."""
@@ -302,6 +318,8 @@ class Agent:
             self._jsonl.close()
         if self._video:
             self._video.close()
+        if self._health_file:
+            self._health_file.close()
 
 
 def _open_video(parts: Parts) -> AnnotatedVideo | None:
