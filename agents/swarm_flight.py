@@ -125,7 +125,7 @@ class _Flight:
             simulator=shlex.join(["python", *self._simulator_arguments()]),
             radio=self._radio_ends(),
         )
-        listener = ZenohListener(self._listening(), keys.key(self._team, "**"))
+        listener = ZenohListener(self._listening(), keys.all_but_video(self._team))
         await listener.open()
         watch = self._watch
         try:

@@ -324,7 +324,7 @@ def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subpro
 async def listening(team: str) -> AsyncIterator[Heard]:
     """Hear a team meanwhile."""
     heard = Heard()
-    listener = ZenohListener(NetworkSettings(team=team), keys.key(team, "**"))
+    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team))
     await listener.open()
 
     async def listen() -> None:

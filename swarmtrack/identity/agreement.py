@@ -115,11 +115,11 @@ class Agreement:
         found = []
         for drone_id, ours in view.sightings.items():
             if drone_id == report.observer:
-                miss, distance = _miss_of_point(view, ours, report, moved)
+                miss, distance = miss_of_point(view, ours, report, moved)
                 weight = OWN_WORD
             elif drone_id in reported:
                 theirs = reported[drone_id]
-                miss, distance = _miss_of_rays(view, ours, report, theirs, moved)
+                miss, distance = miss_of_rays(view, ours, report, theirs, moved)
                 weight = _log_odds(theirs.probability)
             else:
                 continue
@@ -146,9 +146,7 @@ def _log_odds(probability: float) -> float:
     return min(max(math.log(p / (1.0 - p)), 0.0), SURE)
 
 
-def _miss_of_point(
-    view: OwnView, ours: Sighting, report: SightingReport, moved: float
-) -> tuple[float, float]:
+def miss_of_point(view: OwnView, ours: Sighting, report: SightingReport, moved: float) -> tuple[float, float]:
     """How far our ray passes by where the reporter says it stands: metres, and squared Mahalanobis distance."""
     towards = report.position - view.position
     length = max(float(np.linalg.norm(towards)), NEAREST)
@@ -156,7 +154,7 @@ def _miss_of_point(
     return _off_axis(ours, towards, length, place)
 
 
-def _miss_of_rays(
+def miss_of_rays(
     view: OwnView, ours: Sighting, report: SightingReport, theirs: Sighting, moved: float
 ) -> tuple[float, float]:
     """How far apart two rays pass, both looked along from their observers: metres, squared Mahalanobis distance.

@@ -19,6 +19,7 @@ from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import UTC_SIGMA, ManualClock, SystemClock
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import Health
+from swarmtrack.runtime.live_video import LiveVideo
 from swarmtrack.runtime.outputs import JsonLines, as_seen
 from swarmtrack.runtime.systemd import Notifier
 from swarmtrack.runtime.teamwork import Teamwork
@@ -50,6 +51,7 @@ class Agent:
         with parts.config.blamed("output"):
             self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
             self._video = _open_video(parts)
+        self._live = LiveVideo(parts, self.health)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         self._stop = asyncio.Event()
         self._fresh = asyncio.Event()
@@ -145,6 +147,7 @@ class Agent:
     async def _receive(self, source: DetectionSource) -> AsyncIterator[Detections]:
         async for detections in source.detections():
             if self._is_fresh(detections.t):
+                self._live.offer(detections.t, detections.sequence, None)
                 yield detections
 
     async def _detect(self, camera: Camera, detector: Detector) -> AsyncIterator[Detections]:
@@ -155,6 +158,7 @@ class Agent:
                 clock.set(frame.t)
             if not self._is_fresh(frame.t):
                 continue
+            self._live.offer(frame.t, frame.sequence, frame.image)
             began = self._detecting_since = self._wall.now()
             guided = detector.is_guided(frame.image)
             tracks = self._parts.onboard.expected_boxes(frame.t) if guided else None
@@ -270,6 +274,7 @@ class Agent:
                     if isinstance(result, BaseException):
                         log.warning("while closing: %s", result)
         self._worker.shutdown(wait=False, cancel_futures=True)
+        self._live.close()
         if self._jsonl:
             self._jsonl.close()
         if self._video:
