@@ -14,6 +14,7 @@ from swarmtrack.errors import SwarmtrackError
 COMMANDS = {
     "sim": ("swarmtrack.agents.swarm", "fly a local swarm: simulator, one agent a drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
+    "monitor": ("swarmtrack.agents.monitor", "serve the web page of a running swarm"),
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
