@@ -1,14 +1,18 @@
-"""Drones that say what a test tells them to, over real Zenoh on loopback: no camera, no tracker, no agent process."""
+"""Drones that say what they are told to, over real Zenoh on loopback: no camera, no tracker, no agent process.
+
+All speak through one session, as thirty of their own would cost more than what is to be tested.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 import cv2
 import numpy as np
+import zenoh
 
 from swarmtrack import codec
 from swarmtrack.geometry.camera import PinholeCamera
@@ -26,7 +30,7 @@ from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
-from swarmtrack.transport.zenoh_transport import ZenohTransport
+from swarmtrack.transport.zenoh_session import close_session, open_session
 
 CLOCK = SystemClock()
 FOCAL = 180.0  # px: 83 degrees, so that three on a circle see each other
@@ -35,19 +39,26 @@ DOWN = np.array([0.0, 0.0, 1.0])
 
 
 class ScriptedDrone:
-    """One of `n` on a circle, looking at its middle. calls: by what name it calls whom; imu_hz: what it gets."""
+    """One on a circle, looking at its middle. calls: by what name it calls whom; imu_hz: what it gets."""
 
-    def __init__(self, team: str, drone_id: int, index: int, n: int, radius: float = 8.0) -> None:
+    def __init__(
+        self, session: zenoh.Session, team: str, drone_id: int, *, angle: float, radius: float
+    ) -> None:
         self.drone_id = drone_id
         self.calls: dict[int, int] = {}
         self.imu_hz = 200.0
         self.pictures = 0
-        self._angle = 2.0 * math.pi * index / n
+        self._angle = angle
         self._radius = radius
         self._boot = keys.new_boot()
-        self._transport = ZenohTransport(NetworkSettings(team=team), drone_id, self._boot, CLOCK)
+        self._session = session
+        self._name = team
+        self._token: zenoh.LivelinessToken | None = None
+        self._publishers = {
+            kind: session.declare_publisher(keys.key(team, kind, drone_id))
+            for kind in (Kind.POSE, Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
+        }
         self._sequence = 0
-        self._tasks: list[asyncio.Task[None]] = []
         self.team: list[ScriptedDrone] = []
         rng = np.random.default_rng(drone_id)
         row = np.linspace(0.0, 1.0, CAMERA.height)[:, None, None]
@@ -69,22 +80,27 @@ class ScriptedDrone:
         right = np.cross(DOWN, forward)
         return np.stack([right, np.cross(forward, right), forward], axis=1)
 
-    async def start(self) -> None:
-        await self._transport.open()
-        now = CLOCK.now()
-        await self._transport.announce(
-            Announcement(
-                self.drone_id, self._boot, 1, now, 0.05, self.position(now), np.eye(3), 0.01 * np.eye(3)
-            )
-        )
-        self._tasks = [asyncio.create_task(self._speak(), name=f"scripted {self.drone_id}")]
+    def start(self) -> None:
+        token = keys.key(self._name, Kind.ALIVE, self.drone_id, self._boot)
+        self._token = self._session.liveliness().declare_token(token)
+        self._speaking = asyncio.create_task(self._speak(), name=f"scripted {self.drone_id}")
 
-    async def stop(self) -> None:
-        for task in self._tasks:
-            task.cancel()
-        with suppress(asyncio.CancelledError):
-            await asyncio.gather(*self._tasks)
-        await self._transport.close()
+    def fall_silent(self) -> None:
+        """As one whose radio died: its token stays until the lease ends."""
+        self._speaking.cancel()
+
+    def die(self) -> None:
+        """As after kill -9: the token goes at once."""
+        self.fall_silent()
+        if self._token is not None:
+            self._token.undeclare()  # type: ignore[no-untyped-call]
+
+    @property
+    def is_watched(self) -> bool:
+        return self._publishers[Kind.VIDEO].matching_status
+
+    def _say(self, kind: Kind, payload: bytes) -> None:
+        self._publishers[kind].put(payload)
 
     async def _speak(self) -> None:
         tick = 0
@@ -96,12 +112,19 @@ class ScriptedDrone:
             if tick % 5 == self.drone_id % 5:
                 self._say_sightings(now, offset, seen)
             if tick % 10 == 0:
-                self._transport.publish(Kind.HEALTH, codec.encode_health(self._health()))
+                self._announce(now, offset)
+                self._say(Kind.HEALTH, codec.encode_health(self._health()))
             self._say_tracks(now, offset, seen)
-            if self._transport.has_listener(Kind.VIDEO):
+            if self.is_watched:
                 self._say_video(now, offset, seen)
             tick += 1
             await asyncio.sleep(0.1)
+
+    def _announce(self, now: float, offset: float) -> None:
+        pose = Announcement(
+            self.drone_id, self._boot, 1, now, 0.05, self.position(now), np.eye(3), 0.01 * np.eye(3)
+        )
+        self._say(Kind.POSE, codec.encode_announcement(pose, offset, now))
 
     def _in_view(self, now: float) -> dict[int, np.ndarray]:
         """Vectors in the camera's frame, by true ID."""
@@ -131,7 +154,7 @@ class ScriptedDrone:
             (),
             tuple(named.values()),
         )
-        self._transport.publish(Kind.IDENTITIES, codec.encode_sightings(report, offset, now))
+        self._say(Kind.IDENTITIES, codec.encode_sightings(report, offset, now))
 
     def _say_tracks(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
         tracks = []
@@ -151,7 +174,7 @@ class ScriptedDrone:
         message = codec.tracks_message(
             TrackList(now, now - 0.02, tuple(tracks)), self._sequence, offset, 0.05
         )
-        self._transport.publish(Kind.TRACKS, codec.encode_tracks(message))
+        self._say(Kind.TRACKS, codec.encode_tracks(message))
 
     def _say_video(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
         picture = self._scene.copy()
@@ -173,7 +196,7 @@ class ScriptedDrone:
             1, now + offset, 0.05, self._sequence, CAMERA.width, CAMERA.height, jpeg, codec.lens_message(CAMERA),
             tuple(self.position(now).tolist()), tuple(to_quaternion(camera).tolist()),
         )  # fmt: skip
-        self._transport.publish(Kind.VIDEO, codec.encode_video(view))
+        self._say(Kind.VIDEO, codec.encode_video(view))
         self.pictures += 1
 
     def _health(self) -> codec.HealthMessage:
@@ -193,14 +216,20 @@ class ScriptedDrone:
         )  # fmt: skip
 
 
-async def start_team(team: str, ids: Iterable[int]) -> list[ScriptedDrone]:
-    """All of them, on one circle."""
-    ids = list(ids)
+@asynccontextmanager
+async def scripted_team(team: str, n: int) -> AsyncIterator[list[ScriptedDrone]]:
+    """n of them, 1 … n, on one circle."""
+    session = await open_session(NetworkSettings(team=team))
     drones = [
-        ScriptedDrone(team, drone_id, i, len(ids), 4.0 + 0.6 * len(ids)) for i, drone_id in enumerate(ids)
+        ScriptedDrone(session, team, i + 1, angle=2.0 * math.pi * i / n, radius=4.0 + 0.6 * n)
+        for i in range(n)
     ]
-    for drone in drones:
-        drone.team = drones
-    for drone in drones:
-        await drone.start()
-    return drones
+    try:
+        for drone in drones:
+            drone.team = drones
+            drone.start()
+        yield drones
+    finally:
+        for drone in drones:
+            drone.fall_silent()
+        await close_session(session, [])
