@@ -69,35 +69,49 @@ class Reports:
 
     def judge(self, alive: Iterable[int], now: float) -> Verdict:
         """Of the drones that live."""
-        there = [drone_id for drone_id in alive if drone_id in self._reports]
+        lives = frozenset(alive)
+        there = [drone_id for drone_id in lives if drone_id in self._reports]
         all_spoke = min((self._reports[i][-1].t for i in there), default=now)
         judged = {i: _last_before(self._reports[i], max(all_spoke, now - WAIT_S)) for i in there}
         looks: list[Look] = []
         sentences: list[str] = []
         for report in judged.values():
             for sighting in report.sightings:
-                look = self._judge(report, sighting, judged)
+                look = self._judge(report, sighting, judged, lives)
                 looks.append(look)
                 if look.right is False:
                     sentences.append(_sentence(look))
         return Verdict(tuple(looks), tuple(sentences))
 
     def _judge(
-        self, report: SightingReport, sighting: Sighting, judged: Mapping[int, SightingReport]
+        self,
+        report: SightingReport,
+        sighting: Sighting,
+        judged: Mapping[int, SightingReport],
+        lives: frozenset[int],
     ) -> Look:
         observer, called = report.observer, sighting.drone_id
         if called in judged and self._miss(report, sighting, called) <= GATE:
             return Look(observer, called, sighting.probability, called, True)
+        if called in lives and called not in judged:  # it has not told yet where it stands
+            return Look(observer, called, sighting.probability, None, None)
+        whom = self._who_stands_there(report, sighting, judged)
+        right = False if called in judged or whom is not None else _seen_there(report, sighting, judged)
+        return Look(observer, called, sighting.probability, whom, right)
+
+    def _who_stands_there(
+        self, report: SightingReport, sighting: Sighting, judged: Mapping[int, SightingReport]
+    ) -> int | None:
+        """The nearest to a ray with another's name, of those whom the observer does not rightly see elsewhere."""
+        named = {other.drone_id: other for other in report.sightings}
         misses = {
             drone_id: self._miss(report, sighting, drone_id)
             for drone_id in judged
-            if drone_id not in (observer, called)
+            if drone_id not in (report.observer, sighting.drone_id)
+            and not (drone_id in named and self._miss(report, named[drone_id], drone_id) <= GATE)
         }
-        whom = min(misses, key=lambda drone_id: misses[drone_id], default=None)
-        if whom is not None and misses[whom] > GATE:
-            whom = None
-        right = False if called in judged or whom is not None else _seen_there(report, sighting, judged)
-        return Look(observer, called, sighting.probability, whom, right)
+        nearest = min(misses, key=lambda drone_id: misses[drone_id], default=None)
+        return nearest if nearest is not None and misses[nearest] <= GATE else None
 
     def _miss(self, report: SightingReport, sighting: Sighting, drone_id: int) -> float:
         """Squared Mahalanobis distance of a ray from where a drone says it stood at that instant."""

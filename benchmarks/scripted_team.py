@@ -9,6 +9,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import cv2
 import numpy as np
@@ -97,7 +98,8 @@ class ScriptedDrone:
 
     @property
     def is_watched(self) -> bool:
-        return self._publishers[Kind.VIDEO].matching_status
+        status: Any = self._publishers[Kind.VIDEO].matching_status  # Zenoh's stubs call it a bool
+        return bool(status.matching)
 
     def _say(self, kind: Kind, payload: bytes) -> None:
         self._publishers[kind].put(payload)
