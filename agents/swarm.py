@@ -72,6 +72,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: %(default)s)",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the verdict and all figures there")
+    parser.add_argument(
+        "--monitor", action="store_true", help="serve the web page of the flight; it ends with the flight"
+    )
+    parser.add_argument(
+        "--monitor-port",
+        type=_port,
+        metavar="PORT",
+        help="of the page on this machine, 0: any that is free (default: 0); asks for --monitor by itself",
+    )
     parser.add_argument("--keep", action="store_true", help="keep the folder with the configs and logs")
 
 
@@ -79,6 +88,12 @@ def _drones(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) > 1):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 2 or more")
     return int(text)
+
+
+def _port(text: str) -> int:
+    from swarmtrack.agents.monitor import port
+
+    return port(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -91,8 +106,16 @@ def run(args: argparse.Namespace) -> int:
 
     if args.json is not None:
         _check_writable(args.json)
+    monitor_port = args.monitor_port if args.monitor_port is not None else 0 if args.monitor else None
     plan = FlightPlan(
-        args.scenario, args.drones, args.seconds, args.seed, args.tracker, args.detector, args.keep
+        args.scenario,
+        args.drones,
+        args.seconds,
+        args.seed,
+        args.tracker,
+        args.detector,
+        args.keep,
+        monitor_port,
     )
     console = Console()
     spectator = _spectator(plan, console)
