@@ -149,13 +149,16 @@ class MonitorServer:
             viewer.give(drone_id, message)
 
     async def _tell_state(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
         while True:
             state = self._team.state()  # unwatched, too: events have their times, and the gone their age
             if self._viewers:
                 text = json.dumps(state, allow_nan=False, separators=(",", ":"))
                 for viewer in self._viewers:
                     viewer.give("state", text)
-            await asyncio.sleep(1.0 / STATE_HZ)
+            due = max(due + 1.0 / STATE_HZ, loop.time())
+            await asyncio.sleep(due - loop.time())
 
     async def _follow_wishes(self) -> None:
         """Subscribe to the video that somebody watches, and to no other."""
