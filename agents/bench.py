@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     recognition = names.add_parser("recognition", help="who is who over a hundred flights, in one process")
     swarm = names.add_parser("swarm", help="whole local swarms: who knows whom, and at what cost")
     trackers = names.add_parser("trackers", help="every tracker: the paper's figures, and harder scenes")
+    monitor = names.add_parser("monitor", help="what being watched costs, and the page with thirty drones")
     soak = names.add_parser("soak", help="every tracker under a million random scans")
     detector = names.add_parser("detector", help="how good a detector is on labelled images and clips")
     for name in (
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         swarm,
         trackers,
         soak,
+        monitor,
     ):
         name.add_argument(
             "--out",
@@ -50,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        if name not in (detector, offset, calibration, clients, flood, identity, trackers, soak):
+        if name not in (detector, offset, calibration, clients, flood, identity, trackers, soak, monitor):
             name.add_argument(
                 "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
             )
@@ -239,6 +241,12 @@ def _detector(args: argparse.Namespace) -> None:
     )
 
 
+def _monitor(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import monitor_cost
+
+    monitor_cost.run(args.out, quick=args.quick)
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
     "calibration": _calibration,
@@ -250,6 +258,7 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "offset": _offset,
     "recognition": _recognition,
     "rotation": _rotation,
+    "monitor": _monitor,
     "soak": _soak,
     "swarm": _swarm,
     "trackers": _trackers,

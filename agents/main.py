@@ -16,6 +16,7 @@ COMMANDS = {
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
     "calibrate": ("swarmtrack.agents.calibrate", "measure a camera, and how it sits on its drone"),
     "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),
+    "monitor": ("swarmtrack.agents.monitor", "serve the web page of a running swarm"),
     "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
     "config": ("swarmtrack.agents.config", "write, check and explain configs"),
     "judge": ("swarmtrack.agents.judge", "watch a simulated swarm that others started, and give a verdict"),

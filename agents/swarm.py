@@ -75,6 +75,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--record", type=Path, metavar="DIR", help="record every agent, the truth and the verdict there"
     )
+    parser.add_argument(
+        "--monitor", action="store_true", help="serve the web page of the flight; it ends with the flight"
+    )
+    parser.add_argument(
+        "--monitor-port",
+        type=_port,
+        metavar="PORT",
+        help="of the page on this machine, 0: any that is free (default: 0); asks for --monitor by itself",
+    )
     parser.add_argument("--keep", action="store_true", help="keep the folder with the configs and logs")
 
 
@@ -82,6 +91,12 @@ def _drones(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) > 1):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 2 or more")
     return int(text)
+
+
+def _port(text: str) -> int:
+    from swarmtrack.agents.monitor import port
+
+    return port(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -95,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.json is not None:
         check_writable(args.json)
+    monitor_port = args.monitor_port if args.monitor_port is not None else 0 if args.monitor else None
     plan = FlightPlan(
         args.scenario,
         args.drones,
@@ -104,6 +120,7 @@ def run(args: argparse.Namespace) -> int:
         args.detector,
         args.keep,
         args.record,
+        monitor_port,
     )
     if plan.record is not None:
         check_empty(plan.record)

@@ -63,6 +63,8 @@ class FlightPlan:
     detector: str = "onnx"
     keep: bool = False
     record: Path | None = None
+    monitor_port: int | None = None
+    """Of the web page, 0: any; None: no page."""
 
     def load(self) -> Scenario:
         return load_scenario(self.scenario, seed=self.seed, drones=self.drones)
@@ -133,7 +135,9 @@ class _Flight:
             radio=self._radio_ends(),
             recordings=self._plan.record and self._plan.record.absolute(),
         )
-        listener = ZenohListener(self._listening(), keys.key(self._team, "**"))
+        if self._plan.monitor_port is not None:
+            await self._start_monitor(self._plan.monitor_port)
+        listener = ZenohListener(self._listening(), keys.all_but_video(self._team))
         await listener.open()
         watch = self._watch
         plan = self._plan
@@ -184,6 +188,21 @@ class _Flight:
             int(drone_id): Sources(addresses["camera"], addresses["autopilot"])
             for drone_id, addresses in ready["drones"].items()
         }
+
+    async def _start_monitor(self, port: int) -> None:
+        """A process of its own, that takes no time from judging. Where there is a screen, its page is opened."""
+        arguments = ["monitor", "--team", self._team, "--port", str(port)]
+        for endpoint in self._listening().connect:
+            arguments += ["--connect", endpoint, "--insecure"]
+        if sys.stdout.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            arguments.append("--open")
+        argv = ["nice", "-n", str(AGENT_NICENESS), sys.executable, "-m", "swarmtrack.agents.main", *arguments]
+        monitor = await self._children.start("monitor", argv, talks=True)
+        assert monitor.process.stdout is not None
+        line = await asyncio.wait_for(monitor.process.stdout.readline(), SIMULATOR_PATIENCE_S)
+        if not line:
+            raise ProcessDied((await self._children.died).describe_end())
+        self._spectator.note(f"{line.decode().strip()} (until the flight ends)")
 
     def _simulator_arguments(self) -> list[str]:
         """What decides what is flown."""

@@ -230,7 +230,7 @@ def detecting_lines(tracker: str, seconds: float) -> list[Line]:
 
 def measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
     """The scripted agent with these options, at 200 Hz of gyro and 15 Hz of frames, for `seconds` of its life."""
-    port, team = _free_udp_port(), f"bench-{os.getpid()}"
+    port, team = free_udp_port(), f"bench-{os.getpid()}"
     lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
     entries = {
         "drone.id": 1,
@@ -247,8 +247,8 @@ def measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
 
 async def _observe(process: subprocess.Popen[bytes], team: str, port: int, seconds: float) -> Measured:
     """Play the autopilot and listen, from when the agent has settled."""
-    async with listening(team) as heard, _autopilot(port):
-        await _until_tracking(process, heard)
+    async with listening(team) as heard, autopilot(port):
+        await until_tracking(process, heard)
         await asyncio.sleep(SETTLE_S)
         heard.latencies.clear()
         began, used = time.monotonic(), cpu_seconds(process.pid)
@@ -277,7 +277,7 @@ def startup_lines(times: int) -> list[Line]:
             async with listening(team) as heard:
                 began = time.monotonic()
                 with agent_process(["swarmtrack.agents.vehicle", "--quiet"], entries) as process:
-                    await _until_tracking(process, heard)
+                    await until_tracking(process, heard)
                     assert heard.first_track_at is not None
                     return heard.first_track_at - began
 
@@ -289,7 +289,7 @@ def startup_lines(times: int) -> list[Line]:
     ]
 
 
-async def _until_tracking(process: subprocess.Popen[bytes], heard: Heard) -> None:
+async def until_tracking(process: subprocess.Popen[bytes], heard: Heard) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while heard.first_track_at is None:
         if process.poll() is not None:
@@ -324,7 +324,7 @@ def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subpro
 async def listening(team: str) -> AsyncIterator[Heard]:
     """Hear a team meanwhile."""
     heard = Heard()
-    listener = ZenohListener(NetworkSettings(team=team), keys.key(team, "**"))
+    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team))
     await listener.open()
 
     async def listen() -> None:
@@ -342,7 +342,7 @@ async def listening(team: str) -> AsyncIterator[Heard]:
 
 
 @asynccontextmanager
-async def _autopilot(port: int) -> AsyncIterator[None]:
+async def autopilot(port: int) -> AsyncIterator[None]:
     """An autopilot that hovers: heartbeat, gyro and pose over UDP, on time."""
     task = asyncio.create_task(_play_autopilot(port))
     try:
@@ -383,7 +383,7 @@ def _due_messages(sample: int, rng: np.random.Generator) -> list[Any]:
     return messages
 
 
-def _free_udp_port() -> int:
+def free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.bind(("127.0.0.1", 0))
         return int(udp.getsockname()[1])

@@ -22,6 +22,7 @@ import numpy as np
 from msgspec import Meta
 
 from swarmtrack.errors import SwarmtrackError
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.rotation import from_quaternion, is_rotation, to_quaternion
 from swarmtrack.messages import (
     Announcement,
@@ -37,6 +38,7 @@ VERSION: Final = 1
 MAX_BYTES: Final = 64 * 1024  # of one message; checked before anything is decoded
 MAX_TRACKS: Final = 255  # 255 tracks of at most 200 bytes stay below MAX_BYTES
 MAX_SIGHTINGS: Final = 255
+MAX_JPEG: Final = MAX_BYTES - 512  # leaves room for everything else in a view
 MAX_KNOWN: Final = 1024  # as many drones as a transport remembers
 SIGNATURE_BYTES: Final = 64  # Ed25519
 
@@ -241,12 +243,47 @@ class HealthMessage(msgspec.Struct, array_like=True, frozen=True):
     readiness: ReadinessHealth | None = None
 
 
-Message = AnnouncementMessage | SightingsMessage | TracksMessage | HealthMessage
-_M = TypeVar("_M", AnnouncementMessage, SightingsMessage, TracksMessage, HealthMessage)
+class LensMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """A calibrated lens, in pixels of the calibrated image; coefficients: of the distortion, empty without one."""
+
+    what: ClassVar[str] = "lens"
+    width: Annotated[int, Meta(ge=1, le=65535)]
+    height: Annotated[int, Meta(ge=1, le=65535)]
+    fx: Pixels
+    fy: Pixels
+    cx: Pixels
+    cy: Pixels
+    distortion: Literal["radtan", "equidistant"] | None
+    coefficients: Annotated[tuple[Quantity, ...], Meta(max_length=8)]
+
+
+class VideoMessage(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """`video/<id>`: one frame for people, said only while somebody listens.
+
+    t_utc_s: of the exposure; frame: as the camera counts them. width, height: of the picture, which is the whole image
+    of `lens` made smaller. jpeg is empty where the camera sends no pictures. position_m and quaternion_wxyz: of the
+    camera (x right, y down, z forward) in the team's NED frame, null where the drone does not know.
+    """
+
+    what: ClassVar[str] = "video"
+    version: Literal[1]
+    t_utc_s: UtcSeconds
+    t_sigma_s: Seconds
+    frame: Annotated[int, Meta(ge=0, le=2**53)]
+    width: Annotated[int, Meta(ge=1, le=65535)]
+    height: Annotated[int, Meta(ge=1, le=65535)]
+    jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG)]
+    lens: LensMessage
+    position_m: tuple[Metres, Metres, Metres] | None
+    quaternion_wxyz: tuple[Component, Component, Component, Component] | None
+
+
+Message = AnnouncementMessage | SightingsMessage | TracksMessage | HealthMessage | VideoMessage
+_M = TypeVar("_M", AnnouncementMessage, SightingsMessage, TracksMessage, HealthMessage, VideoMessage)
 
 _DECODERS: dict[type[Any], msgspec.msgpack.Decoder[Any]] = {
     kind: msgspec.msgpack.Decoder(kind)
-    for kind in (AnnouncementMessage, SightingsMessage, TracksMessage, HealthMessage)
+    for kind in (AnnouncementMessage, SightingsMessage, TracksMessage, HealthMessage, VideoMessage)
 }
 _ENCODER = msgspec.msgpack.Encoder()
 
@@ -473,6 +510,45 @@ def decode_health(data: bytes) -> HealthMessage:
     return _decode(HealthMessage, data)
 
 
+# --- video ----------------------------------------------------------------------------------------
+
+
+def lens_message(camera: PinholeCamera) -> LensMessage:
+    """A lens as it goes on the wire."""
+    c, distortion = camera, camera.distortion
+    name: Literal["radtan", "equidistant"] | None = None
+    coefficients: tuple[float, ...] = ()
+    if distortion is not None:
+        name = "radtan" if isinstance(distortion, RadTan) else "equidistant"
+        coefficients = tuple(map(float, distortion.coefficients))
+    return LensMessage(c.width, c.height, c.fx, c.fy, c.cx, c.cy, name, coefficients)
+
+
+def lens(message: LensMessage) -> PinholeCamera:
+    """The camera a message tells of. Raises DecodeError where there is no such lens."""
+    m = message
+    kinds: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
+    try:
+        distortion = None if m.distortion is None else kinds[m.distortion](m.coefficients)
+        return PinholeCamera(m.fx, m.fy, m.cx, m.cy, m.width, m.height, distortion)
+    except ValueError as error:
+        raise DecodeError(f"video: lens: {error}") from None
+
+
+def encode_video(message: VideoMessage) -> bytes:
+    """Raises ValueError where a reader would refuse it."""
+    return _encode(message)
+
+
+def decode_video(data: bytes) -> VideoMessage:
+    m = _decode(VideoMessage, data)
+    if m.quaternion_wxyz is not None:
+        _check_unit("video: quaternion_wxyz", m.quaternion_wxyz, "a unit quaternion")
+    if not (m.lens.fx > 0.0 and m.lens.fy > 0.0):
+        raise DecodeError(f"video: lens: focal lengths are {m.lens.fx:g} and {m.lens.fy:g}, expected above 0")
+    return m
+
+
 # --- for people -----------------------------------------------------------------------------------
 
 
@@ -579,4 +655,5 @@ _CHECKED: dict[type[Any], Any] = {
     SightingsMessage: decode_sightings,
     TracksMessage: decode_tracks,
     HealthMessage: decode_health,
+    VideoMessage: decode_video,
 }

@@ -237,6 +237,13 @@ class Onboard:
         """Where this drone itself was at t, in the team frame."""
         return self._ego.at(t)
 
+    def camera_pose(self, t: float) -> Pose | None:
+        """world_from_camera at t, in the team frame; None where the drone does not know."""
+        ego = self._ego.at(t)
+        if ego is None:
+            return None
+        return Pose(ego.world_from_body, ego.position) @ self._mounting.body_from_camera
+
     @property
     def gyro_bias(self) -> BiasEstimate | None:
         """What the gyro says at rest, body axes; None while nothing says so."""

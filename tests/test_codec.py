@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import msgpack  # type: ignore[import-untyped]
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -32,6 +33,7 @@ DECODERS: list[Callable[[bytes], codec.Message]] = [
     codec.decode_sightings,
     codec.decode_tracks,
     codec.decode_health,
+    codec.decode_video,
 ]
 
 ANNOUNCEMENT = Announcement(
@@ -493,3 +495,63 @@ def test_claimed_sizes_and_depths_cost_nothing(data: bytes) -> None:
     for decode in DECODERS:
         with pytest.raises(DecodeError):
             decode(data)
+
+
+# --- video ----------------------------------------------------------------------------------------
+
+VIDEO = codec.VideoMessage(
+    version=1,
+    t_utc_s=1.7e9,
+    t_sigma_s=0.5,
+    frame=12,
+    width=320,
+    height=256,
+    jpeg=b"\xff\xd8\xff\xd9",
+    lens=codec.LensMessage(640, 512, 600.0, 600.0, 320.0, 256.0, "radtan", (-0.25, 0.125, 0.0, 0.0)),
+    position_m=(1.0, 2.0, -3.0),
+    quaternion_wxyz=(0.5, 0.5, 0.5, 0.5),
+)
+
+
+def test_the_bytes_of_a_video_message_are_pinned():
+    fields = [
+        1, 1.7e9, 0.5, 12, 320, 256, b"\xff\xd8\xff\xd9",
+        [640, 512, 600.0, 600.0, 320.0, 256.0, "radtan", [-0.25, 0.125, 0.0, 0.0]],
+        [1.0, 2.0, -3.0], [0.5, 0.5, 0.5, 0.5],
+    ]  # fmt: skip
+    data = codec.encode_video(VIDEO)
+    assert msgpack.unpackb(data) == fields
+    assert data == msgpack.packb(fields)
+    golden = "9a01cb41d954fc40000000cb3fe00000000000000ccd0140cd0100c404ffd8ffd998cd0280cd0200cb4082c0"
+    assert data.hex().startswith(golden)
+    assert codec.decode_video(data) == VIDEO
+
+
+def test_a_lens_comes_back_as_the_camera_it_was():
+    camera = codec.lens(VIDEO.lens)
+    assert (camera.width, camera.fx, camera.cy) == (640, 600.0, 256.0)
+    assert codec.lens_message(camera) == VIDEO.lens
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"jpeg": bytes(codec.MAX_JPEG + 1)}, "jpeg"),
+        ({"width": 0}, "width"),
+        ({"t_utc_s": math.nan}, "video"),
+        ({"quaternion_wxyz": (1.0, 1.0, 0.0, 0.0)}, "unit quaternion"),
+        ({"lens": msgspec.structs.replace(VIDEO.lens, fx=0.0)}, "focal lengths"),
+    ],
+)
+def test_a_video_message_that_cannot_be_is_not_sent(changes, says):
+    with pytest.raises(ValueError, match=says):
+        codec.encode_video(msgspec.structs.replace(VIDEO, **changes))
+
+
+def test_the_largest_picture_fits_into_a_message():
+    largest = msgspec.structs.replace(
+        VIDEO,
+        jpeg=bytes(codec.MAX_JPEG),
+        lens=msgspec.structs.replace(VIDEO.lens, coefficients=(0.1,) * 8),
+    )
+    assert len(codec.encode_video(largest)) <= codec.MAX_BYTES

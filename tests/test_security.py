@@ -331,6 +331,28 @@ async def test_tracks_of_a_member_reach_others_under_its_own_id_only(
     await monitor.close()
 
 
+async def test_a_monitor_may_watch_video_which_a_drone_then_knows(
+    field: Field, pair: tuple[Drone, Drone]
+) -> None:
+    one, two = pair
+    listener = ZenohListener(
+        topology.of_monitor(field.section, field.team.credentials("monitor")),
+        keys.all_but_video(field.team.name),
+    )
+    await listener.open()
+    await listener.listen_to(keys.key(field.team.name, Kind.VIDEO, 1))
+    await eventually(lambda: one.transport.has_listener(Kind.VIDEO))
+    assert not two.transport.has_listener(Kind.VIDEO)
+    async with asyncio.timeout(PATIENCE):
+        async for sample in listener.samples():
+            one.transport.publish(Kind.VIDEO, b"a picture")
+            if sample.payload == b"a picture":
+                break
+            two.transport.publish(Kind.HEALTH, b"for the next sample")
+    await listener.close()
+    await eventually(lambda: not one.transport.has_listener(Kind.VIDEO))
+
+
 async def test_a_monitor_may_ask_but_not_speak(field: Field, pair: tuple[Drone, Drone]) -> None:
     one, two = pair
     monitor = await field.intruder(field.team.credentials("monitor"))

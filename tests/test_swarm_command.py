@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 
@@ -172,6 +174,21 @@ def test_a_module_runs_on_a_clock_that_is_wrong(tmp_path):
     assert -7200 - PATIENCE < float(utc) - time.time() < -7100
     assert float(monotonic) == pytest.approx(0.0, abs=1.0)
     assert rest == ["['--config', 'x'] __main__\n"]
+
+
+def test_the_monitor_serves_the_flights_page_and_ends_with_it(tmp_path):
+    flight = start(tmp_path, *pair(tmp_path), *SMALL, "--monitor")
+    assert flight.stdout is not None
+    found = None
+    while found is None:
+        line = flight.stdout.readline()
+        assert line, "the flight ended without naming a page"
+        found = re.search(r"http://127\.0\.0\.1:\d+/", line)
+    with urlopen(found[0], timeout=20.0) as page:
+        assert b"swarmtrack" in page.read()
+    finish(flight)
+    with pytest.raises(OSError, match="refused"):
+        urlopen(found[0], timeout=20.0)
 
 
 # --- a whole flight -------------------------------------------------------------------------------

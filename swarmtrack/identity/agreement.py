@@ -115,11 +115,11 @@ class Agreement:
         found = []
         for drone_id, ours in view.sightings.items():
             if drone_id == report.observer:
-                miss, distance = _miss_of_point(view, ours, report, moved)
+                miss, distance = miss_of_point(view, ours, report, moved)
                 weight = OWN_WORD
             elif drone_id in reported:
                 theirs = reported[drone_id]
-                miss, distance = _miss_of_rays(view, ours, report, theirs, moved)
+                miss, distance = miss_of_rays(view, ours, report, theirs, moved)
                 weight = _log_odds(theirs.probability)
             else:
                 continue
@@ -152,10 +152,10 @@ def stands_there(own: SightingReport, ray: Sighting, report: SightingReport) -> 
     if vague or float(np.linalg.norm(report.position - own.position)) > FARTHEST:
         return False
     moved = SPEED * (abs(own.t - report.t) + report.t_sigma)
-    return _miss_of_point(own, ray, report, moved)[1] <= GATE
+    return miss_of_point(own, ray, report, moved)[1] <= GATE
 
 
-def _miss_of_point(
+def miss_of_point(
     view: OwnView | SightingReport, ours: Sighting, report: SightingReport, moved: float
 ) -> tuple[float, float]:
     """How far our ray passes by where the reporter says it stands: metres, and squared Mahalanobis distance."""
@@ -165,7 +165,7 @@ def _miss_of_point(
     return _off_axis(ours, towards, length, place)
 
 
-def _miss_of_rays(
+def miss_of_rays(
     view: OwnView, ours: Sighting, report: SightingReport, theirs: Sighting, moved: float
 ) -> tuple[float, float]:
     """How far apart two rays pass, both looked along from their observers: metres, squared Mahalanobis distance.

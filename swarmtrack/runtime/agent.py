@@ -21,6 +21,7 @@ from swarmtrack.runtime.clock import UTC_SIGMA, ManualClock, SystemClock
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
+from swarmtrack.runtime.live_video import LiveVideo
 from swarmtrack.runtime.outputs import JsonLines, as_seen
 from swarmtrack.runtime.systemd import Notifier
 from swarmtrack.runtime.teamwork import Teamwork
@@ -57,6 +58,7 @@ class Agent:
             self._video = _open_video(parts)
         health_file = health_path(output.health)
         self._health_file = HealthFile(health_file) if health_file else None
+        self._live = LiveVideo(parts, self.health)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         self._stop = asyncio.Event()
         self._fresh = asyncio.Event()
@@ -163,6 +165,7 @@ class Agent:
     async def _receive(self, source: DetectionSource) -> AsyncIterator[Detections]:
         async for detections in source.detections():
             if self._is_fresh(detections.t):
+                self._live.offer(detections.t, detections.sequence, None)
                 yield detections
 
     async def _detect(self, camera: Camera, detector: Detector) -> AsyncIterator[Detections]:
@@ -175,6 +178,7 @@ class Agent:
                 continue
             if self._parts.recorder:
                 self._parts.recorder.frame(frame)
+            self._live.offer(frame.t, frame.sequence, frame.image)
             began = self._detecting_since = self._wall.now()
             guided = detector.is_guided(frame.image)
             tracks = self._parts.onboard.expected_boxes(frame.t) if guided else None
@@ -314,6 +318,7 @@ class Agent:
         self._worker.shutdown(wait=False, cancel_futures=True)
         if self._parts.recorder:
             self._parts.recorder.close()
+        self._live.close()
         if self._jsonl:
             self._jsonl.close()
         if self._video:

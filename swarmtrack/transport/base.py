@@ -20,7 +20,7 @@ class Kind(enum.StrEnum):
     VIDEO = "video"
 
 
-PUBLISHED: Final = (Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH)
+PUBLISHED: Final = (Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
 """What `Transport.publish` takes."""
 
 
@@ -42,6 +42,10 @@ class Transport(Protocol):
 
     def publish(self, kind: Kind, payload: bytes) -> None:
         """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop."""
+        ...
+
+    def has_listener(self, kind: Kind) -> bool:
+        """Whether anybody listens to what we publish of this kind; costs nothing to ask."""
         ...
 
     def events(self) -> AsyncIterator[PeerEvent]:

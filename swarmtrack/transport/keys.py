@@ -19,6 +19,7 @@ ENCODINGS: dict[Kind, str] = {
     Kind.IDENTITIES: "application/msgpack;swarmtrack.Sightings/1",
     Kind.TRACKS: "application/msgpack;swarmtrack.Tracks/1",
     Kind.HEALTH: "application/msgpack;swarmtrack.Health/1",
+    Kind.VIDEO: "application/msgpack;swarmtrack.Video/1",
 }
 
 DECODERS: dict[Kind, Callable[[bytes], codec.Message]] = {
@@ -26,6 +27,7 @@ DECODERS: dict[Kind, Callable[[bytes], codec.Message]] = {
     Kind.IDENTITIES: codec.decode_sightings,
     Kind.TRACKS: codec.decode_tracks,
     Kind.HEALTH: codec.decode_health,
+    Kind.VIDEO: codec.decode_video,
 }
 
 _KEY = re.compile(
@@ -46,6 +48,12 @@ class Address(NamedTuple):
 def key(team: str, kind: Kind | str, *rest: int | str) -> str:
     """`key("red", Kind.ALIVE, 3, "0123abcd")` is `swarmtrack/red/v1/alive/3/0123abcd`; `*` is a wildcard."""
     return "/".join([ROOT, team, VERSION, str(kind), *map(str, rest)])
+
+
+def all_but_video(team: str) -> list[str]:
+    """For who wants to hear everything: video is only said while somebody listens to it, and then it costs."""
+    quiet = (Kind.POSE, Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH)
+    return [key(team, Kind.ALIVE, "*", "*"), *(key(team, kind, "*") for kind in quiet)]
 
 
 def parse(text: str) -> Address | None:

@@ -145,6 +145,9 @@ class MemoryTransport:
         self._published[f"{kind}_sent"] += 1
         self._hub._send(self, self._key(kind), payload)
 
+    def has_listener(self, kind: Kind) -> bool:
+        return bool(self._hub.listeners)
+
     def events(self) -> AsyncIterator[PeerEvent]:
         return self._peers.events()
 

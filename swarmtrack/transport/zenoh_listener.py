@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -28,27 +28,27 @@ from swarmtrack.transport.zenoh_session import (
 class ZenohListener:
     """Hears a team without being of it: for echo, monitor and recorder.
 
-    key_expression: a full one; `*` is one part of a key, `**` any number. Announcements made before we came are
+    key_expressions: full ones; `*` is one part of a key, `**` any number. `listen_to` and `leave` change them later,
+    which is for what is only said while somebody listens. Announcements made before we came are
     asked for, so each is heard, if now and then twice.
     """
 
     def __init__(
         self,
         network: NetworkSettings,
-        key_expression: str,
+        key_expressions: str | Sequence[str],
         capacity: int = BRIDGE_CAPACITY,
         newest_per_key: bool = False,
     ) -> None:
         settings.check(network)
-        try:
-            self._expression = zenoh.KeyExpr(key_expression)
-        except zenoh.ZError as error:
-            raise TransportError(f"{key_expression!r} is no key expression: {plain(error)}") from None
+        texts = [key_expressions] if isinstance(key_expressions, str) else key_expressions
+        self._expressions = [_expression(text) for text in texts]
         self._network = network
         self._capacity = capacity
         self._newest_per_key = newest_per_key
         self._session: zenoh.Session | None = None
         self._declared: list[Any] = []
+        self._later: dict[str, Any] = {}
         self._samples: asyncio.Queue[Sample | None] = asyncio.Queue(capacity)
         self._bridge: Bridge | None = None
         self._dropped = 0
@@ -62,11 +62,27 @@ class ZenohListener:
         def declare(session: zenoh.Session) -> None:
             everyone = keys.key(self._network.team, Kind.ALIVE, "*", "*")
             self._declared = [
-                session.declare_subscriber(self._expression, bridge.handler()),
+                *(session.declare_subscriber(e, bridge.handler()) for e in self._expressions),
                 session.liveliness().declare_subscriber(everyone, tokens.handler(), history=True),
             ]
 
         await bounded(partial(declare, self._session), OPEN_S, "declare")
+
+    async def listen_to(self, key_expression: str) -> None:
+        """From now on this, too. Raises TransportError."""
+        session, bridge = self._session, self._bridge
+        if session is None or bridge is None or key_expression in self._later:
+            return
+        expression = _expression(key_expression)
+        self._later[key_expression] = await bounded(
+            lambda: session.declare_subscriber(expression, bridge.handler()), OPEN_S, "declare"
+        )
+
+    async def leave(self, key_expression: str) -> None:
+        """What `listen_to` began. Raises TransportError."""
+        subscriber = self._later.pop(key_expression, None)
+        if subscriber is not None:
+            await bounded(subscriber.undeclare, OPEN_S, "undeclare")
 
     async def samples(self) -> AsyncIterator[Sample]:
         """Until closed."""
@@ -85,7 +101,7 @@ class ZenohListener:
     async def close(self) -> None:
         session, self._session = self._session, None
         if session is not None:
-            await close_session(session, self._declared)
+            await close_session(session, [*self._later.values(), *self._declared])
         self._make_room()
         self._samples.put_nowait(None)
 
@@ -99,10 +115,20 @@ class ZenohListener:
             self._dropped += 1
 
     def _on_token(self, token: Sample) -> None:
-        if self._expression.intersects(token.key):
+        if self._hears(token.key):
             self._take(token)
         address = keys.parse(token.key)
         if not token.alive or address is None or self._session is None or self._bridge is None:
             return
-        if self._expression.intersects(keys.key(address.team, Kind.POSE, address.drone_id)):
+        if self._hears(keys.key(address.team, Kind.POSE, address.drone_id)):
             ask_for_announcement(self._session, address.team, address.drone_id, self._bridge)
+
+    def _hears(self, key: str) -> bool:
+        return any(expression.intersects(key) for expression in self._expressions)
+
+
+def _expression(text: str) -> zenoh.KeyExpr:
+    try:
+        return zenoh.KeyExpr(text)
+    except zenoh.ZError as error:
+        raise TransportError(f"{text!r} is no key expression: {plain(error)}") from None

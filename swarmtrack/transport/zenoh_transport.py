@@ -56,6 +56,7 @@ CARRIAGE: Final = {
     Kind.IDENTITIES: Carriage(zenoh.Reliability.RELIABLE, zenoh.Priority.DATA_HIGH),
     Kind.TRACKS: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA),
     Kind.HEALTH: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA_LOW),
+    Kind.VIDEO: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.BACKGROUND),
 }
 
 
@@ -84,6 +85,7 @@ class ZenohTransport:
         self._outgoing = Outgoing(network.team, drone_id, boot, clock, sign)
         self._session: zenoh.Session | None = None
         self._publishers: dict[Kind, zenoh.Publisher] = {}
+        self._watched = False
         self._declared: list[Any] = []
         self._bridges: list[Bridge] = []
         self._watch = LinkWatch(network)
@@ -143,9 +145,12 @@ class ZenohTransport:
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=carriage.priority,
             )
+        video = self._publishers[Kind.VIDEO]
+        listeners = zenoh.handlers.Callback(self._on_video_listeners, indirect=False)
         # The token comes last: it makes others ask, and the queryable must be there to answer.
         self._declared = [
             *self._publishers.values(),
+            video.declare_matching_listener(listeners),
             session.declare_queryable(
                 self._outgoing.key, zenoh.handlers.Callback(self._answer, indirect=False)
             ),
@@ -202,6 +207,10 @@ class ZenohTransport:
         except zenoh.ZError:
             self._counters[f"{kind}_unsent"] += 1
 
+    def has_listener(self, kind: Kind) -> bool:
+        # Of what is cheap nobody asks: it is said anyway.
+        return kind in self._publishers and (kind is not Kind.VIDEO or self._watched)
+
     def events(self) -> AsyncIterator[PeerEvent]:
         return self._peers.events()
 
@@ -236,6 +245,10 @@ class ZenohTransport:
         if session is not None:
             await close_session(session, declared)
         self._peers.close()
+
+    def _on_video_listeners(self, status: zenoh.MatchingStatus) -> None:
+        """In Zenoh's thread."""
+        self._watched = status.matching
 
     def _answer(self, query: zenoh.Query) -> None:
         """In Zenoh's thread."""

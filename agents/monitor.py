@@ -1,0 +1,126 @@
+"""`swarmtrack monitor`: the web page of a running swarm. (How such programs find a team: `monitoring.py`.)"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import signal
+import socket
+import sys
+import webbrowser
+from typing import TYPE_CHECKING
+
+from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
+from swarmtrack.errors import SwarmtrackError, TransportError
+
+if TYPE_CHECKING:
+    from aiohttp import web
+
+DEFAULT_PORT = 8080
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_network_arguments(parser)
+    parser.add_argument(
+        "--bind",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="where to serve the page; beyond this machine it takes a token (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--port",
+        type=port,
+        default=DEFAULT_PORT,
+        metavar="PORT",
+        help="0: any that is free (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--token",
+        metavar="TEXT",
+        help="what a viewer has to know (default: drawn by chance where one is needed)",
+    )
+    parser.add_argument("--open", action="store_true", help="open the page in this machine's browser")
+
+
+def port(text: str) -> int:
+    """Of an argument."""
+    if not (text.isascii() and text.isdigit() and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a port, 0 … 65535")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    try:
+        return asyncio.run(serve(args))
+    except TransportError as error:
+        print(f"swarmtrack monitor: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 0
+
+
+class ServeError(TransportError):
+    """The page cannot be served there."""
+
+
+async def serve(args: argparse.Namespace) -> int:
+    """Until SIGINT or SIGTERM."""
+    from aiohttp import web
+
+    from swarmtrack.agents.monitor_access import Door, token_for
+    from swarmtrack.agents.monitor_server import PAGE, MonitorServer
+    from swarmtrack.agents.monitor_team import Team
+    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.transport import keys
+    from swarmtrack.transport.zenoh_listener import ZenohListener
+
+    try:
+        network = network_of_monitor(args)
+        listener = ZenohListener(network, keys.all_but_video(network.team), newest_per_key=True)
+    except TransportError as error:
+        raise SwarmtrackError(str(error)) from None  # of what was written: exit code 2
+    token = token_for(args.bind, args.token)
+    server = MonitorServer(
+        Team(network.team, SystemClock()), listener, Door(token, PAGE.read_text(encoding="utf-8"))
+    )
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    runner = web.AppRunner(server.application(), access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    try:
+        site = web.TCPSite(runner, args.bind, args.port)
+        try:
+            await site.start()
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ServeError(
+                f"--bind {args.bind} --port {args.port}: {reason}, expected an address of this machine and a free port"
+            ) from None
+        await listener.open()
+        url = _address(runner, args.bind, token)
+        print(f"monitor of team {network.team}: {url}", flush=True)
+        if args.open:
+            await asyncio.to_thread(webbrowser.open, url)
+        running = asyncio.create_task(server.run(), name="monitor")
+        stopped = asyncio.create_task(stop.wait(), name="stop")
+        await asyncio.wait({running, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        if running.done():
+            running.result()  # a bug: its exception comes out
+        for task in (running, stopped):
+            task.cancel()
+        await asyncio.gather(running, stopped, return_exceptions=True)
+    finally:
+        await listener.close()
+        await runner.cleanup()
+    return 0
+
+
+def _address(runner: web.AppRunner, bind: str, token: str | None) -> str:
+    """What to open. A page that is served on all addresses is opened by the machine's name."""
+    host, port = runner.addresses[0][:2]
+    if bind in ("0.0.0.0", "::"):
+        host = socket.gethostname()
+    elif ":" in host:
+        host = f"[{host}]"
+    return f"http://{host}:{port}/" + (f"?token={token}" if token else "")

@@ -1,0 +1,229 @@
+"""The monitor's web side: one page, and one WebSocket to each viewer.
+
+Theory of operation. A viewer is sent the state STATE_HZ times a second, and the pictures of the drones it watches as
+they come. Each has one slot for the state and one for each picture: what is newer takes the place of what still waits.
+The page acknowledges each message once it is drawn, and gets the next handful only then, so that a slow phone sees
+fewer pictures and never older ones; no buffer on the way can fill. A drone's video is subscribed to while at least one
+viewer watches it.
+
+To the page: text, the state (`Team.state`); binary, a header's length (uint32, little endian), the header in JSON
+(`drone`, `width`, `height`, `boxes`) and the JPEG. From the page: `{"watch": [IDs]}` and `"+"` for each message drawn.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import struct
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, Protocol
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from swarmtrack import codec
+from swarmtrack.agents.monitor_access import Door
+from swarmtrack.agents.monitor_overlay import boxes
+from swarmtrack.agents.monitor_team import Team
+from swarmtrack.errors import TransportError
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.zenoh_bridge import Sample
+
+log = logging.getLogger(__name__)
+
+PAGE = Path(__file__).parent / "monitor_page" / "index.html"
+STATE_HZ = 5.0
+MAX_VIEWERS = 32
+MAX_WATCHED = 32  # drones, by one viewer
+MAX_WORD = 2048  # bytes that a page may say at a time
+HEARTBEAT_S = 5.0
+
+
+class Listener(Protocol):
+    """What we ask of a `ZenohListener`."""
+
+    def samples(self) -> AsyncIterator[Sample]: ...
+    async def listen_to(self, key_expression: str) -> None: ...
+    async def leave(self, key_expression: str) -> None: ...
+
+
+class Viewer:
+    """One open page."""
+
+    def __init__(self, socket: web.WebSocketResponse) -> None:
+        self.watched: frozenset[int] = frozenset()
+        self.replaced = 0
+        """Messages that a newer one overtook."""
+        self._socket = socket
+        self._waiting: dict[str | int, str | bytes] = {}
+        self._news = asyncio.Event()
+        self._drawn = asyncio.Event()
+        self._unacknowledged = 0
+
+    def give(self, slot: str | int, message: str | bytes) -> None:
+        """The newest of its kind; it is sent once the viewer has drawn what it has."""
+        self.replaced += slot in self._waiting
+        self._waiting[slot] = message
+        self._news.set()
+
+    async def close(self) -> None:
+        await self._socket.close(code=WSCloseCode.GOING_AWAY)
+
+    def on_drawn(self) -> None:
+        self._unacknowledged = max(0, self._unacknowledged - 1)
+        if not self._unacknowledged:
+            self._drawn.set()
+
+    async def send(self) -> None:
+        """Until the socket closes."""
+        while not self._socket.closed:
+            await self._news.wait()
+            self._news.clear()
+            waiting, self._waiting = self._waiting, {}
+            self._drawn.clear()
+            self._unacknowledged = len(waiting)
+            for message in waiting.values():
+                if isinstance(message, str):
+                    await self._socket.send_str(message)
+                else:
+                    await self._socket.send_bytes(message)
+            if waiting:
+                await self._drawn.wait()
+
+
+class MonitorServer:
+    """Feeds every viewer from what the listener hears."""
+
+    def __init__(self, team: Team, listener: Listener, door: Door) -> None:
+        self._team = team
+        self._listener = listener
+        self._door = door
+        self._viewers: set[Viewer] = set()
+        self._subscribed: set[int] = set()
+        self._wishes = asyncio.Event()
+
+    def application(self) -> web.Application:
+        application = web.Application(client_max_size=4096)
+        application.router.add_get("/", self._serve_page)
+        application.router.add_get("/ws", self._serve_viewer)
+        application.on_shutdown.append(self._close_viewers)
+        return application
+
+    # --- feeding ------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Until cancelled, or until the listener is closed."""
+        async with asyncio.TaskGroup() as tasks:
+            others = [
+                tasks.create_task(self._tell_state(), name="state"),
+                tasks.create_task(self._follow_wishes(), name="wishes"),
+            ]
+            await self._hear()
+            for task in others:
+                task.cancel()
+
+    async def _hear(self) -> None:
+        async for sample in self._listener.samples():
+            view = self._team.on_sample(sample)
+            if view is not None:
+                address = keys.parse(sample.key)
+                assert address is not None
+                self._show(address.drone_id, view)
+
+    def _show(self, drone_id: int, view: codec.VideoMessage) -> None:
+        watching = [viewer for viewer in self._viewers if drone_id in viewer.watched]
+        if not watching:
+            return  # a last one, after the last viewer went
+        header = {
+            "drone": drone_id,
+            "width": view.width,
+            "height": view.height,
+            "boxes": boxes(view, self._team.tracks_at(drone_id, view.t_utc_s)),
+        }
+        text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
+        message = struct.pack("<I", len(text)) + text + view.jpeg
+        for viewer in watching:
+            viewer.give(drone_id, message)
+
+    async def _tell_state(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            state = self._team.state()  # unwatched, too: events have their times, and the gone their age
+            if self._viewers:
+                text = json.dumps(state, allow_nan=False, separators=(",", ":"))
+                for viewer in self._viewers:
+                    viewer.give("state", text)
+            due = max(due + 1.0 / STATE_HZ, loop.time())
+            await asyncio.sleep(due - loop.time())
+
+    async def _follow_wishes(self) -> None:
+        """Subscribe to the video that somebody watches, and to no other."""
+        while True:
+            await self._wishes.wait()
+            self._wishes.clear()
+            wanted = {drone_id for viewer in self._viewers for drone_id in viewer.watched}
+            try:
+                for drone_id in wanted - self._subscribed:
+                    await self._listener.listen_to(keys.key(self._team.name, Kind.VIDEO, drone_id))
+                    self._subscribed.add(drone_id)
+                for drone_id in self._subscribed - wanted:
+                    self._subscribed.discard(drone_id)
+                    await self._listener.leave(keys.key(self._team.name, Kind.VIDEO, drone_id))
+            except TransportError as error:
+                log.warning("video: %s", error)
+
+    # --- serving ------------------------------------------------------------------------
+
+    async def _serve_page(self, request: web.Request) -> web.Response:
+        reason = self._door.refuse(request)
+        if reason is not None:
+            return web.Response(status=403, text=f"403: {reason}\n")
+        return web.Response(
+            text=self._door.page, content_type="text/html", headers=self._door.headers(request)
+        )
+
+    async def _serve_viewer(self, request: web.Request) -> web.StreamResponse:
+        reason = self._door.refuse(request)
+        if reason is not None:
+            return web.Response(status=403, text=f"403: {reason}\n")
+        if len(self._viewers) >= MAX_VIEWERS:
+            return web.Response(status=503, text=f"503: {MAX_VIEWERS} pages look already\n")
+        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_WORD, compress=False)
+        await socket.prepare(request)
+        viewer = Viewer(socket)
+        self._viewers.add(viewer)
+        sending = asyncio.create_task(viewer.send(), name="viewer")
+        try:
+            async for word in socket:
+                if word.type is not WSMsgType.TEXT or not self._on_word(viewer, word.data):
+                    break
+        finally:
+            sending.cancel()
+            with contextlib.suppress(asyncio.CancelledError, ConnectionError):
+                await sending
+            self._viewers.discard(viewer)
+            self._wishes.set()
+        return socket
+
+    def _on_word(self, viewer: Viewer, word: str) -> bool:
+        """Whether it was one that our page says."""
+        if word == "+":
+            viewer.on_drawn()
+            return True
+        try:
+            wish: Any = json.loads(word)
+            ids = wish["watch"]
+            wished = frozenset(drone_id for drone_id in ids if type(drone_id) is int and 0 < drone_id < 65536)
+        except (ValueError, TypeError, KeyError, RecursionError):
+            return False
+        # Only of those that are there: nobody makes us subscribe to a thousand drones that are not.
+        viewer.watched = frozenset(sorted(wished.intersection(self._team.drones))[:MAX_WATCHED])
+        self._wishes.set()
+        return True
+
+    async def _close_viewers(self, application: web.Application) -> None:
+        await asyncio.gather(*(viewer.close() for viewer in list(self._viewers)))

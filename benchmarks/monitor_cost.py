@@ -1,0 +1,202 @@
+"""What the monitor costs those who are watched, and whether its page keeps up with thirty drones.
+
+    swarmtrack bench monitor
+
+Of the drones: the scripted agent of `bench agent` at 20 Hz of frames, its CPU unwatched and watched in turns, so that
+what else the machine does meets both alike. Of the page: thirty scripted drones over real Zenoh, a headless Chromium,
+and how many states and pictures it drew, and how often requestAnimationFrame came round.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import secrets
+import shutil
+import sys
+import time
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarmtrack import codec
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.agent_budget import (
+    CAMERA,
+    agent_process,
+    autopilot,
+    cpu_seconds,
+    free_udp_port,
+    listening,
+    until_tracking,
+)
+from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.scripted_team import scripted_team
+from swarmtrack.runtime.live_video import with_picture
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_listener import ZenohListener
+
+NAME = "monitor"
+FPS = 20.0
+TURNS = 4  # of watched and unwatched
+DRONES = 30
+SETTLE_S = 3.0
+MEASURE_RAF = """seconds => new Promise(done => {
+  let n = 0; const began = performance.now(), states = stats.states, pictures = stats.pictures;
+  const tick = () => { n++; const s = (performance.now() - began) / 1e3;
+    s < seconds ? requestAnimationFrame(tick)
+      : done([n / s, (stats.states - states) / s, (stats.pictures - pictures) / s]); };
+  requestAnimationFrame(tick);
+})"""
+
+
+class Watched(NamedTuple):
+    """CPU in % of a core, of each turn; pictures: a second, and their mean size."""
+
+    unwatched: list[float]
+    watched: list[float]
+    pictures_hz: float
+    kilobytes: float
+
+
+async def measure_agent(seconds: float) -> Watched:
+    """Of an agent that nobody, then somebody looks at; `seconds` a turn."""
+    port, team = free_udp_port(), f"bench-{secrets.token_hex(4)}"
+    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    entries = {
+        "drone.id": 1,
+        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
+        "autopilot.link": f"udpin:127.0.0.1:{port}",
+        "network.team": team,
+        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
+    }
+    module = ["swarmtrack.benchmarks.scripted_agent", "--fps", str(FPS)]
+    sizes: list[int] = []
+    shares: dict[bool, list[float]] = {False: [], True: []}
+    with agent_process(module, entries) as process:
+        async with listening(team) as heard, autopilot(port):
+            await until_tracking(process, heard)
+            viewer = ZenohListener(
+                NetworkSettings(team=team), keys.key(team, Kind.POSE, "*"), newest_per_key=True
+            )
+            await viewer.open()
+
+            async def look() -> None:
+                async for sample in viewer.samples():
+                    if f"/{Kind.VIDEO}/" in sample.key:
+                        sizes.append(len(sample.payload))  # noqa: PERF401 - it ends by being cancelled
+
+            looking = asyncio.create_task(look())
+            await asyncio.sleep(SETTLE_S)
+            for _ in range(TURNS):
+                for watched in (False, True):
+                    if watched:
+                        await viewer.listen_to(keys.key(team, Kind.VIDEO, 1))
+                    await asyncio.sleep(0.5)
+                    began, used = time.monotonic(), cpu_seconds(process.pid)
+                    await asyncio.sleep(seconds)
+                    share = (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
+                    shares[watched].append(100.0 * share)
+                await viewer.leave(keys.key(team, Kind.VIDEO, 1))
+            looking.cancel()
+            await viewer.close()
+    if not sizes:
+        raise BenchmarkError("monitor: no picture was heard of a watched agent")
+    rate = len(sizes) / (TURNS * (seconds + 0.5))
+    return Watched(shares[False], shares[True], rate, float(np.mean(sizes)) / 1e3)
+
+
+def picture_ms(image: np.ndarray[Any, np.dtype[np.uint8]], times: int = 100) -> tuple[float, float]:
+    """CPU time of one picture [ms] in the thread that encodes, and its size [kB]."""
+    view = codec.VideoMessage(
+        1, 1.7e9, 0.05, 1, CAMERA.width, CAMERA.height, b"", codec.lens_message(CAMERA), None, None
+    )
+    sent = with_picture(view, image)
+    assert sent is not None
+    began = time.thread_time()
+    for _ in range(times):
+        with_picture(view, image)
+    return 1e3 * (time.thread_time() - began) / times, len(sent.jpeg) / 1e3
+
+
+@asynccontextmanager
+async def _page(url: str) -> Any:
+    from playwright.async_api import async_playwright  # noqa: PLC0415 - for developers only
+
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        raise BenchmarkError("monitor: no chromium is installed here")
+    async with async_playwright() as playwright:
+        browser = await playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = await browser.new_page(viewport={"width": 1280, "height": 800})
+        await page.goto(url)
+        try:
+            yield page
+        finally:
+            await browser.close()
+
+
+async def measure_page(seconds: float) -> tuple[float, float, float, float]:
+    """Thirty drones: animation frames, states and pictures a second, and the monitor's CPU in % of a core."""
+    team = f"bench-{secrets.token_hex(4)}"
+    async with scripted_team(team, DRONES):
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "swarmtrack.agents.main", "monitor", "--team", team, "--port", "0"),
+            stdout=asyncio.subprocess.PIPE,
+        )
+        try:
+            assert process.stdout is not None
+            found = re.search(r"http\S+", (await process.stdout.readline()).decode())
+            assert found is not None, "the monitor prints its address"
+            async with _page(found[0]) as page:
+                await page.wait_for_function(
+                    "n => document.querySelectorAll('#matrix .seen').length > n", arg=DRONES
+                )
+                # Down to the matrix: there the pictures are out of sight, and nobody sends any.
+                await page.evaluate("document.querySelector('#low').scrollIntoView()")
+                await asyncio.sleep(2.0)
+                used, began = cpu_seconds(process.pid), time.monotonic()
+                frames, states, pictures = await page.evaluate(MEASURE_RAF, seconds)
+                share = (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
+                return frames, states, pictures, 100.0 * share
+        finally:
+            process.terminate()
+            await process.wait()
+
+
+def run(out: Path, *, quick: bool) -> None:
+    seconds = 2.0 if quick else 5.0
+    noise = np.random.default_rng(0).integers(90, 160, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    scenario = load_scenario("hover-triangle", seed=1)
+    scene = Renderer(scenario.world, scenario.camera, scenario.body_from_camera).image(1, 1.0, 1)
+    watched = asyncio.run(measure_agent(seconds))
+    frames, states, pictures, share = asyncio.run(measure_page(2.0 * seconds))
+    (noise_ms, noise_kb), (scene_ms, scene_kb) = picture_ms(noise), picture_ms(scene)
+    lines = [
+        ("agent unwatched, CPU, median of turns", float(np.median(watched.unwatched)), "% of a core"),
+        ("agent watched, CPU, median of turns", float(np.median(watched.watched)), "% of a core"),
+        ("pictures of a watched agent", watched.pictures_hz, "Hz"),
+        ("their size (of noise, the worst there is)", watched.kilobytes, "kB"),
+        ("one picture of noise, CPU in its thread", noise_ms, "ms"),
+        ("one picture of a scene, CPU in its thread", scene_ms, "ms"),
+        ("its size", scene_kb, "kB"),
+        (f"page with {DRONES} drones: animation frames", frames, "Hz"),
+        (f"page with {DRONES} drones: states drawn, of 5 told", states, "Hz"),
+        ("pictures meanwhile, none of them in sight", pictures, "Hz"),
+        (f"monitor of {DRONES} drones, CPU", share, "% of a core"),
+    ]
+    rows = [[what, f"{value:.3g} {unit}"] for what, value, unit in lines]
+    text = f"# Monitor\n\n{report.table(['what', 'found'], rows)}\n\nLoad while measured: {os.getloadavg()[0]:.1f}."
+    result = {
+        "lines": [{"what": what, "value": value, "unit": unit} for what, value, unit in lines],
+        "turns": watched._asdict(),
+        "noise_kb": noise_kb,
+    }
+    report.write(out, NAME, result, text)

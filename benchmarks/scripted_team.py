@@ -1,0 +1,237 @@
+"""Drones that say what they are told to, over real Zenoh on loopback: no camera, no tracker, no agent process.
+
+All speak through one session, as thirty of their own would cost more than what is to be tested.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import cv2
+import numpy as np
+import zenoh
+
+from swarmtrack import codec
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.messages import (
+    Announcement,
+    IdentifiedTrack,
+    Sighting,
+    SightingReport,
+    Track,
+    TrackList,
+    TrackStatus,
+)
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_session import close_session, open_session
+
+CLOCK = SystemClock()
+FOCAL = 180.0  # px: 83 degrees, so that three on a circle see each other
+CAMERA = PinholeCamera(FOCAL, FOCAL, 160.0, 128.0, 320, 256)
+DOWN = np.array([0.0, 0.0, 1.0])
+
+
+class ScriptedDrone:
+    """One on a circle, looking at its middle. calls: by what name it calls whom; imu_hz: what it gets."""
+
+    def __init__(
+        self, session: zenoh.Session, team: str, drone_id: int, *, angle: float, radius: float
+    ) -> None:
+        self.drone_id = drone_id
+        self.calls: dict[int, int] = {}
+        self.imu_hz = 200.0
+        self.pictures = 0
+        self._angle = angle
+        self._radius = radius
+        self._boot = keys.new_boot()
+        self._session = session
+        self._name = team
+        self._token: zenoh.LivelinessToken | None = None
+        self._publishers = {
+            kind: session.declare_publisher(keys.key(team, kind, drone_id))
+            for kind in (Kind.POSE, Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
+        }
+        self._sequence = 0
+        self.team: list[ScriptedDrone] = []
+        rng = np.random.default_rng(drone_id)
+        row = np.linspace(0.0, 1.0, CAMERA.height)[:, None, None]
+        sky, ground = (
+            np.array([225.0, 195.0, 165.0]) - 50.0 * row,
+            np.array([85.0, 125.0, 105.0]) - 20.0 * row,
+        )
+        scene = np.where(row < 0.6, sky, ground) + rng.normal(0.0, 3.0, (CAMERA.height, CAMERA.width, 3))
+        self._scene = np.clip(scene, 0, 255).astype(np.uint8)
+
+    def position(self, t: float) -> np.ndarray:
+        turn = self._angle + 0.05 * t
+        return np.array([self._radius * math.cos(turn), self._radius * math.sin(turn), -2.0])
+
+    def camera(self, t: float) -> np.ndarray:
+        """world_from_camera (3, 3)."""
+        forward = np.array([0.0, 0.0, -2.0]) - self.position(t)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(DOWN, forward)
+        return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+    def start(self) -> None:
+        token = keys.key(self._name, Kind.ALIVE, self.drone_id, self._boot)
+        self._token = self._session.liveliness().declare_token(token)
+        self._speaking = asyncio.create_task(self._speak(), name=f"scripted {self.drone_id}")
+
+    def fall_silent(self) -> None:
+        """As one whose radio died: its token stays until the lease ends."""
+        self._speaking.cancel()
+
+    def die(self) -> None:
+        """As after kill -9: the token goes at once."""
+        self.fall_silent()
+        if self._token is not None:
+            self._token.undeclare()  # type: ignore[no-untyped-call]
+
+    @property
+    def is_watched(self) -> bool:
+        status: Any = self._publishers[Kind.VIDEO].matching_status  # Zenoh's stubs call it a bool
+        return bool(status.matching)
+
+    def _say(self, kind: Kind, payload: bytes) -> None:
+        self._publishers[kind].put(payload)
+
+    async def _speak(self) -> None:
+        tick = 0
+        while True:
+            now = CLOCK.now()
+            seen = self._in_view(now)
+            self._sequence += 1
+            offset = CLOCK.utc() - now
+            if tick % 5 == self.drone_id % 5:
+                self._say_sightings(now, offset, seen)
+            if tick % 10 == 0:
+                self._announce(now, offset)
+                self._say(Kind.HEALTH, codec.encode_health(self._health()))
+            self._say_tracks(now, offset, seen)
+            if self.is_watched:
+                self._say_video(now, offset, seen)
+            tick += 1
+            await asyncio.sleep(0.1)
+
+    def _announce(self, now: float, offset: float) -> None:
+        pose = Announcement(
+            self.drone_id, self._boot, 1, now, 0.05, self.position(now), np.eye(3), 0.01 * np.eye(3)
+        )
+        self._say(Kind.POSE, codec.encode_announcement(pose, offset, now))
+
+    def _in_view(self, now: float) -> dict[int, np.ndarray]:
+        """Vectors in the camera's frame, by true ID."""
+        found = {}
+        for other in self.team:
+            if other is self:
+                continue
+            there = self.camera(now).T @ (other.position(now) - self.position(now))
+            if there[2] > 0.5 and abs(there[0]) < 0.85 * there[2]:
+                found[other.drone_id] = there
+        return found
+
+    def _say_sightings(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
+        sightings = [
+            Sighting(self.calls.get(who, who), 0.99, self.camera(now) @ (v / np.linalg.norm(v)), 0.01)
+            for who, v in seen.items()
+        ]
+        named = {s.drone_id: s for s in sightings}  # of each name one
+        report = SightingReport(
+            self.drone_id,
+            self._boot,
+            self._sequence,
+            now,
+            0.0,
+            self.position(now),
+            0.1,
+            (),
+            tuple(named.values()),
+        )
+        self._say(Kind.IDENTITIES, codec.encode_sightings(report, offset, now))
+
+    def _say_tracks(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
+        tracks = []
+        for who, v in seen.items():
+            u, w = FOCAL * v[0] / v[2] + 160.0, FOCAL * v[1] / v[2] + 128.0
+            size = np.array([FOCAL, 0.4 * FOCAL]) * 0.9 / v[2]
+            track = Track(
+                who,
+                now,
+                np.array([u, 12.0, w, 3.0]),
+                np.diag([4.0, 9.0, 2.0, 9.0]),
+                TrackStatus.CONFIRMED,
+                1.0,
+                size,
+            )
+            tracks.append(IdentifiedTrack(track, self.calls.get(who, who), 0.99))
+        message = codec.tracks_message(
+            TrackList(now, now - 0.02, tuple(tracks)), self._sequence, offset, 0.05
+        )
+        self._say(Kind.TRACKS, codec.encode_tracks(message))
+
+    def _say_video(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
+        picture = self._scene.copy()
+        for v in seen.values():
+            centre = (round(FOCAL * v[0] / v[2] + 160.0), round(FOCAL * v[1] / v[2] + 128.0))
+            cv2.ellipse(
+                picture,
+                centre,
+                (round(0.4 * FOCAL / v[2]), round(0.13 * FOCAL / v[2])),
+                0,
+                0,
+                360,
+                (40, 40, 44),
+                -1,
+            )
+        jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
+        camera = self.camera(now)
+        view = codec.VideoMessage(
+            1, now + offset, 0.05, self._sequence, CAMERA.width, CAMERA.height, jpeg, codec.lens_message(CAMERA),
+            tuple(self.position(now).tolist()), tuple(to_quaternion(camera).tolist()),
+        )  # fmt: skip
+        self._say(Kind.VIDEO, codec.encode_video(view))
+        self.pictures += 1
+
+    def _health(self) -> codec.HealthMessage:
+        rng = np.random.default_rng(self._sequence)
+        return codec.HealthMessage(
+            1, CLOCK.utc(), self._boot, 60.0, 12.0 + rng.normal(), 90.0,
+            {
+                "imu": codec.RateHealth(200.0, self.imu_hz), "detections": codec.RateHealth(None, 15.0 + rng.normal()),
+                "tracks": codec.RateHealth(50.0, 49.8),
+            },
+            {
+                "detector": codec.LatencyHealth(0.012, 0.019, 0.03),
+                "exposure_to_detector": codec.LatencyHealth(0.01, 0.02, 0.03),
+            },
+            0.0123, 0.0004, (codec.LinkHealth("autopilot", True, "ArduPilot, 200 Hz", {}),), {"stale_frames": 2},
+            ("drone 1 announced itself",),
+        )  # fmt: skip
+
+
+@asynccontextmanager
+async def scripted_team(team: str, n: int) -> AsyncIterator[list[ScriptedDrone]]:
+    """n of them, 1 … n, on one circle."""
+    session = await open_session(NetworkSettings(team=team))
+    drones = [
+        ScriptedDrone(session, team, i + 1, angle=2.0 * math.pi * i / n, radius=4.0 + 0.6 * n)
+        for i in range(n)
+    ]
+    try:
+        for drone in drones:
+            drone.team = drones
+            drone.start()
+        yield drones
+    finally:
+        for drone in drones:
+            drone.fall_silent()
+        await close_session(session, [])

@@ -1,0 +1,112 @@
+"""What the camera sees now, for people: `video/<id>`, said only while somebody listens.
+
+The newest frame only, at most `MAX_HZ`, made smaller and encoded in a thread of its own. While that is busy, frames
+pass by. Unwatched it costs one question a frame.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from swarmtrack import codec
+from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.messages import Image
+from swarmtrack.runtime.assembly import Parts
+from swarmtrack.runtime.clock import UTC_SIGMA, SystemClock
+from swarmtrack.runtime.health import Health
+from swarmtrack.transport.base import Kind
+
+MAX_HZ = 10.0
+JITTER_S = (
+    0.01  # that a frame may come early and is still on time: or 10 frames a second would give 5 pictures
+)
+PICTURE_WIDTH = 480  # px, at most: a quarter of a laptop's screen
+# Tried in turn until the picture fits into a message: JPEG quality, and the share of the width.
+ATTEMPTS = ((70, 1.0), (45, 1.0), (45, 0.5), (25, 0.25))
+
+
+class LiveVideo:
+    """Offered every frame; only the event loop may call."""
+
+    def __init__(self, parts: Parts, health: Health) -> None:
+        self._parts = parts
+        self._health = health
+        self._wall = SystemClock()
+        self._lens = codec.lens_message(parts.lens)
+        self._last = -math.inf
+        self._worker: ThreadPoolExecutor | None = None
+        self._encoding: asyncio.Future[codec.VideoMessage | None] | None = None
+
+    def offer(self, t: float, frame: int, image: Image | None) -> None:
+        """A frame with its stamp; image None: of a camera that sends no pictures. Returns at once."""
+        parts = self._parts
+        if self._encoding is not None or not parts.transport.has_listener(Kind.VIDEO):
+            return
+        now = self._wall.now()
+        if now - self._last < 1.0 / MAX_HZ - JITTER_S:
+            return
+        self._last = now
+        exposed = t + parts.onboard.clock.used_s
+        pose = parts.onboard.camera_pose(exposed)
+        view = codec.VideoMessage(
+            version=codec.VERSION,
+            t_utc_s=float(exposed + parts.clock.utc() - parts.clock.now()),
+            t_sigma_s=UTC_SIGMA,
+            frame=frame,
+            width=parts.lens.width,
+            height=parts.lens.height,
+            jpeg=b"",
+            lens=self._lens,
+            position_m=tuple(pose.position.tolist()) if pose else None,
+            quaternion_wxyz=tuple(to_quaternion(pose.rotation).tolist()) if pose else None,
+        )
+        if image is None:
+            self._publish(view)
+            return
+        self._worker = self._worker or ThreadPoolExecutor(1, thread_name_prefix="live video")
+        loop = asyncio.get_running_loop()
+        self._encoding = loop.run_in_executor(self._worker, with_picture, view, image)
+        self._encoding.add_done_callback(self._on_encoded)
+
+    def close(self) -> None:
+        if self._worker is not None:
+            self._worker.shutdown(wait=False, cancel_futures=True)
+
+    def _on_encoded(self, done: asyncio.Future[codec.VideoMessage | None]) -> None:
+        self._encoding = None
+        if done.cancelled():
+            return
+        view = done.result()
+        if view is None:
+            self._health.drops["unsendable_video"] += 1
+        else:
+            self._publish(view)
+
+    def _publish(self, view: codec.VideoMessage) -> None:
+        try:
+            self._parts.transport.publish(Kind.VIDEO, codec.encode_video(view))
+        except ValueError:  # what no reader would accept is not sent, and must not end the flight
+            self._health.drops["unsendable_video"] += 1
+
+
+def with_picture(view: codec.VideoMessage, image: Image) -> codec.VideoMessage | None:
+    """The view with its image, small enough for one message; None where it cannot be. In a thread of its own."""
+    import cv2  # noqa: PLC0415 - not above: an agent without pictures does not pay for it
+
+    height, width = image.shape[:2]
+    for quality, share in ATTEMPTS:
+        w = max(1, round(min(width, PICTURE_WIDTH) * share))
+        h = max(1, round(w * height / width))
+        # Area averaging costs three times as much, and nearest neighbour loses small drones.
+        small = image if w == width else cv2.resize(image, (w, h), interpolation=cv2.INTER_LINEAR)
+        good, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(small), [cv2.IMWRITE_JPEG_QUALITY, quality])
+        if good and jpeg.size <= codec.MAX_JPEG:
+            return codec.VideoMessage(
+                view.version, view.t_utc_s, view.t_sigma_s, view.frame, w, h, jpeg.tobytes(),
+                view.lens, view.position_m, view.quaternion_wxyz,
+            )  # fmt: skip
+    return None
