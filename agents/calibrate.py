@@ -75,7 +75,7 @@ async def _extrinsics(args: argparse.Namespace) -> int:
     from swarmtrack.config import mount_camera
     from swarmtrack.diagnosis.watching import Watch
     from swarmtrack.motion.hand_eye import compare, solve
-    from swarmtrack.runtime.assembly import simulated_mount, make_simulation
+    from swarmtrack.runtime.assembly import make_simulation, simulated_mount
     from swarmtrack.runtime.clock import SystemClock
 
     config = _config(args)

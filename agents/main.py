@@ -24,6 +24,7 @@ COMMANDS = {
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "train": ("swarmtrack.agents.train", "train a detector"),
+    "label": ("swarmtrack.agents.label", "make training labels of a recorded flight"),
     "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
     "record": ("swarmtrack.agents.record", "record what a running swarm says"),
     "replay": ("swarmtrack.agents.replay", "fly a recording again, as fast as it goes"),

@@ -16,7 +16,7 @@ from swarmtrack.diagnosis.surroundings import DetectorFacts
 from swarmtrack.diagnosis.watching import Watch
 from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.runtime.assembly import make_detector, simulated_mount, make_simulation
+from swarmtrack.runtime.assembly import make_detector, make_simulation, simulated_mount
 from swarmtrack.runtime.clock import Clock
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.messages import EgoPose, Frame, ImuSample, StampKind
 from swarmtrack.motion.hand_eye import GyroTurns, compare, solve
-from swarmtrack.runtime.assembly import make_autopilot, camera_of
+from swarmtrack.runtime.assembly import camera_of, make_autopilot
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.base import Autopilot, AutopilotListener, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address

@@ -179,14 +179,19 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
             angular_acceleration_psd=motion.angular_acceleration_psd_rad2_s3,
             bias=(x, y, z),
         ),
-        ego=EgoHistory(
-            start=start,
-            origin=np.array(config.drone.start.offset_m),
-            absolute=config.drone.start.source == "gps",
-            history_s=motion.history_s,
-        ),
+        ego=make_ego_history(config, start, history_s=motion.history_s),
         identity=IdentityParameters(**config.identity.parameters),
         estimate_gyro_bias=motion.estimate_gyro_bias,
+    )
+
+
+def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: float) -> EgoHistory:
+    """Where the drone itself is in the team frame, over so many seconds."""
+    return EgoHistory(
+        start=start,
+        origin=np.array(config.drone.start.offset_m),
+        absolute=config.drone.start.source == "gps",
+        history_s=history_s,
     )
 
 

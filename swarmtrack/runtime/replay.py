@@ -203,10 +203,10 @@ class Replayer:
         import numpy as np  # noqa: PLC0415
 
         exact, self._exact_times = self._exact_times, None
-        start, end = data.find(b"\xff\xd8"), data.rfind(b"\xff\xd9")
-        if exact is None or start < 0 or end < 0:
+        jpeg = jpeg_of(data)
+        if exact is None or jpeg is None:
             return
-        image = cv2.imdecode(np.frombuffer(data[start : end + 2], np.uint8), cv2.IMREAD_COLOR)
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
             return
         pixels = np.asarray(image, np.uint8)
@@ -214,3 +214,9 @@ class Replayer:
         self._frames[frame.sequence] = frame
         while len(self._frames) > FRAMES_KEPT:
             del self._frames[min(self._frames)]
+
+
+def jpeg_of(data: bytes) -> bytes | None:
+    """The picture in a recorded CompressedImage, from its first marker to its last; None where there is none."""
+    start, end = data.find(b"\xff\xd8"), data.rfind(b"\xff\xd9")
+    return data[start : end + 2] if 0 <= start < end else None

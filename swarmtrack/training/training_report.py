@@ -89,8 +89,8 @@ def worst_errors(looks: Sequence[Looked]) -> list[Error]:
         fits = np.zeros((len(boxes), len(seen.drones)), bool)
         for row, box in zip(fits, boxes, strict=True):
             row[:] = by_centre(box, seen.drones) > 0
-        for box, score, hit in zip(boxes, seen.found.score, fits.any(axis=1), strict=True):
-            if not hit and score >= threshold:
+        for box, score, fit in zip(boxes, seen.found.score, fits, strict=True):
+            if not fit.any() and score >= threshold:
                 alarms.append(Error(float(score), number, box, f"{score:.2f}", FALSE))
         sure = fits & (seen.found.score >= threshold)[:, None]
         for box, hits, sure_hits in zip(seen.drones, fits.T, sure.T, strict=True):
