@@ -63,7 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plot", type=Path, metavar="FILE", help="draw the differences, .png or .svg (needs matplotlib)"
     )
     parser.add_argument(
-        "--exact", action="store_true", help="exit with 1 unless every track came out bit for bit"
+        "--exact",
+        action="store_true",
+        help="compare every published list of tracks, not every tenth, and exit with 1 unless all are the same bit "
+        "for bit",
     )
     parser.add_argument("--jobs", type=_jobs, metavar="N", help="recordings at a time (default: one a core)")
 
@@ -83,6 +86,7 @@ class _Task:
     changes: tuple[str, ...]
     detect: bool
     keep_answers: bool
+    every_answer: bool
 
 
 @dataclass(slots=True)
@@ -118,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
         )
     other = None if args.against in (None, RECORDED) else _read_other(Path(args.against))
     tasks = [
-        _Task(recording, args.tracker, tuple(args.changes), args.detect, flight is not None)
+        _Task(recording, args.tracker, tuple(args.changes), args.detect, flight is not None, args.exact)
         for recording in drones
     ]
     flown = _replay_all(tasks, args.jobs)
@@ -164,7 +168,9 @@ def _replay(task: _Task) -> _Flown:
     began = clock.now()
     watcher = answers.append if task.keep_answers else None
     try:
-        replayed = Replayer(task.recording, settings, detector=detector, watcher=watcher).run()
+        replayed = Replayer(
+            task.recording, settings, detector=detector, watcher=watcher, every_answer=task.every_answer
+        ).run()
     finally:
         gc.enable()
     scans, recorded = (
@@ -212,9 +218,7 @@ def _print(one: _Flown, what_if: bool) -> None:
 def _sameness(replayed: Replayed) -> str:
     scans, answers = replayed.scans_compared, replayed.answers_compared
     if replayed.exact:
-        return (
-            f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks"
-        )
+        return f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks compared"
     parted = min((s.parted_s for s in (scans, answers) if s.parted_s is not None), default=math.nan)
     return (
         f"not as recorded from {parted:.3f} s on: {scans.same} of {scans.recorded} scans, "

@@ -245,6 +245,11 @@ class Onboard:
         return Pose(ego.world_from_body, ego.position) @ self._mounting.body_from_camera
 
     @property
+    def has_waiting(self) -> bool:
+        """Whether a scan waits for the gyro; only then does asking for tracks change anything."""
+        return bool(self._waiting)
+
+    @property
     def gyro_bias(self) -> BiasEstimate | None:
         """What the gyro says at rest, body axes; None while nothing says so."""
         found = self._bias.found

@@ -73,7 +73,11 @@ def test_a_recorded_flight_comes_out_bit_for_bit(flown):
         recording = recordings_below(folder / f"drone-{flight.drone_id}")[0]
         answers = []
         result = Replayer(recording, read_settings(recording)[0], watcher=answers.append).run()
+        sampled = replayed(recording.folder)
         assert result.exact
+        assert sampled.exact
+        assert sampled.digest == result.digest
+        assert 0 < sampled.answers_compared.recorded < result.answers_compared.recorded
         assert (result.scans_compared.recorded, result.answers_compared.recorded) == (
             len(flight.scans),
             len(flight.answers),
