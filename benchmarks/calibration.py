@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -143,8 +143,9 @@ def run(out: Path, *, seeds: int = SEEDS, seconds: float = SECONDS) -> None:
             (kind, model): [pool.submit(board_shown, seed, kind, model) for seed in range(each)]
             for kind, model in boards
         }
-        for _ in as_completed([*by_hand, *chain.from_iterable(by_board.values())]):
-            advance()
+        everything: list[Future[Any]] = [*by_hand, *chain.from_iterable(by_board.values())]
+        for _ in as_completed(everything):
+            advance("")
     minutes = [done.result() for done in by_hand]
     extrinsics = _extrinsics(minutes)
     intrinsics = [
