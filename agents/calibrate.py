@@ -10,6 +10,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
@@ -63,6 +64,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extrinsics.add_argument("--json", action="store_true", help="the numbers instead of words")
 
 
+class RecordedTime:
+    """The clock of recordings that are read as fast as they go: both begin at its 0, and it stands."""
+
+    def now(self) -> float:
+        return 0.0
+
+    def utc(self) -> float:
+        return 0.0
+
+
 def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr)
     if args.step == "extrinsics":
@@ -79,10 +90,10 @@ async def _extrinsics(args: argparse.Namespace) -> int:
     from swarmtrack.runtime.clock import SystemClock
 
     config = _config(args)
-    clock = SystemClock()
+    recorded = args.video is not None
+    clock = RecordedTime() if recorded else SystemClock()
     simulation = make_simulation(config, clock)
     mounted = simulated_mount(config, simulation) if simulation else mount_camera(config.camera)
-    recorded = args.video is not None
     seconds = args.seconds or (1e6 if recorded else SECONDS)
     reach = args.reach or (RECORDED_REACH if recorded else LIVE_REACH)
     watch = Watch(config, mounted, clock, simulation)
@@ -121,8 +132,11 @@ def _config(args: argparse.Namespace) -> DroneConfig:
         raise SourceError("expected either --config FILE, or all of --video, --tlog and --calibration")
     table: dict[str, Any] = {
         "drone": {"id": 1},
-        "camera": {"source": f"file://{args.video.absolute()}", "calibration": str(args.calibration)},
-        "autopilot": {"link": f"tlog:{args.tlog.absolute()}"},
+        "camera": {
+            "source": f"file://{quote(str(args.video.absolute()))}?pace=fast",
+            "calibration": str(args.calibration),
+        },
+        "autopilot": {"link": f"tlog:{args.tlog.absolute()}?speed=0"},
         "network": {"transport": "memory"},
     }
     return DroneConfig.model_validate(table)

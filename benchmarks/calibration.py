@@ -15,6 +15,8 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +38,7 @@ from swarmtrack.simulation.hand_turned import HandTurned, Room
 
 NAME = "calibration"
 SEEDS = 20
-SECONDS, FPS, IMU_HZ = 20.0, 15.0, 200.0  # a third of the minute that the command takes
+SECONDS, FPS, IMU_HZ = 16.0, 15.0, 200.0  # a quarter of the minute that the command takes
 EYE = PinholeCamera(215.0, 216.0, 161.0, 118.0, 320, 240, RadTan((-0.25, 0.06, 0.001, -0.0005)))
 GYRO_NOISE, GYRO_BIAS = 0.005, 0.01  # rad/s, a sample's; an axis'
 OFFSET = 0.1  # s
@@ -130,23 +132,26 @@ def ray_error_px(found: PinholeCamera, truth: PinholeCamera) -> float:
 
 def run(out: Path, *, seeds: int = SEEDS, seconds: float = SECONDS) -> None:
     """calibration.json, .md and a plot in `out`."""
-    cv2.setNumThreads(1)  # its pool costs more than it gains on images of this size
-    minutes: list[Minute] = []
-    shown: dict[tuple[Kind, Model], list[Shown]] = {}
     boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
-    with report.progress("calibration", seeds + 4 * max(seeds // 6, 2)) as advance:
-        for seed in range(seeds):
-            minutes.append(hand_turned(seed, seconds=seconds))
-            advance("by hand")
-        for kind, model in boards:
-            shown[kind, model] = []
-            for seed in range(max(seeds // 6, 2)):
-                shown[kind, model].append(board_shown(seed, kind, model))
-                advance(kind)
-    extrinsics, intrinsics = (
-        _extrinsics(minutes),
-        [_intrinsics(kind, model, each) for (kind, model), each in shown.items()],
-    )
+    each = max(seeds // 6, 2)
+    with (
+        report.progress("calibration", seeds + each * len(boards)) as advance,
+        ProcessPoolExecutor(initializer=cv2.setNumThreads, initargs=(1,)) as pool,
+    ):
+        by_hand = [pool.submit(hand_turned, seed, seconds=seconds) for seed in range(seeds)]
+        by_board = {
+            (kind, model): [pool.submit(board_shown, seed, kind, model) for seed in range(each)]
+            for kind, model in boards
+        }
+        everything: list[Future[Any]] = [*by_hand, *chain.from_iterable(by_board.values())]
+        for _ in as_completed(everything):
+            advance("")
+    minutes = [done.result() for done in by_hand]
+    extrinsics = _extrinsics(minutes)
+    intrinsics = [
+        _intrinsics(kind, model, [done.result() for done in shown])
+        for (kind, model), shown in by_board.items()
+    ]
     report.write(
         out,
         NAME,
@@ -170,7 +175,7 @@ def _extrinsics(minutes: list[Minute]) -> dict[str, Any]:
         "offset_rms_s": float(np.sqrt((offsets**2).mean())),
         "offset_worst_s": float(np.abs(offsets).max()),
         "offset_sigma_s": float(np.sqrt((sigma_s**2).mean())),
-        "within": sum((angles < WITHIN_DEG) & (np.abs(offsets) < WITHIN_S)),
+        "within": int(sum((angles < WITHIN_DEG) & (np.abs(offsets) < WITHIN_S))),
         "angles_deg": angles.tolist(),
         "offsets_s": offsets.tolist(),
     }

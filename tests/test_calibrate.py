@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import struct
 import time
 from contextlib import AsyncExitStack
 
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from fake_autopilot import serve_udp
+from pymavlink.dialects.v20 import common
 from test_doctor import SMALL, Server, TurnedAutopilot, camera_at, free_port, written
 
 from swarmtrack.agents.main import main
@@ -201,6 +203,39 @@ async def test_the_command_measures_a_live_drone_and_writes_its_config(tmp_path,
 
 async def _in_thread(argv):
     return await asyncio.to_thread(main, argv)
+
+
+def test_a_recorded_video_and_its_telemetry_do_as_well(tmp_path, capsys):
+    """The video begins 0.4 s after the telemetry."""
+    hand = HandTurned(np.random.default_rng(12), amplitude=(0.5, 0.5, 0.6), sway_m=0.0)
+    room = Room(np.random.default_rng(13), SMALL)
+    mount = rotation.from_euler(-0.1, 0.15, 0.3) @ FORWARD
+    writer = cv2.VideoWriter(str(tmp_path / "turned.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 20.0, (160, 120))
+    for k in range(20 * 17):
+        t = np.array([0.4 + k / 20])
+        image = room.image(hand.world_from_body(t)[0] @ mount, np.zeros(3))
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    autopilot = TurnedAutopilot(hand, (1.0, 1.0, 1.0), boot_at=-40.0)
+    autopilot.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 5000.0, 0.0)
+    with (tmp_path / "turned.tlog").open("wb") as log:
+        for ms in range(0, 19_000, 5):
+            for datagram in autopilot.step(1e-3 * ms):
+                log.write(struct.pack(">Q", 1_700_000_000_000_000 + 1000 * ms) + datagram)
+    (tmp_path / "cam.yaml").write_text(
+        "image_width: 160\nimage_height: 120\ncamera_matrix: {rows: 3, cols: 3, data: "
+        "[160, 0, 79.5, 0, 160, 59.5, 0, 0, 1]}\ndistortion_model: none\n"
+    )
+    files = [("--video", "turned.mp4"), ("--tlog", "turned.tlog"), ("--calibration", "cam.yaml")]
+    arguments = [word for option, name in files for word in (option, str(tmp_path / name))]
+    code = main(["calibrate", "extrinsics", *arguments, "--json"])
+    record = json.loads(capsys.readouterr().out)
+    assert record["rpy_deg"] == pytest.approx(np.degrees((-0.1, 0.15, 0.3)), abs=0.5), record
+    assert record["time_offset_s"] == pytest.approx(
+        0.4, abs=0.006
+    )  # the first record lies some milliseconds in
+    assert record["turns"] > 200  # the reach is left out at both ends
+    assert code == 0, record["doubts"]
 
 
 def test_without_camera_or_autopilot_it_says_what_is_missing(tmp_path, capsys):

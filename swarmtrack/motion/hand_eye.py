@@ -13,6 +13,7 @@ draw (Efron & Tibshirani (1993)): errors of neighbouring frames go together, and
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
 
 REACH = 0.3  # s to either side that are searched
-STEP = 0.005  # s of the search's grid: rotations by hand stay below 5 Hz
+COARSE_STEP, STEP = 0.02, 0.005  # s of the search's two grids: rotations by hand stay below 5 Hz
 SLOPE_STEP = 0.005  # s over which the slope by the offset is taken: less lets the gyro's noise in
 ITERATIONS = 12
 CAUCHY = 2.385  # of the weights: 95 % efficient for normal noise
@@ -189,26 +190,30 @@ def _search(
     turns: Turns, gyro: GyroTurns, reach: float, centre: float, *, mirrored: bool
 ) -> tuple[float, bool]:
     """The offset on the grid that leaves least, and whether that is its end. mirrored: reflections count as well."""
-    grid = centre + np.linspace(-reach, reach, 2 * round(reach / STEP) + 1)
     phi: Array = turns.vector - turns.vector.mean(axis=0)
     scale = np.sqrt((phi * phi).sum(axis=1))
-    phi = (
-        phi / np.maximum(1.0, scale / max(4.0 * float(np.median(scale)), 1e-6))[:, None]
-    )  # no wild one rules
-    costs = np.empty(len(grid))
-    for k, offset in enumerate(grid):
+    tame: Array = np.maximum(1.0, scale / max(4.0 * float(np.median(scale)), 1e-6))
+    phi = phi / tame[:, None]  # no wild one rules
+
+    def cost(offset: float) -> float:
         psi = gyro.between(turns.start + offset, turns.end + offset)
         psi -= psi.mean(axis=0)
         U, s, Vt = np.linalg.svd(phi.T @ psi)
         if not mirrored and np.linalg.det(U @ Vt) < 0.0:
             s = s * np.array([1.0, 1.0, -1.0])
-        costs[k] = float((psi * psi).sum()) - 2.0 * float(s.sum())
+        return float((psi * psi).sum()) - 2.0 * float(s.sum())
+
+    coarse = centre + np.linspace(-reach, reach, 2 * math.ceil(reach / COARSE_STEP) + 1)
+    costs = np.array([cost(offset) for offset in coarse])
     best = int(costs.argmin())
-    at_edge = not 0 < best < len(grid) - 1
-    if at_edge:
-        return float(grid[best]), True
+    if not 0 < best < len(coarse) - 1:
+        return float(coarse[best]), True
+    grid = np.arange(coarse[best - 1], coarse[best + 1] + 0.5 * STEP, STEP)
+    costs = np.array([cost(offset) for offset in grid])
+    best = min(max(int(costs.argmin()), 1), len(grid) - 2)
     below, least, above = costs[best - 1 : best + 2]
-    return float(grid[best] + 0.5 * STEP * (below - above) / (below - 2.0 * least + above)), False
+    bend = below - 2.0 * least + above
+    return float(grid[best] + (0.5 * STEP * (below - above) / bend if bend > 0.0 else 0.0)), False
 
 
 def _kabsch(phi: Array, psi: Array) -> Array:
