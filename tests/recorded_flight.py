@@ -13,7 +13,15 @@ import numpy as np
 
 from swarmtrack.agents.swarm_configs import Sources, write_configs
 from swarmtrack.config import load_config, mount_camera
-from swarmtrack.messages import Announcement, AutopilotRebooted, IdClash, PeerArrived, PeerDeparted
+from swarmtrack.messages import (
+    Announcement,
+    AutopilotRebooted,
+    Frame,
+    IdClash,
+    PeerArrived,
+    PeerDeparted,
+    StampKind,
+)
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.runtime.assembly import make_onboard
 from swarmtrack.runtime.clock import ManualClock
@@ -116,6 +124,8 @@ def _happen(flights, flight, scenario, what, index, t) -> None:
             boxes = visible(world, d, scenario.camera, scenario.body_from_camera, exposed)
             rng = world.chance("detector", d, index)
             seen = detect(boxes, scenario.camera, scenario.detector, rng, t=exposed, sequence=index)
+            picture = np.full((scenario.camera.height, scenario.camera.width, 3), 90, np.uint8)
+            flight.recorder.frame(Frame(begin + exposed, 0.0, index, picture, StampKind.MEDIA))
             flight.tell(dataclasses.replace(seen, t=begin + exposed))
         case "ask":
             flight.ask(begin + t)

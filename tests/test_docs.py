@@ -29,9 +29,6 @@ BEFORE = ("sudo", "nohup", "exec", "nice", "-u", "-n")  # with the options of su
 # Of these all actions are over in a moment and touch nothing but the folder they are told.
 QUICK = ("config", "keys")
 QUICK_FLAGS = {"--check", "--list", "--version", "--help", "-h"}
-# Commands and pages that other branches bring; where they are there, they are held to the same.
-AWAITED = {"calibrate", "doctor", "healthy", "import", "log", "monitor", "record", "replay"}
-AWAITED_PAGES = {"calibration.md", "deployment.md", "recording.md", "troubleshooting.md"}
 
 
 class Command(NamedTuple):
@@ -82,10 +79,6 @@ def own_words(line: str) -> list[str]:
     return [Path(words[0]).name, *words[1:]]
 
 
-def is_awaited(words: list[str]) -> bool:
-    return words[0] == "swarmtrack" and len(words) > 1 and words[1] in AWAITED - set(main.COMMANDS)
-
-
 def parse(words: list[str]) -> str:
     """What the program's own parser has against a command line; empty if nothing."""
     complaint = io.StringIO()
@@ -111,8 +104,6 @@ def test_the_search_finds_commands():
 
 @pytest.mark.parametrize("command", ALL, ids=str)
 def test_every_command_is_one(command):
-    if is_awaited(command.words):
-        pytest.skip(f"swarmtrack {command.words[1]} is being built elsewhere")
     assert parse(command.words) == ""
 
 
@@ -138,7 +129,7 @@ def is_quick(words: list[str]) -> bool:
 
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_quick_ones_of_a_page_run_one_after_another(page, tmp_path):
-    quick = [c for c in commands(page) if is_quick(c.words) and not c.spared and not is_awaited(c.words)]
+    quick = [c for c in commands(page) if is_quick(c.words) and not c.spared]
     if not quick:
         pytest.skip("none that is quick")
     for example in (ROOT / "configs").glob("*.*"):
@@ -176,7 +167,7 @@ def test_commands_within_sentences_exist_and_so_do_their_flags():
     wrong = []
     for page, span in mentions():
         words = span.replace("[", " ").replace("]", " ").split()
-        if len(words) < 2 or is_awaited(words):
+        if len(words) < 2:
             continue
         usage = help_of(words)
         if usage is None:
@@ -228,7 +219,7 @@ def test_the_first_drone_is_set_up_as_the_readme_says():
 def test_every_link_leads_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         path, _, anchor = target.partition("#")
-        if "://" in target or (path in AWAITED_PAGES and not (page.parent / path).exists()):
+        if "://" in target:
             continue
         there = page.parent / path if path else page
         assert there.exists(), f"{target}: no such file"
