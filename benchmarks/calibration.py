@@ -211,7 +211,7 @@ def _markdown(extrinsics: dict[str, Any], intrinsics: list[dict[str, Any]]) -> s
         ],
     )  # fmt: skip
     claim = (
-        f"{e['within']} of {e['seeds']} minutes within {WITHIN_DEG:g}° and {1e3 * WITHIN_S:g} ms, "
+        f"{e['within']} of {e['seeds']} turns within {WITHIN_DEG:g}° and {1e3 * WITHIN_S:g} ms, "
         f"{e['believed']} of them believed."
     )
     return f"# Calibration\n\n{hand}\n\n{claim}\n\n{boards}\n"
@@ -236,7 +236,7 @@ def _plot(out: Path, minutes: list[Minute]) -> None:
     ):
         axis.plot(sorted(errors), np.arange(1, len(errors) + 1), "o-", color="#4477aa", label="error")
         axis.plot(sorted(sigmas), np.arange(1, len(sigmas) + 1), "x--", color="#cc6677", label="σ claimed")
-        axis.set(xlabel=name, ylabel="minutes with less", xlim=(0, None))
+        axis.set(xlabel=name, ylabel="turns with less", xlim=(0, None))
         axis.legend()
     figure.tight_layout()
     figure.savefig(out / f"{NAME}.png", dpi=110)
