@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmtrack.agents.arguments import positive_seconds, seed
+from swarmtrack.agents.machine_load import BUSY, MachineLoad
 from swarmtrack.errors import SourceError
 
 if TYPE_CHECKING:
@@ -126,6 +127,7 @@ def run(args: argparse.Namespace) -> int:
         check_empty(plan.record)
     console = Console()
     spectator = _spectator(plan, console)
+    load = MachineLoad()
     try:
         report = asyncio.run(_fly(plan, spectator))
     except (AirError, ProcessDied, TransportError) as error:
@@ -139,7 +141,15 @@ def run(args: argparse.Namespace) -> int:
         return FAILED
     finally:
         spectator.close()
-    return conclude(report, console, args.json)
+    code = conclude(report, console, args.json)
+    if code == FAILED and load.share() > BUSY:
+        console.print(
+            f"  this machine's {os.cpu_count()} cores were {load.share():.0%} busy, so this says little of the swarm: "
+            "try again with fewer --drones, with --detector oracle, or on a free machine",
+            highlight=False,
+            soft_wrap=True,
+        )
+    return code
 
 
 def conclude(report: SwarmReport, console: Console, file: Path | None) -> int:

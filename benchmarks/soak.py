@@ -32,7 +32,9 @@ CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 TARGETS = 6
 WARM_UP_TENTHS = 2  # of the scans, after which memory must not grow
 MAX_GROWTH_MB = 5.0
-MAX_GROWTH_BLOCKS = 2000  # what a track more or less is made of, many times over; one leaked a scan would be 200 000
+MAX_GROWTH_BLOCKS = (
+    2000  # what a track more or less is made of, many times over; one leaked a scan would be 200 000
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +143,12 @@ def run(out: Path, *, scans: int = SCANS, trackers: Sequence[str] = tuple(TRACKE
         for name, job in jobs.items():
             rows.append(job.result())
             advance(name)
-    result = {"rows": [{**asdict(row), "grown_mb": row.grown_mb, "grown_blocks": row.grown_blocks, "ok": row.ok} for row in rows]}
+    result = {
+        "rows": [
+            {**asdict(row), "grown_mb": row.grown_mb, "grown_blocks": row.grown_blocks, "ok": row.ok}
+            for row in rows
+        ]
+    }
     report.write(out, NAME, result, _markdown(rows))
     return result
 

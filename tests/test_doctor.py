@@ -438,6 +438,10 @@ def test_outputs_that_cannot_be_written_and_a_disk_that_is_full(tmp_path, monkey
     (tmp_path / "file").touch()
     config = load_config(written(tmp_path, output=f'jsonl = "{tmp_path}/file/tracks.jsonl"'))
     assert faults(check_disk(examination.machine.disk(config))) == {"disk.unwritable"}
+    config = load_config(written(tmp_path, recording=f'dir = "{tmp_path}/file/flights"'))
+    assert faults(check_disk(examination.machine.disk(config))) == {"disk.unwritable"}
+    config = load_config(written(tmp_path, recording=f'dir = "{tmp_path}/flights"'))
+    assert faults(check_disk(examination.machine.disk(config))) <= {"disk.low", "disk.full"}
     config = load_config(written(tmp_path, output=f'jsonl = "{tmp_path}/tracks.jsonl"'))
     full = os.statvfs_result((4096, 4096, 10**6, 10, 10, 10**6, 10**6, 10**6, 0, 255))
     monkeypatch.setattr(os, "statvfs", lambda path: full)

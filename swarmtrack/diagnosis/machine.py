@@ -6,12 +6,13 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from swarmtrack.config import DroneConfig
 from swarmtrack.diagnosis.surroundings import DiskFacts, HeatFacts
-from swarmtrack.errors import SwarmtrackError
+from swarmtrack.errors import SourceError, SwarmtrackError
 from swarmtrack.runtime.outputs import check_outputs
 
 THERMAL = Path("/sys/class/thermal")
@@ -19,25 +20,40 @@ PLAUSIBLE_CELSIUS = (-40.0, 150.0)
 
 
 def disk(config: DroneConfig) -> tuple[DiskFacts, ...]:
-    """Of everything that [output] names."""
-    output = config.output
-    written = (("output.jsonl", output.jsonl, None), ("output.video", None, output.video))
-    return tuple(
-        _disk(what, jsonl, video) for what, jsonl, video in written if jsonl is not None or video is not None
-    )
+    """Of everything that [output] and [recording] name."""
+    output, folder = config.output, config.recording.dir
+    found = []
+    if output.jsonl is not None:
+        found.append(_disk("output.jsonl", output.jsonl, lambda path: check_outputs(path, None)))
+    if output.video is not None:
+        found.append(_disk("output.video", output.video, lambda path: check_outputs(None, path)))
+    if folder is not None:
+        found.append(_disk("recording.dir", folder, _check_folder))
+    return tuple(found)
 
 
-def _disk(what: str, jsonl: Path | None, video: Path | None) -> DiskFacts:
-    path = jsonl or video
-    assert path is not None
+def _check_folder(path: Path) -> None:
+    """That a folder can be written into, or made. Raises SourceError."""
+    there = _nearest(path)
+    if not there.is_dir():
+        raise SourceError(f"{there}: is no folder, expected one that can be written into")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise SourceError(f"{there}: may not be written into")
+
+
+def _nearest(path: Path) -> Path:
+    """Itself, or what of the way to it exists."""
+    return next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+
+
+def _disk(what: str, path: Path, check: Callable[[Path], None]) -> DiskFacts:
     refused = ""
     try:
-        check_outputs(jsonl, video)
+        check(path)
     except SwarmtrackError as error:
         refused = str(error).removeprefix(f"{what}: ")
-    there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
     try:
-        state = os.statvfs(there)
+        state = os.statvfs(_nearest(path))
         free = float(state.f_bavail) * state.f_frsize
     except OSError as error:
         refused, free = refused or str(error.strerror), 0.0

@@ -156,7 +156,7 @@ def _answers(facts: NetworkFacts) -> str:
 
 def check_disk(facts: tuple[DiskFacts, ...]) -> list[Finding]:
     if not facts:
-        return [skipped("disk", "nothing is written: there is no [output]")]
+        return [skipped("disk", "nothing is written: there is no [output] and no [recording]")]
     findings = []
     for each in facts:
         free_mb = each.free_bytes / 1e6

@@ -17,7 +17,7 @@ from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.messages import EgoPose, Frame, ImuSample, StampKind
 from swarmtrack.motion.hand_eye import GyroTurns, compare, solve
-from swarmtrack.runtime.assembly import camera_of, make_autopilot
+from swarmtrack.runtime.assembly import make_autopilot, make_camera
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.base import Autopilot, AutopilotListener, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
@@ -88,7 +88,7 @@ class Watch:
         self._autopilot: Autopilot | None = None
         if mounted is not None:
             try:
-                self._camera = camera_of(config, mounted, clock, simulation)
+                self._camera = make_camera(config, mounted, clock, simulation)
             except SwarmtrackError as error:
                 self._camera_refused = str(error)
         try:

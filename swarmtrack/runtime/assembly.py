@@ -85,7 +85,7 @@ def assemble(config: DroneConfig, imported: ManualClock | None = None) -> Parts:
         with config.blamed("camera", "calibration"):
             mounted = mount_camera(config.camera)
     with config.blamed("camera", "source"):
-        camera = camera_of(config, mounted, clock, simulation)
+        camera = make_camera(config, mounted, clock, simulation)
     if config.camera.detects_by_itself:
         with config.blamed("output", "video"):
             _refuse_video(config)
@@ -133,7 +133,7 @@ def simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamer
     return MountedCamera(camera.camera, camera.body_from_camera, config.camera.time_offset_s or 0.0)
 
 
-def camera_of(
+def make_camera(
     config: DroneConfig, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
 ) -> Camera | DetectionSource:
     if simulation is not None:

@@ -1,0 +1,33 @@
+"""How busy the machine was, by what the kernel counts of all its cores."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+STAT = Path("/proc/stat")
+BUSY = 0.9  # of all cores: from here on a machine has no time left
+
+
+class MachineLoad:
+    """From when it was made until it is asked."""
+
+    def __init__(self, stat: Path = STAT) -> None:
+        self._stat = stat
+        self._began = self._ticks()
+
+    def share(self) -> float:
+        """0…1 of all cores' time that was spent on anything, by others too; NaN where the kernel does not say."""
+        began, now = self._began, self._ticks()
+        if began is None or now is None or now[1] <= began[1]:
+            return math.nan
+        return 1.0 - (now[0] - began[0]) / (now[1] - began[1])
+
+    def _ticks(self) -> tuple[int, int] | None:
+        """Idle, and all."""
+        try:
+            first = self._stat.read_text(encoding="ascii").splitlines()[0].split()
+            ticks = [int(word) for word in first[1:9]]  # guests are counted under user as well
+            return ticks[3] + ticks[4], sum(ticks)
+        except (OSError, ValueError, IndexError):
+            return None
