@@ -275,7 +275,8 @@ class Air:
             assert self._switch.stdin is not None
             self._switch.stdin.close()
             try:
-                await asyncio.wait_for(self._switch.wait(), CLOSE_S)
+                async with asyncio.timeout(CLOSE_S):
+                    await self._switch.wait()
             except TimeoutError:
                 self._switch.kill()
                 await self._switch.wait()

@@ -178,7 +178,8 @@ class _Flight:
         simulator = await self._children.start("simulator", argv, talks=True)
         assert simulator.process.stdout is not None
         try:
-            line = await asyncio.wait_for(simulator.process.stdout.readline(), SIMULATOR_PATIENCE_S)
+            async with asyncio.timeout(SIMULATOR_PATIENCE_S):
+                line = await simulator.process.stdout.readline()
         except TimeoutError:
             raise ProcessDied(f"the simulator is not ready after {SIMULATOR_PATIENCE_S:g} s") from None
         if not line:
@@ -199,7 +200,8 @@ class _Flight:
         argv = ["nice", "-n", str(AGENT_NICENESS), sys.executable, "-m", "swarmtrack.agents.main", *arguments]
         monitor = await self._children.start("monitor", argv, talks=True)
         assert monitor.process.stdout is not None
-        line = await asyncio.wait_for(monitor.process.stdout.readline(), SIMULATOR_PATIENCE_S)
+        async with asyncio.timeout(SIMULATOR_PATIENCE_S):
+            line = await monitor.process.stdout.readline()
         if not line:
             raise ProcessDied((await self._children.died).describe_end())
         self._spectator.note(f"{line.decode().strip()} (until the flight ends)")
@@ -244,7 +246,8 @@ class _Flight:
             async with cores:
                 await self._start_agent(drone_id)
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._watch.until_alive(drone_id), START_PATIENCE_S)
+                    async with asyncio.timeout(START_PATIENCE_S):
+                        await self._watch.until_alive(drone_id)
 
         async with asyncio.TaskGroup() as tasks:
             for drone_id in self._scenario.members:

@@ -111,7 +111,8 @@ class Children:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child.process.pid, number)
         try:
-            await asyncio.wait_for(child.process.wait(), STOP_S)
+            async with asyncio.timeout(STOP_S):
+                await child.process.wait()
         except TimeoutError:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(child.process.pid, signal.SIGKILL)

@@ -244,7 +244,7 @@ def test_an_agent_whose_camera_is_gone_feeds_the_watchdog_and_says_so(start, tmp
         supervisor.bind(str(tmp_path / "notify"))
         supervisor.settimeout(PATIENCE)
         start(env={ENVIRONMENT: str(path), "NOTIFY_SOCKET": str(tmp_path / "notify")}, config=config)
-        wait_for(lambda: f"STATUS=http://127.0.0.1:{port}/".encode() in supervisor.recv(500))
+        wait_for(lambda: (said := supervisor.recv(500)).startswith(b"STATUS=") and b"camera" in said)
         assert wait_for(lambda: supervisor.recv(500) == b"WATCHDOG=1")
     code, said = healthy(capsys, path)
     assert code == UNHEALTHY

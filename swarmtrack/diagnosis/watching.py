@@ -114,7 +114,8 @@ class Watch:
             await asyncio.gather(*tasks, return_exceptions=True)
             if self._camera is not None:
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._camera.close(), 1.5)
+                    async with asyncio.timeout(1.5):
+                        await self._camera.close()
 
     async def _watch_camera(self) -> None:
         if isinstance(self._camera, DetectionSource):

@@ -144,7 +144,8 @@ class Peers:
                 due[drone_id] = now + RECONCILE_S
             self._newcomer.clear()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._newcomer.wait(), min(due.values()) - now if due else None)
+                async with asyncio.timeout(min(due.values()) - now if due else None):
+                    await self._newcomer.wait()
 
     async def events(self) -> AsyncIterator[PeerEvent]:
         while True:
