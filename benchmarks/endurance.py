@@ -105,6 +105,7 @@ def _record(window: Window) -> dict[str, Any]:
         "seconds": window.seconds,
         "rss_mb": dict(window.rss_mb),
         "cpu_percent": dict(window.cpu_percent),
+        "elsewhere_percent": window.elsewhere_percent,
         "agents": {str(drone_id): agent._asdict() for drone_id, agent in window.agents.items()},
         "viewer": window.viewer._asdict(),
     }
@@ -122,7 +123,7 @@ def _markdown(found: Found, claims: Sequence[Claim], seconds: float, window_s: f
             "# Endurance",
             "",
             f"{DRONES} drones of `{flight.SCENARIO}`, `--detector oracle`, tracker `{tracker}`, monitor with one"
-            f" viewer, recording; {seconds / 60.0:g} minutes in windows of {window_s:g} s, judged from"
+            f" viewer, recording; {seconds / 60.0:g} min in windows of {window_s:g} s, judged from"
             f" {found.settled_s:g} s on.",
             "",
             f"**{_sentence(claims, broken)}**",
@@ -136,14 +137,15 @@ def _markdown(found: Found, claims: Sequence[Claim], seconds: float, window_s: f
                 [_process(windows, name) for name in verdict.processes(windows)],
             ),
             "",
-            f"`{JUDGE}` is `swarmtrack sim` itself, which keeps what it heard until it has judged it.",
+            f"`{JUDGE}` is `swarmtrack sim` itself, which keeps what it heard until it has judged it."
+            f" Whatever else ran on the machine took {_mean([w.elsewhere_percent for w in windows]):.0f} % of a core.",
             "",
             "Of each agent, over the judged time; lag is of the event loop, looked at twenty times a second:",
             "",
             report.table(
                 [
                     "agent", "tracks, Hz", "detections, Hz", "IMU, Hz", "IMU samples", "expected by the rate", "lost",
-                    "gaps", "lag: median of p95, ms", "largest, ms", "dropped", "recorded", "not recorded",
+                    "gaps", "lag: median of p95, ms", "largest, ms", "frames dropped", "recorded", "not recorded",
                 ],
                 [_agent(windows, drone_id) for drone_id in sorted({i for w in windows for i in w.agents})],
             ),
@@ -206,7 +208,7 @@ def _agent(windows: Sequence[Window], drone_id: int) -> list[str]:
         str(sum(agent.imu_gaps for agent in agents)),
         report.number(1e3 * lags[len(lags) // 2], 1),
         report.number(1e3 * max(agent.lag_max_s for agent in agents), 1),
-        str(sum(agent.drops for agent in agents)),
+        str(sum(agent.frames_dropped for agent in agents)),
         str(sum(agent.recorded for agent in agents)),
         str(sum(agent.unrecorded for agent in agents)),
     ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
 import re
 import sys
 import time
@@ -211,7 +212,7 @@ def agent_window(before: codec.HealthMessage, healths: list[codec.HealthMessage]
         imu_expected=(last.rates["imu"].asked_hz or math.nan) * seconds,
         imu_lost=counted("autopilot", "imu_lost"),
         imu_gaps=counted("autopilot", "gaps"),
-        drops=sum(last.drops.values()) - sum(before.drops.values()),
+        frames_dropped=_frames_dropped(last) - _frames_dropped(before),
         recorded=counted("recording", "written"),
         unrecorded=counted("recording", "lost"),
     )
@@ -219,6 +220,12 @@ def agent_window(before: codec.HealthMessage, healths: list[codec.HealthMessage]
 
 def _counter(health: codec.HealthMessage, link: str, counter: str) -> float:
     return next((one.counters.get(counter, 0.0) for one in health.links if one.name == link), 0.0)
+
+
+def _frames_dropped(health: codec.HealthMessage) -> int:
+    """Overtaken while the agent was busy, too old when their turn came, or behind the tracker's time."""
+    overtaken = int(_counter(health, "camera", "dropped"))
+    return overtaken + sum(health.drops.get(name, 0) for name in ("stale_frames", "late_scans"))
 
 
 class Viewer:
@@ -268,6 +275,14 @@ class Viewer:
         self._states += 1
 
 
+def machine_seconds() -> float:
+    """Time in which the cores of this machine did something, since it started; waiting for a disk is nothing."""
+    user, nice, system, _, _, *interrupts = (
+        Path("/proc/stat").read_text(encoding="ascii").split("\n")[0].split()[1:9]
+    )
+    return sum(map(int, (user, nice, system, *interrupts))) / os.sysconf("SC_CLK_TCK")
+
+
 # --- measuring ----------------------------------------------------------------------------------------
 
 
@@ -295,20 +310,23 @@ async def measure(
         await _until(swarm, began, others)
         healths.take()
         viewer.take()
-        before, cpu = time.monotonic(), {name: cpu_seconds(pid) for name, pid in swarm.pids.items()}
+        before, machine = time.monotonic(), machine_seconds()
+        cpu = {name: cpu_seconds(pid) for name, pid in swarm.pids.items()}
         for k in range(1, int((flight_s - began) / seconds) + 1):
             await _until(swarm, began + k * seconds, others)
-            now = time.monotonic()
+            now, whole = time.monotonic(), machine_seconds()
             used = {name: cpu_seconds(pid) for name, pid in swarm.pids.items()}
+            ours = sum(used.values()) - sum(cpu.values())
             window = Window(
                 t_s=now - swarm.epoch,
                 seconds=now - before,
                 rss_mb={name: rss_mb(pid) for name, pid in swarm.pids.items()},
                 cpu_percent={name: 100.0 * (used[name] - cpu[name]) / (now - before) for name in used},
+                elsewhere_percent=max(0.0, 100.0 * (whole - machine - ours) / (now - before)),
                 agents=healths.take(),
                 viewer=viewer.take(),
             )
-            before, cpu = now, used
+            before, machine, cpu = now, whole, used
             windows.append(window)
             on_window(window)
     finally:

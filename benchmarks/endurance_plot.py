@@ -38,7 +38,14 @@ def draw(file: Path, windows: Sequence[Window], settled_s: float) -> None:
     _rates(panels[2], minutes, windows, colours)
     for name in names:
         panels[3].plot(minutes, [w.cpu_percent[name] for w in windows], color=colours[name], label=name)
-    panels[3].set(ylabel="% of a core", title="CPU of each process", xlabel="minutes of flight")
+    panels[3].plot(
+        minutes, [w.elsewhere_percent for w in windows], "k--", linewidth=0.9, label="all else here"
+    )
+    panels[3].set(
+        ylabel="% of a core",
+        title="CPU of each process, and of whatever else ran on the machine",
+        xlabel="minutes of flight",
+    )
     panels[3].set_ylim(bottom=0.0)
     for panel in panels:
         panel.axvspan(0.0, settled_s / 60.0, color="0.93", zorder=0)

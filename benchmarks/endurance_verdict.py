@@ -27,8 +27,8 @@ RATES = ("tracks", "detections", "imu")
 class AgentWindow(NamedTuple):
     """One agent in one window, by its own health messages; what is counted: since the window before.
 
-    rates_hz by name; lag of its event loop, the largest p95 and the largest of all [s]; drops: everything that its
-    health counts as dropped; recorded, unrecorded: entries of its recording.
+    rates_hz by name; lag of its event loop, the largest p95 and the largest of all [s]; frames_dropped: before or after
+    the detector; recorded, unrecorded: entries of its recording.
     """
 
     healths: int
@@ -39,7 +39,7 @@ class AgentWindow(NamedTuple):
     imu_expected: float
     imu_lost: int
     imu_gaps: int
-    drops: int
+    frames_dropped: int
     recorded: int
     unrecorded: int
 
@@ -55,12 +55,14 @@ class ViewerWindow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """One window; t_s: its end, seconds of flight. Memory [10⁶ bytes] at its end and CPU [% of a core] by process."""
+    """One window; t_s: its end, seconds of flight. Memory [10⁶ bytes] at its end and CPU [% of a core] by process;
+    elsewhere_percent: of a core, what the whole machine did beside them."""
 
     t_s: float
     seconds: float
     rss_mb: Mapping[str, float]
     cpu_percent: Mapping[str, float]
+    elsewhere_percent: float
     agents: Mapping[int, AgentWindow]
     viewer: ViewerWindow
 

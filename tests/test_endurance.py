@@ -28,7 +28,7 @@ def flight(n: int = 60, seconds: float = 10.0) -> list[Window]:
     sizes = {"drone 1": 90.0, "monitor": 60.0, verdict.JUDGE: 100.0}
     viewer = ViewerWindow(5.0, 20.0, 10.0, 0.21)
     return [
-        Window((k + 1) * seconds, seconds, sizes, dict.fromkeys(sizes, 5.0), {1: STEADY}, viewer)
+        Window((k + 1) * seconds, seconds, sizes, dict.fromkeys(sizes, 5.0), 10.0, {1: STEADY}, viewer)
         for k in range(n)
     ]
 
@@ -113,9 +113,10 @@ def health(uptime_s: float, tracks_hz: float, imu: int, lost: int, *, lag_s: flo
         clock_offset_sigma_s=None,
         links=(
             codec.LinkHealth("autopilot", True, "", {"imu_samples": imu, "imu_lost": lost, "gaps": 7 * lost}),
+            codec.LinkHealth("camera", True, "", {"frames": 50 * lost, "dropped": 2 * lost}),
             codec.LinkHealth("recording", True, "", {"written": 10 * imu, "lost": 2}),
         ),
-        drops={"stale_frames": lost, "late_scans": 4},
+        drops={"stale_frames": lost, "late_scans": 4, "scans": 100 * lost},
         events=(),
     )
 
@@ -124,7 +125,7 @@ def test_counters_are_of_the_window_and_rates_are_weighted_by_time():
     before = health(10.0, 99.0, 2000, 1, lag_s=5.0)
     window = agent_window(before, [health(11.0, 10.0, 2200, 1, lag_s=0.04), health(14.0, 22.0, 2790, 3)])
     assert window.rates_hz == pytest.approx({"tracks": 19.0, "imu": 200.0})
-    assert (window.imu_samples, window.imu_lost, window.imu_gaps, window.drops) == (790, 2, 14, 2)
+    assert (window.imu_samples, window.imu_lost, window.imu_gaps, window.frames_dropped) == (790, 2, 14, 6)
     assert window.imu_expected == pytest.approx(800.0)
     assert (window.lag_max_s, window.lag_p95_s) == (0.04, 0.02)
     assert (window.recorded, window.unrecorded) == (7900, 0)
