@@ -224,7 +224,10 @@ def _counter(health: codec.HealthMessage, link: str, counter: str) -> float:
 
 def _frames_dropped(health: codec.HealthMessage) -> int:
     """Overtaken while the agent was busy, too old when their turn came, or behind the tracker's time."""
-    overtaken = int(_counter(health, "camera", "dropped"))
+    cameras = [link.counters for link in health.links if {"frames", "dropped"} <= link.counters.keys()]
+    overtaken = int(
+        sum(counters["dropped"] for counters in cameras)
+    )  # a camera's link bears its address as name
     return overtaken + sum(health.drops.get(name, 0) for name in ("stale_frames", "late_scans"))
 
 

@@ -85,7 +85,13 @@ def _lag(
             values = verdict.of_agent(windows, drone_id, figure)
             panel.plot(minutes, values, color=colour, linestyle=style, label=f"drone {drone_id}, {label}")
     _limit(panel, 1e3 * MAX_LAG_S, "limit")
-    panel.set(ylabel="ms", yscale="log", title="How late the agents' event loops were")
+    from matplotlib import ticker  # noqa: PLC0415 - an extra, as in `report.pyplot`
+
+    panel.set_yscale("log")
+    panel.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_locator(ticker.NullLocator())
+    panel.set(ylabel="ms", title="How late the agents' event loops were")
 
 
 def _rates(

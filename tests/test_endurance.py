@@ -113,7 +113,9 @@ def health(uptime_s: float, tracks_hz: float, imu: int, lost: int, *, lag_s: flo
         clock_offset_sigma_s=None,
         links=(
             codec.LinkHealth("autopilot", True, "", {"imu_samples": imu, "imu_lost": lost, "gaps": 7 * lost}),
-            codec.LinkHealth("camera", True, "", {"frames": 50 * lost, "dropped": 2 * lost}),
+            codec.LinkHealth(
+                "detections://localhost:9/1", True, "", {"frames": 50 * lost, "dropped": 2 * lost}
+            ),
             codec.LinkHealth("recording", True, "", {"written": 10 * imu, "lost": 2}),
         ),
         drops={"stale_frames": lost, "late_scans": 4, "scans": 100 * lost},
