@@ -7,12 +7,17 @@ import argparse
 
 def positive_seconds(text: str) -> float:
     """For `type=`: a number of seconds above 0."""
+    return positive(text, "number of seconds")
+
+
+def positive(text: str, what: str = "number") -> float:
+    """For `type=`: a number above 0."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a number of seconds above 0")
+        raise argparse.ArgumentTypeError(f"found {text}, expected a {what} above 0")
     return value
 
 

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from swarmtrack.agents.arguments import positive
 from swarmtrack.errors import SourceError
 
 DEFAULT_OUT = Path("bench")
@@ -28,6 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     trackers = names.add_parser("trackers", help="every tracker: the paper's figures, and harder scenes")
     monitor = names.add_parser("monitor", help="what being watched costs, and the page with thirty drones")
     soak = names.add_parser("soak", help="every tracker under a million random scans")
+    endurance = names.add_parser(
+        "endurance", help="half an hour of a swarm: what grows, falls behind, is lost"
+    )
     detector = names.add_parser("detector", help="how good a detector is on labelled images and clips")
     for name in (
         detector,
@@ -44,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         trackers,
         soak,
         monitor,
+        endurance,
     ):
         name.add_argument(
             "--out",
@@ -68,6 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the agent's config; tracker.KEY if bare",
     )
     clips.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
+    endurance.add_argument(
+        "--minutes", type=positive, metavar="M", help="of flight (default: 30; with --quick a half)"
+    )
     _add_tracker_arguments(trackers)
     _add_detector_arguments(detector)
 
@@ -220,6 +228,13 @@ def _calibration(args: argparse.Namespace) -> None:
     calibration.run(args.out, seeds=4 if args.quick else calibration.SEEDS)
 
 
+def _endurance(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import endurance
+
+    usual = endurance.QUICK_MINUTES if args.quick else endurance.MINUTES
+    endurance.run(args.out, minutes=args.minutes or usual, tracker=args.tracker)
+
+
 def _soak(args: argparse.Namespace) -> None:
     from swarmtrack.benchmarks import soak
 
@@ -253,6 +268,7 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "clients": _clients,
     "clips": _clips,
     "detector": _detector,
+    "endurance": _endurance,
     "flood": _flood,
     "identity": _identity,
     "offset": _offset,

@@ -91,6 +91,7 @@ class FlightRecording:
             return
         from swarmtrack.runtime.swarm_recorder import TruePose
 
+        self._recorder.landed()
         world = self._scenario.world
         for k in range(int(self._seconds * TRUTH_HZ) + 1):
             for drone_id in world.drones:

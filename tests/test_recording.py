@@ -22,6 +22,7 @@ from recorded_flight import BEGIN, UTC_ERROR, fly
 
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.errors import RecordingError
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
@@ -40,6 +41,9 @@ from swarmtrack.recording.merge import merge, shifts
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.repair import repair
 from swarmtrack.recording.writer import Bounds, Preface, RecordingWriter, Topic
+from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.runtime.recording_thread import MAX_QUEUED
+from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, VERDICT_TOPIC, SwarmRecorder, TruePose
 
 TOPIC = Topic.of_json(
     "/x", {"title": "swarmtrack.X", "type": "object", "properties": {"k": {"type": "integer"}}}
@@ -334,6 +338,22 @@ def test_merge_lays_three_drones_on_one_timeline_by_what_they_heard_of_each_othe
     assert max(firsts.values()) - min(firsts.values()) < 3e6
     assert swarmtrack.main(["log", "merge", str(folder), "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_the_truth_of_a_long_flight_is_recorded_to_its_end(tmp_path):
+    """After landing it comes at once, and there is more of it than fits into the recorder's queue."""
+    recorder = SwarmRecorder(SystemClock(), "blue")
+    recorder.open(tmp_path)
+    recorder.landed()
+    for k in range(MAX_QUEUED + 500):
+        recorder.truth(0.0, TruePose(0.1 * k, 1, Pose.identity()))
+    recorder.verdict({"passed": True})
+    recorder.close()
+    (recording,) = recordings_below(tmp_path)
+    topics = [message.topic for message in recording.messages()]
+    assert topics.count(TRUTH_TOPIC) == MAX_QUEUED + 500
+    assert topics.count(VERDICT_TOPIC) == 1
+    assert recorder.thread.lost == 0
 
 
 def test_strangers_are_merged_by_utc(flown, tmp_path):

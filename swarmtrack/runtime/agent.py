@@ -19,7 +19,7 @@ from swarmtrack.messages import (
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.clock import UTC_SIGMA, ManualClock, SystemClock
 from swarmtrack.runtime.console import Console
-from swarmtrack.runtime.health import Health
+from swarmtrack.runtime.health import LAG_PERIOD, PERIOD, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.live_video import LiveVideo
 from swarmtrack.runtime.outputs import JsonLines, as_seen
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-HEALTH_PERIOD = 1.0  # s
 CLOSE_TIMEOUT = 1.5  # s for everything together
 STUCK_DETECTOR = 10.0  # s on one frame: no longer slow but stuck, and the supervisor should know
 
@@ -89,6 +88,7 @@ class Agent:
                     tasks.create_task(self._team.report(), name="identities"),
                     tasks.create_task(self._publish_tracks(warm), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
+                    tasks.create_task(self._feel_lag(), name="lag"),
                     tasks.create_task(self._teller.run(), name="tell"),
                 ]
                 stop = tasks.create_task(self._stop.wait(), name="stop")
@@ -232,8 +232,6 @@ class Agent:
                 async with asyncio.timeout(due - self._wall.now()):
                     await self._fresh.wait()
             now = self._wall.now()
-            if not self._fresh.is_set():
-                self.health.loop_lag.add(now - due)
             due = now + period if self._fresh.is_set() else max(due + period, now)
             self._fresh.clear()
             self._publish_once()
@@ -254,10 +252,17 @@ class Agent:
         if self._detecting_since is None or self._wall.now() - self._detecting_since < STUCK_DETECTOR:
             self._notifier.alive()
 
+    async def _feel_lag(self) -> None:
+        """How late the event loop comes to what is due, in a task that waits for nothing else."""
+        while True:
+            due = self._wall.now() + LAG_PERIOD
+            await asyncio.sleep(LAG_PERIOD)
+            self.health.loop_lag.add(self._wall.now() - due)
+
     async def _publish_health(self) -> None:
         self.health.message()  # starts the meters
         while True:
-            await asyncio.sleep(HEALTH_PERIOD)
+            await asyncio.sleep(PERIOD)
             self._tell_of_recording()
             self.health.drops["status_texts_untold"] = self._teller.lines.untold
             message = self.health.message()

@@ -26,6 +26,8 @@ from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
 
 EVENTS_KEPT = 16
+PERIOD = 1.0  # s between two messages
+LAG_PERIOD = 0.05  # s between two looks at how late the event loop is
 
 
 class Health:
@@ -38,7 +40,7 @@ class Health:
         self.exposure_to_detector = Latency()
         self.detector = Latency()
         self.detections_to_published = Latency()
-        self.loop_lag = Latency()
+        self.loop_lag = Latency(round(PERIOD / LAG_PERIOD))
         self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
         self.drops: Counter[str] = Counter()
         self._parts = parts

@@ -39,16 +39,16 @@ class Rate:
 
 
 class Latency:
-    """The last durations of one kind, seconds."""
+    """The last `window` durations of one kind, seconds."""
 
-    def __init__(self) -> None:
-        self._values: deque[float] = deque(maxlen=WINDOW)
+    def __init__(self, window: int = WINDOW) -> None:
+        self._values: deque[float] = deque(maxlen=window)
 
     def add(self, seconds: float) -> None:
         self._values.append(max(seconds, 0.0))
 
     def read(self) -> Spread | None:
-        """Of the last `WINDOW` values, or None before the first."""
+        """Of the last values, or None before the first."""
         if not self._values:
             return None
         p50, p95, top = np.percentile(self._values, [50, 95, 100])

@@ -34,7 +34,7 @@ class RecordingThread:
     """waits: a full queue holds up who puts, instead of losing what is put: for what is no live flight."""
 
     def __init__(self, *, waits: bool = False) -> None:
-        self._waits = waits
+        self.waits = waits
         self._queue: deque[tuple[int, Job]] = deque()
         self._overrun = 0
         self._wall = SystemClock()
@@ -51,7 +51,7 @@ class RecordingThread:
 
     def put(self, log_time_ns: int, job: Job) -> None:
         while len(self._queue) >= MAX_QUEUED:
-            if not self._waits or self._thread is None or not self._thread.is_alive():
+            if not self.waits or self._thread is None or not self._thread.is_alive():
                 self._overrun += 1
                 return
             time.sleep(PERIOD)
@@ -61,7 +61,7 @@ class RecordingThread:
         """Write what is queued and complete the last segment; gives up on a disk that hangs."""
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(None if self._waits else seconds)
+            self._thread.join(None if self.waits else seconds)
             if self._thread.is_alive():
                 log.warning("recording: the disk is too slow to end in order; `swarmtrack log repair` helps")
 

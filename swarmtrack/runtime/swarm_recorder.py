@@ -118,6 +118,10 @@ class SwarmRecorder:
         data = msgspec.json.encode(FlightEvent(event, drone_id, t, utc))
         self._thread.put(self._ns(t), lambda write, ns: write(FLIGHT, ns, data))
 
+    def landed(self) -> None:
+        """Nothing more will be heard: from now on a full queue holds up who puts, instead of losing what is put."""
+        self._thread.waits = True
+
     def truth(self, epoch: float, true: TruePose) -> None:
         """epoch: of world time, on our clock."""
         self._thread.put(self._ns(epoch + true.t), partial(_write_truth, true))
