@@ -50,7 +50,7 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
     shelf = Shelf()
     swarms = [_HeardWords(r, shelf) for r in recordings if r.kind == "swarm"]
     drones = [OwnWords(r, shelf) for r in recordings if r.kind == "drone"]
-    sources = [*swarms, *drones]
+    sources: list[_HeardWords | OwnWords] = [*swarms, *drones]
     try:
         offsets = [utc_offset(recording) for recording in recordings]
     except (KeyError, ValueError):
