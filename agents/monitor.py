@@ -112,10 +112,11 @@ async def _serve_recording(args: argparse.Namespace) -> int:
             "--recording: stands beside --team, --config, --connect, --keys or --insecure, expected a recording "
             "or a swarm"
         )
+    name = " ".join(path.resolve().name for path in args.recording)
+    print(f"swarmtrack monitor: reading {name}", file=sys.stderr)
     timeline = read_timeline(args.recording)
     for note in timeline.notes:
         print(f"swarmtrack monitor: {note}", file=sys.stderr)
-    name = " ".join(path.resolve().name for path in args.recording)
     player = Player(Playback(timeline), name)
     return await _serve(args, player, f"recording {name} of team {timeline.team}, {timeline.seconds:.0f} s")
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import re
+import secrets
 import signal
 import sys
 from collections.abc import AsyncIterator
@@ -24,6 +26,7 @@ from test_monitor import PATIENCE, ROOT, browser_page, needs_chromium, until_sai
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents.monitor_player import STEP_S, Playback, Player
 from swarmtrack.agents.monitor_recorded import read_timeline
+from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.errors import RecordingError
 from swarmtrack.runtime.clock import ManualClock
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
@@ -100,6 +103,27 @@ def test_a_picture_is_shown_with_the_boxes_of_its_instant(heard):
         assert tracks.tracks[0].u_px == pytest.approx(100.0 + 5.0 * t)
     at(playback, 39.0)
     assert playback.seen(3) is None  # it has been gone for long
+
+
+async def test_recording_a_swarm_switches_no_camera_on_unless_asked_to(tmp_path):
+    team = f"test-{secrets.token_hex(4)}"
+    async with scripted_team(team, 2) as drones:
+        for arguments, watched in ((), False), (("--video",), True):
+            folder = tmp_path / str(watched)
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "swarmtrack.agents.main", "record", str(folder)),
+                *("--team", team, "--seconds", "2.5", *arguments),
+                cwd=ROOT,
+            )
+            was_watched = False
+            while process.returncode is None:
+                was_watched |= any(drone.is_watched for drone in drones)
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(process.wait(), 0.05)
+            assert (process.returncode, was_watched) == (0, watched)
+            playback = Playback(read_timeline([folder]))
+            assert at(playback, playback.timeline.seconds)["light"]["text"] == "2 drones agree"
+            assert (playback.seen(1) is not None) == watched
 
 
 # --- what drones recorded themselves --------------------------------------------------------------
