@@ -170,7 +170,7 @@ async def _heard(network: NetworkSettings, watch: Watch) -> AsyncIterator[None]:
     from swarmtrack.transport import keys
     from swarmtrack.transport.zenoh_listener import ZenohListener
 
-    listener = ZenohListener(network, keys.key(network.team, "**"))
+    listener = ZenohListener(network, keys.all_but_video(network.team))
     await listener.open()
     try:
         async with asyncio.TaskGroup() as tasks:

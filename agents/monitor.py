@@ -1,4 +1,7 @@
-"""`swarmtrack monitor`: the web page of a running swarm. (How such programs find a team: `monitoring.py`.)"""
+"""`swarmtrack monitor`: the web page of a running swarm or of a recording.
+
+How such programs find a team: `monitoring.py`.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ import signal
 import socket
 import sys
 import webbrowser
+from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
@@ -16,10 +21,19 @@ from swarmtrack.errors import SwarmtrackError, TransportError
 if TYPE_CHECKING:
     from aiohttp import web
 
+    from swarmtrack.agents.monitor_server import Feed
+
 DEFAULT_PORT = 8080
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--recording",
+        type=Path,
+        nargs="+",
+        metavar="PATH",
+        help="play this instead: folders or files of `swarmtrack record`, `sim --record`, or drones' own recordings",
+    )
     add_network_arguments(parser)
     parser.add_argument(
         "--bind",
@@ -65,10 +79,13 @@ class ServeError(TransportError):
 
 async def serve(args: argparse.Namespace) -> int:
     """Until SIGINT or SIGTERM."""
-    from aiohttp import web
+    if args.recording:
+        return await _serve_recording(args)
+    return await _serve_swarm(args)
 
-    from swarmtrack.agents.monitor_access import Door, token_for
-    from swarmtrack.agents.monitor_server import PAGE, MonitorServer
+
+async def _serve_swarm(args: argparse.Namespace) -> int:
+    from swarmtrack.agents.monitor_live import LiveFeed
     from swarmtrack.agents.monitor_team import Team
     from swarmtrack.runtime.clock import SystemClock
     from swarmtrack.transport import keys
@@ -79,10 +96,42 @@ async def serve(args: argparse.Namespace) -> int:
         listener = ZenohListener(network, keys.all_but_video(network.team), newest_per_key=True)
     except TransportError as error:
         raise SwarmtrackError(str(error)) from None  # of what was written: exit code 2
+    feed = LiveFeed(Team(network.team, SystemClock()), listener)
+    try:
+        return await _serve(args, feed, f"monitor of team {network.team}", listener.open)
+    finally:
+        await listener.close()
+
+
+async def _serve_recording(args: argparse.Namespace) -> int:
+    from swarmtrack.agents.monitor_player import Playback, Player
+    from swarmtrack.agents.monitor_recorded import read_timeline
+
+    if args.team or args.config or args.connect or args.keys or args.insecure:
+        raise SwarmtrackError(
+            "--recording: stands beside --team, --config, --connect, --keys or --insecure, expected a recording "
+            "or a swarm"
+        )
+    name = " ".join(path.resolve().name for path in args.recording)
+    print(f"swarmtrack monitor: reading {name}", file=sys.stderr)
+    timeline = read_timeline(args.recording)
+    for note in timeline.notes:
+        print(f"swarmtrack monitor: {note}", file=sys.stderr)
+    player = Player(Playback(timeline), name)
+    return await _serve(args, player, f"recording {name} of team {timeline.team}, {timeline.seconds:.0f} s")
+
+
+async def _serve(
+    args: argparse.Namespace, feed: Feed, what: str, begin: Callable[[], Awaitable[None]] | None = None
+) -> int:
+    """begin: awaited once the page is there."""
+    from aiohttp import web
+
+    from swarmtrack.agents.monitor_access import Door, token_for
+    from swarmtrack.agents.monitor_server import PAGE, MonitorServer
+
     token = token_for(args.bind, args.token)
-    server = MonitorServer(
-        Team(network.team, SystemClock()), listener, Door(token, PAGE.read_text(encoding="utf-8"))
-    )
+    server = MonitorServer(feed, Door(token, PAGE.read_text(encoding="utf-8")))
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
@@ -97,9 +146,10 @@ async def serve(args: argparse.Namespace) -> int:
             raise ServeError(
                 f"--bind {args.bind} --port {args.port}: {reason}, expected an address of this machine and a free port"
             ) from None
-        await listener.open()
+        if begin is not None:
+            await begin()
         url = _address(runner, args.bind, token)
-        print(f"monitor of team {network.team}: {url}", flush=True)
+        print(f"{what}: {url}", flush=True)
         if args.open:
             await asyncio.to_thread(webbrowser.open, url)
         running = asyncio.create_task(server.run(), name="monitor")
@@ -111,7 +161,6 @@ async def serve(args: argparse.Namespace) -> int:
             task.cancel()
         await asyncio.gather(running, stopped, return_exceptions=True)
     finally:
-        await listener.close()
         await runner.cleanup()
     return 0
 

@@ -7,7 +7,8 @@ fewer pictures and never older ones; no buffer on the way can fill. A drone's vi
 viewer watches it.
 
 To the page: text, the state (`Team.state`); binary, a header's length (uint32, little endian), the header in JSON
-(`drone`, `width`, `height`, `boxes`) and the JPEG. From the page: `{"watch": [IDs]}` and `"+"` for each message drawn.
+(`drone`, `width`, `height`, `boxes`) and the JPEG. From the page: `{"watch": [IDs]}`, `"+"` for each message drawn,
+and of a recording `{"seek": s}`, `{"play": true}` and `{"speed": 2}`.
 """
 
 from __future__ import annotations
@@ -15,9 +16,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import logging
 import struct
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,13 +25,6 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from swarmtrack import codec
 from swarmtrack.agents.monitor_access import Door
 from swarmtrack.agents.monitor_overlay import boxes
-from swarmtrack.agents.monitor_team import Team
-from swarmtrack.errors import TransportError
-from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind
-from swarmtrack.transport.zenoh_bridge import Sample
-
-log = logging.getLogger(__name__)
 
 PAGE = Path(__file__).parent / "monitor_page" / "index.html"
 STATE_HZ = 5.0
@@ -42,12 +34,36 @@ MAX_WORD = 2048  # bytes that a page may say at a time
 HEARTBEAT_S = 5.0
 
 
-class Listener(Protocol):
-    """What we ask of a `ZenohListener`."""
+class Audience(Protocol):
+    """Those who look, for a feed."""
 
-    def samples(self) -> AsyncIterator[Sample]: ...
-    async def listen_to(self, key_expression: str) -> None: ...
-    async def leave(self, key_expression: str) -> None: ...
+    @property
+    def is_there(self) -> bool:
+        """Whether anybody looks."""
+
+    @property
+    def watched(self) -> frozenset[int]:
+        """Whose pictures somebody has on the screen."""
+
+    def tell(self, state: dict[str, Any]) -> None: ...
+    def show(self, drone_id: int, view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> None: ...
+
+
+class Feed(Protocol):
+    """Where all comes from: a swarm that runs, or a recording."""
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        """Who can be watched."""
+
+    async def run(self, audience: Audience) -> None:
+        """Until cancelled, or at its end."""
+
+    def on_watched(self) -> None:
+        """Viewers, or what they watch, may be others."""
+
+    def on_wish(self, wish: dict[str, Any]) -> bool:
+        """Something else that a page wants; whether that is known here."""
 
 
 class Viewer:
@@ -95,15 +111,12 @@ class Viewer:
 
 
 class MonitorServer:
-    """Feeds every viewer from what the listener hears."""
+    """Passes to every viewer what the feed tells and shows."""
 
-    def __init__(self, team: Team, listener: Listener, door: Door) -> None:
-        self._team = team
-        self._listener = listener
+    def __init__(self, feed: Feed, door: Door) -> None:
+        self._feed = feed
         self._door = door
         self._viewers: set[Viewer] = set()
-        self._subscribed: set[int] = set()
-        self._wishes = asyncio.Event()
 
     def application(self) -> web.Application:
         application = web.Application(client_max_size=4096)
@@ -112,69 +125,37 @@ class MonitorServer:
         application.on_shutdown.append(self._close_viewers)
         return application
 
-    # --- feeding ------------------------------------------------------------------------
-
     async def run(self) -> None:
-        """Until cancelled, or until the listener is closed."""
-        async with asyncio.TaskGroup() as tasks:
-            others = [
-                tasks.create_task(self._tell_state(), name="state"),
-                tasks.create_task(self._follow_wishes(), name="wishes"),
-            ]
-            await self._hear()
-            for task in others:
-                task.cancel()
+        """Until cancelled, or until the feed ends."""
+        await self._feed.run(self)
 
-    async def _hear(self) -> None:
-        async for sample in self._listener.samples():
-            view = self._team.on_sample(sample)
-            if view is not None:
-                address = keys.parse(sample.key)
-                assert address is not None
-                self._show(address.drone_id, view)
+    # --- for the feed -------------------------------------------------------------------
 
-    def _show(self, drone_id: int, view: codec.VideoMessage) -> None:
-        watching = [viewer for viewer in self._viewers if drone_id in viewer.watched]
-        if not watching:
-            return  # a last one, after the last viewer went
+    @property
+    def is_there(self) -> bool:
+        return bool(self._viewers)
+
+    @property
+    def watched(self) -> frozenset[int]:
+        return frozenset().union(*(viewer.watched for viewer in self._viewers))
+
+    def tell(self, state: dict[str, Any]) -> None:
+        text = json.dumps(state, allow_nan=False, separators=(",", ":"))
+        for viewer in self._viewers:
+            viewer.give("state", text)
+
+    def show(self, drone_id: int, view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> None:
         header = {
             "drone": drone_id,
             "width": view.width,
             "height": view.height,
-            "boxes": boxes(view, self._team.tracks_at(drone_id, view.t_utc_s)),
+            "boxes": boxes(view, tracks),
         }
         text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
         message = struct.pack("<I", len(text)) + text + view.jpeg
-        for viewer in watching:
-            viewer.give(drone_id, message)
-
-    async def _tell_state(self) -> None:
-        loop = asyncio.get_running_loop()
-        due = loop.time()
-        while True:
-            state = self._team.state()  # unwatched, too: events have their times, and the gone their age
-            if self._viewers:
-                text = json.dumps(state, allow_nan=False, separators=(",", ":"))
-                for viewer in self._viewers:
-                    viewer.give("state", text)
-            due = max(due + 1.0 / STATE_HZ, loop.time())
-            await asyncio.sleep(due - loop.time())
-
-    async def _follow_wishes(self) -> None:
-        """Subscribe to the video that somebody watches, and to no other."""
-        while True:
-            await self._wishes.wait()
-            self._wishes.clear()
-            wanted = {drone_id for viewer in self._viewers for drone_id in viewer.watched}
-            try:
-                for drone_id in wanted - self._subscribed:
-                    await self._listener.listen_to(keys.key(self._team.name, Kind.VIDEO, drone_id))
-                    self._subscribed.add(drone_id)
-                for drone_id in self._subscribed - wanted:
-                    self._subscribed.discard(drone_id)
-                    await self._listener.leave(keys.key(self._team.name, Kind.VIDEO, drone_id))
-            except TransportError as error:
-                log.warning("video: %s", error)
+        for viewer in self._viewers:
+            if drone_id in viewer.watched:
+                viewer.give(drone_id, message)
 
     # --- serving ------------------------------------------------------------------------
 
@@ -196,6 +177,7 @@ class MonitorServer:
         await socket.prepare(request)
         viewer = Viewer(socket)
         self._viewers.add(viewer)
+        self._feed.on_watched()
         sending = asyncio.create_task(viewer.send(), name="viewer")
         try:
             async for word in socket:
@@ -206,7 +188,7 @@ class MonitorServer:
             with contextlib.suppress(asyncio.CancelledError, ConnectionError):
                 await sending
             self._viewers.discard(viewer)
-            self._wishes.set()
+            self._feed.on_watched()
         return socket
 
     def _on_word(self, viewer: Viewer, word: str) -> bool:
@@ -216,13 +198,15 @@ class MonitorServer:
             return True
         try:
             wish: Any = json.loads(word)
+            if not isinstance(wish, dict) or "watch" not in wish:
+                return isinstance(wish, dict) and self._feed.on_wish(wish)
             ids = wish["watch"]
             wished = frozenset(drone_id for drone_id in ids if type(drone_id) is int and 0 < drone_id < 65536)
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, TypeError, RecursionError):
             return False
         # Only of those that are there: nobody makes us subscribe to a thousand drones that are not.
-        viewer.watched = frozenset(sorted(wished.intersection(self._team.drones))[:MAX_WATCHED])
-        self._wishes.set()
+        viewer.watched = frozenset(sorted(wished.intersection(self._feed.drones))[:MAX_WATCHED])
+        self._feed.on_watched()
         return True
 
     async def _close_viewers(self, application: web.Application) -> None:

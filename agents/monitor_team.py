@@ -91,6 +91,12 @@ class Team:
         self._on_word(address.drone_id, drone, sample.arrived)
         return self._on_message(address.drone_id, drone, message, sample.arrived)
 
+    def on_sign_of_life(self, drone_id: int, arrived: float) -> None:
+        """It said something that need not be read."""
+        drone = self._drones.get(drone_id)
+        if drone is not None:
+            self._on_word(drone_id, drone, arrived)
+
     def tracks_at(self, drone_id: int, t_utc_s: float) -> codec.TracksMessage | None:
         """What a drone tracked at the instant of a frame, by its own clock, or nearest to it."""
         drone = self._drones.get(drone_id)
@@ -108,27 +114,32 @@ class Team:
 
     def state(self) -> dict[str, Any]:
         """Everything the page shows but pictures; JSON, units in the names where they are not plain."""
+        self.look()
         now = self._clock.now()
-        self._find_the_gone(now)
-        if now - self._judged_at >= JUDGING_S:
-            self._judged_at = now
-            self._verdict = self._reports.judge(filter(self.is_alive, self._drones), now)
-        verdict = self._verdict
-        kind, text, also = self._sentence(verdict)
-        if text != self._light:
-            self._light = text
-            self._note(None, text, kind)
+        kind, text, also = self._sentence(self._verdict)
         return {
             "team": self.name,
             "light": {"kind": kind, "text": text, "also": also},
             "drones": [self._drone_state(drone_id, now) for drone_id in sorted(self._drones)],
             "looks": [
                 [look.observer, look.called, look.whom, look.right, round(look.probability, 3)]
-                for look in verdict.looks
+                for look in self._verdict.looks
             ],
             "events": list(self._events)[-EVENTS_SHOWN:],
             "unreadable": self.unreadable,
         }
+
+    def look(self) -> None:
+        """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
+        now = self._clock.now()
+        self._find_the_gone(now)
+        if now - self._judged_at >= JUDGING_S:
+            self._judged_at = now
+            self._verdict = self._reports.judge(filter(self.is_alive, self._drones), now)
+        kind, text, _ = self._sentence(self._verdict)
+        if text != self._light:
+            self._light = text
+            self._note(None, text, kind)
 
     # --- hearing ------------------------------------------------------------------------
 

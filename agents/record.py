@@ -15,6 +15,7 @@ from swarmtrack.errors import TransportError
 from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
 from swarmtrack.transport.zenoh_listener import ZenohListener
 
 NEWS_S = 1.0  # s between two looks at how the disk is doing
@@ -23,6 +24,11 @@ NEWS_S = 1.0  # s between two looks at how the disk is doing
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dir", type=Path, metavar="DIR", help="where to; a folder is made below it")
     add_network_arguments(parser)
+    parser.add_argument(
+        "--video",
+        action="store_true",
+        help="the drones' pictures too, at most 10 a second each: every drone then makes and sends them",
+    )
     parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--max-mb",
@@ -36,7 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     try:
         network = network_of_monitor(args)
-        listener = ZenohListener(network, keys.key(network.team, "**"))
+        wanted = keys.all_but_video(network.team)
+        if args.video:
+            wanted.append(keys.key(network.team, Kind.VIDEO, "*"))
+        listener = ZenohListener(network, wanted)
     except TransportError as error:
         print(f"swarmtrack record: {error}", file=sys.stderr)
         return 2

@@ -558,6 +558,28 @@ def as_record(message: Message) -> dict[str, Any]:
     return record
 
 
+def from_record(kind: type[_M], record: Mapping[str, Any]) -> _M:
+    """What `as_record` named, checked again as if it were heard. Raises DecodeError."""
+    message: _M = _CHECKED[kind](_ENCODER.encode(_unnamed(msgspec.inspect.type_info(kind), record)))
+    return message
+
+
+def _unnamed(kind: msgspec.inspect.Type, value: Any) -> Any:
+    """A record as the array that stands on the wire; what is no record of this kind is left for msgspec to refuse."""
+    match kind:
+        case msgspec.inspect.StructType() if isinstance(value, Mapping):
+            return [_unnamed(field.type, value.get(field.name)) for field in kind.fields]
+        case msgspec.inspect.DictType() if isinstance(value, Mapping):
+            return {name: _unnamed(kind.value_type, v) for name, v in value.items()}
+        case msgspec.inspect.VarTupleType() if isinstance(value, list | tuple):
+            return [_unnamed(kind.item_type, v) for v in value]
+        case msgspec.inspect.UnionType() if isinstance(value, Mapping):  # of ours: a struct or null
+            return next(
+                _unnamed(one, value) for one in kind.types if isinstance(one, msgspec.inspect.StructType)
+            )
+    return value
+
+
 def _named(value: Any) -> Any:
     if isinstance(value, msgspec.Struct):
         return {name: _named(getattr(value, name)) for name in value.__struct_fields__}

@@ -1,6 +1,7 @@
 """The wire: what we write is pinned byte for byte, and no bytes at all can do more than be refused."""
 
 import dataclasses
+import json
 import math
 from collections.abc import Callable
 from typing import Any
@@ -312,6 +313,10 @@ def test_health_comes_back_as_it_went() -> None:
 
 
 def test_a_record_names_every_field_with_its_unit() -> None:
+    assert codec.from_record(codec.HealthMessage, json.loads(json.dumps(codec.as_record(HEALTH)))) == HEALTH
+    for nonsense in ({}, {**codec.as_record(HEALTH), "links": 3}, {**codec.as_record(HEALTH), "rates": []}):
+        with pytest.raises(codec.DecodeError):
+            codec.from_record(codec.HealthMessage, nonsense)
     record = codec.as_record(TRACKS)
     assert record["tracks"][0]["vu_px_s"] == -4.0
     seen = codec.as_record(codec.decode_sightings(reported()))["sightings"]

@@ -13,6 +13,7 @@ import heapq
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,26 +36,46 @@ class Shift(NamedTuple):
     by: str
 
 
-class _Hearsay(NamedTuple):
-    said: dict[Said, float]
-    heard: dict[Said, float]
+@dataclass(slots=True)
+class Hearsay:
+    """What one recording knows of sightings told: when they were exposed, by its clock [s]."""
+
+    said: dict[Said, float] = field(default_factory=dict)
+    heard: dict[Said, float] = field(default_factory=dict)
+
+    def note(self, message: Message) -> None:
+        """Any message of a drone's recording."""
+        if message.topic == SAID_TOPIC:
+            record = msgspec.json.decode(message.data)
+            self.said[record["drone_id"], record["boot"], record["sequence"]] = float(record["t_s"])
+        elif message.topic == SIGHTINGS_TOPIC:
+            record = msgspec.json.decode(message.data)
+            self.heard[record["observer"], record["boot"], record["sequence"]] = float(record["t_s"])
 
 
 def shifts(recordings: Sequence[Recording]) -> list[Shift]:
     """Of each, in order; the first is 0."""
-    hearsay = [_hearsay(recording) for recording in recordings]
-    utc = [_utc_offset(recording) for recording in recordings]
+    hearsay = []
+    for recording in recordings:
+        hearsay.append(Hearsay())
+        for message in recording.messages():
+            hearsay[-1].note(message)
+    return shifts_by(hearsay, [utc_offset(recording) for recording in recordings])
+
+
+def shifts_by(hearsay: Sequence[Hearsay], utc: Sequence[float]) -> list[Shift]:
+    """Of each recording, by what it said and heard. utc: UTC minus its monotonic clock, as each knew it [s]."""
     found: dict[int, float] = {0: 0.0}  # a clock minus the first one's
     waiting = deque([0])
     while waiting:
         i = waiting.popleft()
-        for j in range(len(recordings)):
+        for j in range(len(hearsay)):
             if j not in found and (offset := _offset(hearsay[i], hearsay[j])) is not None:
                 found[j] = found[i] + offset
                 waiting.append(j)
     return [
         Shift(utc[0] - utc[i] - found[i], "messages") if i in found else Shift(0.0, "UTC")
-        for i in range(len(recordings))
+        for i in range(len(hearsay))
     ]
 
 
@@ -133,24 +154,12 @@ def _names(recordings: Sequence[Recording]) -> list[str]:
     return names
 
 
-def _utc_offset(recording: Recording) -> float:
+def utc_offset(recording: Recording) -> float:
+    """UTC minus its monotonic clock [s], as it knew it at the beginning."""
     return float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
 
 
-def _hearsay(recording: Recording) -> _Hearsay:
-    said: dict[Said, float] = {}
-    heard: dict[Said, float] = {}
-    for message in recording.messages():
-        if message.topic == SAID_TOPIC:
-            record = msgspec.json.decode(message.data)
-            said[record["drone_id"], record["boot"], record["sequence"]] = float(record["t_s"])
-        elif message.topic == SIGHTINGS_TOPIC:
-            record = msgspec.json.decode(message.data)
-            heard[record["observer"], record["boot"], record["sequence"]] = float(record["t_s"])
-    return _Hearsay(said, heard)
-
-
-def _offset(one: _Hearsay, other: _Hearsay) -> float | None:
+def _offset(one: Hearsay, other: Hearsay) -> float | None:
     """The other's clock minus the one's [s]; None where neither heard the other."""
     there = min((other.heard[key] - t for key, t in one.said.items() if key in other.heard), default=math.inf)
     back = min((one.heard[key] - t for key, t in other.said.items() if key in one.heard), default=math.inf)

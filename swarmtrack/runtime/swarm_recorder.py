@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-from foxglove.messages import Pose, PoseInFrame, Quaternion, Timestamp, Vector3
+from foxglove.messages import CompressedImage, Pose, PoseInFrame, Quaternion, Timestamp, Vector3
 
 from swarmtrack import codec
 from swarmtrack.errors import RecordingError
@@ -142,7 +142,11 @@ class SwarmRecorder:
         decode = keys.DECODERS.get(address.kind)
         if decode is not None and heard.alive:
             try:
-                record = codec.as_record(decode(heard.payload))
+                message = decode(heard.payload)
+                if isinstance(message, codec.VideoMessage):
+                    _write_picture(address.drone_id, message, write, log_time)
+                    return
+                record = codec.as_record(message)
             except codec.DecodeError as error:
                 record = {"key": heard.key, "error": str(error), "bytes": len(heard.payload)}
         write(self._topic(address.drone_id, address.kind), log_time, msgspec.json.encode(record))
@@ -153,6 +157,16 @@ class SwarmRecorder:
             schema = {"title": f"swarmtrack.{kind.capitalize()}Message", "type": "object"}
             topic = self._topics[drone_id, kind] = Topic.of_json(f"/drone-{drone_id}/{kind}", schema)
         return topic
+
+
+def _write_picture(drone_id: int, view: codec.VideoMessage, write: Write, log_time: int) -> None:
+    """As viewers show pictures; one without is in `/heard` only."""
+    if view.jpeg:
+        exposed = round(view.t_utc_s * 1e9)
+        stamp = Timestamp(sec=exposed // 10**9, nsec=exposed % 10**9)
+        image = CompressedImage(timestamp=stamp, frame_id=f"camera-{drone_id}", data=view.jpeg, format="jpeg")
+        topic = Topic.well_known(f"/drone-{drone_id}/video", CompressedImage)
+        write(topic, log_time, image.encode())
 
 
 def _write_truth(true: TruePose, write: Write, log_time: int) -> None:
