@@ -9,6 +9,7 @@ as many; resident memory also grows by how an allocator tears its heap, and gets
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -87,6 +88,7 @@ def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
         not_finite, not_positive = not_finite + finite, not_positive + positive
         not_a_probability += probability
         if 10 * (k + 1) // scans > len(resident_mb):
+            gc.collect()  # what waits for its collector is no leak
             resident_mb.append(_resident_mb())
             blocks.append(sys.getallocatedblocks())
     faults = (not_finite, not_positive, not_a_probability)
