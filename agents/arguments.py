@@ -21,8 +21,22 @@ def positive(text: str, what: str = "number") -> float:
     return value
 
 
+def count(text: str) -> int:
+    """For `type=`: a whole number from 1 on."""
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
+    return int(text)
+
+
 def seed(text: str) -> int:
     """For `type=`: what generators of random numbers take."""
     if not (text.isascii() and text.isdigit()):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 0 or more")
+    return int(text)
+
+
+def port(text: str) -> int:
+    """For `type=`: of TCP or UDP, 0 for any that is free."""
+    if not (text.isascii() and text.isdigit() and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a port, 0 … 65535")
     return int(text)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from swarmtrack import codec
-from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.agents.arguments import count, positive_seconds
 from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
@@ -27,14 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what to hear, below swarmtrack/TEAM/v1: 'tracks/*', 'pose/*', 'health/3', '**'; or a full key",
     )
     add_network_arguments(parser)
-    parser.add_argument("--count", type=_count, metavar="N", help="end after N messages")
+    parser.add_argument("--count", type=count, metavar="N", help="end after N messages")
     parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:

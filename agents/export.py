@@ -9,8 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from swarmtrack.errors import ModelError, SourceError
 
 if TYPE_CHECKING:
@@ -91,6 +89,8 @@ def _labelled(args: argparse.Namespace) -> list[LabelledFrame]:
 
 def _calibrate(model: Path, frames: list[LabelledFrame]) -> None:
     """Write into the model how its scores become probabilities; its threshold lets through what it let through."""
+    import numpy as np
+
     from swarmtrack.detection.detector import Detector
     from swarmtrack.evaluation.detector_score import by_centre, match
     from swarmtrack.evaluation.score_calibration import expected_error, fit

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from swarmtrack.agents.swarm_table import Spectator
     from swarmtrack.agents.swarm_watch import Watch
     from swarmtrack.evaluation.swarm_verdict import SwarmReport
-    from swarmtrack.simulation.scenarios import Scenario
     from swarmtrack.transport.settings import NetworkSettings
 
 FAILED = 1
@@ -103,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
 async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: Spectator) -> SwarmReport:
     from swarmtrack.agents.swarm_watch import Watch
     from swarmtrack.runtime.clock import SystemClock
-    from swarmtrack.scenario_file import load_scenario
+    from swarmtrack.scenario_file import load_limits, load_scenario
 
     task = asyncio.current_task()
     assert task is not None
@@ -127,7 +126,13 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
     except* SwarmtrackError as group:
         raise first_of(group) from None
     await watch.judge_the_rest()
-    return _report(scenario, flown, watch, args.seconds)
+    return watch.report(
+        seconds=args.seconds,
+        seed=flown.seed,
+        tracker="as configured",
+        detector=flown.detector,
+        limits=load_limits(flown.scenario),
+    )
 
 
 async def ask_simulator(url: str, patience_s: float) -> Flown:
@@ -201,24 +206,3 @@ async def _everybody(watch: Watch, patience_s: float) -> None:
             f"after {patience_s:.0f} s drone {who} has not announced itself, or has no tracks: do its agent's log and "
             f"`swarmtrack echo 'health/*'` say why?"
         ) from None
-
-
-def _report(scenario: Scenario, flown: Flown, watch: Watch, seconds: float) -> SwarmReport:
-    from swarmtrack.evaluation.swarm_verdict import SwarmReport
-    from swarmtrack.scenario_file import load_limits
-
-    return SwarmReport(
-        scenario=scenario.name,
-        drones=len(scenario.members),
-        seconds=seconds,
-        seed=flown.seed,
-        tracker="as configured",
-        detector=flown.detector,
-        score=watch.scorer.score(),
-        all_known_s=watch.all_known_s,
-        agents=watch.figures(),
-        asked_tracks_hz=scenario.tracks_hz,
-        asked_imu_hz=scenario.imu_rate_hz,
-        image_width=scenario.camera.width,
-        limits=load_limits(flown.scenario),
-    )

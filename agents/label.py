@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from swarmtrack.agents.arguments import count
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--height", type=_metres, metavar="M", help="of your drones (default: span / 3)")
     parser.add_argument(
-        "--every", type=_count, default=1, metavar="N", help="take every Nth picture (default: %(default)s)"
+        "--every", type=count, default=1, metavar="N", help="take every Nth picture (default: %(default)s)"
     )
 
 
@@ -43,12 +45,6 @@ def _metres(text: str) -> float:
     if not 0.01 <= value <= 20.0:
         raise argparse.ArgumentTypeError(f"found {text}, expected metres, 0.01 to 20")
     return value
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 1 or more")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
         raise RecordingError(f"{args.path}: holds no drone's recording, expected one with pictures")
     (args.out / "images").mkdir(parents=True, exist_ok=True)
     pictures, labels = _write(args.out, found.pictures(args.every))
-    for why, count in found.skipped.most_common():
-        print(f"{count} pictures left out: {why}", file=sys.stderr)
+    for why, many in found.skipped.most_common():
+        print(f"{many} pictures left out: {why}", file=sys.stderr)
     if not pictures:
         raise RecordingError(
             f"{args.path}: no picture could be labelled"
@@ -74,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(out: Path, pictures: Any) -> tuple[int, int]:
+def _write(out: Path, pictures: Iterable[LabelledPicture]) -> tuple[int, int]:
     """images/, images.csv, labels.csv and labels.jpg; how many pictures and labels."""
     images, labels, shown = 0, 0, []
     with (

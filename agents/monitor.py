@@ -15,6 +15,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swarmtrack.agents.arguments import port
 from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
 from swarmtrack.errors import SwarmtrackError, TransportError
 
@@ -54,13 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what a viewer has to know (default: drawn by chance where one is needed)",
     )
     parser.add_argument("--open", action="store_true", help="open the page in this machine's browser")
-
-
-def port(text: str) -> int:
-    """Of an argument."""
-    if not (text.isascii() and text.isdigit() and int(text) < 65536):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a port, 0 … 65535")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from swarmtrack.agents.arguments import count
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -68,13 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare every published list of tracks, not every tenth, and exit with 1 unless all are the same bit "
         "for bit",
     )
-    parser.add_argument("--jobs", type=_jobs, metavar="N", help="recordings at a time (default: one a core)")
-
-
-def _jobs(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
-    return int(text)
+    parser.add_argument("--jobs", type=count, metavar="N", help="recordings at a time (default: one a core)")
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.arguments import positive_seconds, seed
+from swarmtrack.agents.arguments import port, positive_seconds, seed
 from swarmtrack.agents.machine_load import BUSY, MachineLoad
 from swarmtrack.errors import SourceError
 
@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--monitor-port",
-        type=_port,
+        type=port,
         metavar="PORT",
         help="of the page on this machine, 0: any that is free (default: 0); asks for --monitor by itself",
     )
@@ -92,12 +92,6 @@ def _drones(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) > 1):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 2 or more")
     return int(text)
-
-
-def _port(text: str) -> int:
-    from swarmtrack.agents.monitor import port
-
-    return port(text)
 
 
 def run(args: argparse.Namespace) -> int:

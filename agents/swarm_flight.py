@@ -332,20 +332,12 @@ class _Flight:
         await self._watch.judge_the_rest()
 
     def _report(self) -> SwarmReport:
-        scenario, plan = self._scenario, self._plan
-        return SwarmReport(
-            scenario=scenario.name,
-            drones=len(scenario.members),
+        plan = self._plan
+        return self._watch.report(
             seconds=self._seconds,
             seed=plan.seed,
             tracker=plan.tracker,
             detector=plan.detector,
-            score=self._watch.scorer.score(),
-            all_known_s=self._watch.all_known_s,
-            agents=self._watch.figures(),
-            asked_tracks_hz=scenario.tracks_hz,
-            asked_imu_hz=scenario.imu_rate_hz,
-            image_width=scenario.camera.width,
             limits=load_limits(plan.scenario),
         )
 

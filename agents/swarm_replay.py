@@ -77,19 +77,11 @@ def judge(recording: Recording, answers: Answers, tracker: str) -> Judged:
     watch = Watch(scenario, clock, clock, epoch=plan["epoch_s"], seconds=plan["seconds"])
     stage = _Stage(recording, answers, clock, watch)
     asyncio.run(stage.play())
-    report = SwarmReport(
-        scenario=scenario.name,
-        drones=len(scenario.members),
+    report = watch.report(
         seconds=plan["seconds"],
         seed=plan["seed"],
         tracker=tracker,
         detector=plan["detector"],
-        score=watch.scorer.score(),
-        all_known_s=watch.all_known_s,
-        agents=watch.figures(),
-        asked_tracks_hz=scenario.tracks_hz,
-        asked_imu_hz=scenario.imu_rate_hz,
-        image_width=scenario.camera.width,
         limits=limits,
     )
     return Judged(report, stage.verdict, stage.unreplayed)

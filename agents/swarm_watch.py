@@ -19,7 +19,7 @@ import numpy as np
 from swarmtrack import codec
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, Seen, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.evaluation.swarm_verdict import AgentFigures
+from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.simulation.scenarios import Fault, Scenario
 from swarmtrack.transport import keys
@@ -292,6 +292,27 @@ class Watch:
             return math.nan
         times = (t for known in self._known.values() for t in known.values())
         return max(times, default=self._last_start) - self._last_start
+
+    def report(
+        self, *, seconds: float, seed: int, tracker: str, detector: str, limits: Limits
+    ) -> SwarmReport:
+        """All numbers of the flight; the arguments are what was flown."""
+        scenario = self._scenario
+        return SwarmReport(
+            scenario=scenario.name,
+            drones=len(scenario.members),
+            seconds=seconds,
+            seed=seed,
+            tracker=tracker,
+            detector=detector,
+            score=self.scorer.score(),
+            all_known_s=self.all_known_s,
+            agents=self.figures(),
+            asked_tracks_hz=scenario.tracks_hz,
+            asked_imu_hz=scenario.imu_rate_hz,
+            image_width=scenario.camera.width,
+            limits=limits,
+        )
 
     def figures(self) -> tuple[AgentFigures, ...]:
         """Of every agent, over the flight so far."""

@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.agents.arguments import seed
+from swarmtrack.agents.arguments import count, positive, seed
 from swarmtrack.errors import ModelError, SourceError
+from swarmtrack.training import COARSEST
 
 if TYPE_CHECKING:
     from swarmtrack.training.labelled_images import LabelledFrame
 
 NETWORKS = ("plain", "nano", "resnet34")
 MINUTES = 150.0
-COARSEST = 32  # px: crops are a multiple of this
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,10 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
-        "--minutes", type=_positive, metavar="M", help=f"how long to train (default: {MINUTES:g})"
+        "--minutes", type=positive, metavar="M", help=f"how long to train (default: {MINUTES:g})"
     )
     length.add_argument(
-        "--iterations", type=_count, metavar="N", help="instead of minutes: the same weights each time"
+        "--iterations", type=count, metavar="N", help="instead of minutes: the same weights each time"
     )
     parser.add_argument("--network", choices=NETWORKS, default="plain", help="(default: %(default)s)")
     parser.add_argument(
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="(default: %(default)s)"
     )
     parser.add_argument("--seed", type=seed, default=0, metavar="K", help="(default: %(default)s)")
-    parser.add_argument("--batch", type=_count, default=32, metavar="N", help="(default: %(default)s)")
+    parser.add_argument("--batch", type=count, default=32, metavar="N", help="(default: %(default)s)")
     parser.add_argument(
         "--crop",
         type=_crop,
@@ -75,11 +75,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="side of a sample, a multiple of 32 (default: %(default)s)",
     )
     parser.add_argument(
-        "--learning-rate", type=_positive, default=2.5e-3, metavar="R", help="(default: %(default)s)"
+        "--learning-rate", type=positive, default=2.5e-3, metavar="R", help="(default: %(default)s)"
     )
     parser.add_argument(
         "--generators",
-        type=_count,
+        type=count,
         default=1,
         metavar="N",
         help="processes that draw samples; a GPU wants several (default: %(default)s)",
@@ -87,22 +87,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--licence", default="", metavar="TEXT", help="of the training data, written into the model"
     )
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a number above 0")
-    return value
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 1 or more")
-    return int(text)
 
 
 def _crop(text: str) -> int:

@@ -25,13 +25,12 @@ from swarmtrack.evaluation import detector_score
 from swarmtrack.evaluation.detector_score import EMPTY, Looked, Matches, by_centre, match
 from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
 from swarmtrack.training.labelled_images import LabelledFrame, held_out, load_frames
+from swarmtrack.training.validation import LOWEST, SURE_RECALL
 
 NAME = "detector"
-LOWEST = 0.02  # score from which on detections count for the average precision
 TIMED = ((320, 256), (640, 480))  # px
 REPEATS, QUICK_REPEATS = 60, 10
 QUICK_EVERY = 16
-SURE_RECALL = 0.9  # at the threshold of which distractors are counted
 CURVE = 200  # points of a plotted curve
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from pair_scenario import PAIR
 
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 
@@ -357,25 +358,6 @@ def test_a_folder_that_cannot_be_made_ends_the_start_with_its_entry(tmp_path):
 
 def test_recording_is_off_unless_a_folder_is_named():
     assert load_config(ROOT / "configs" / "sim.toml").recording.dir is None
-
-
-PAIR = """
-about = "two drones look at each other"
-seconds = 4.0
-[agents]
-tracks_hz = 20.0
-imu_rate_hz = 50.0
-[formation]
-drones = 2
-ring = { radius_m = 2.0 }
-[expected]                    # only what no busy machine can spoil
-rmse_px = 15.0
-time_to_identify_s = 60.0
-all_known_s = 60.0
-first_tracks_s = 60.0
-correct = 0.5
-rate = 0.1
-"""
 
 
 def test_the_verdict_on_a_recorded_swarm_is_reproduced(tmp_path, capsys, monkeypatch):

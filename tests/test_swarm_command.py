@@ -14,6 +14,7 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
+from pair_scenario import PAIR
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
@@ -26,23 +27,6 @@ from swarmtrack.scenario_file import load_scenario
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 120.0  # s: far beyond what it takes, for a machine that is busy
 SMALL = ("--detector", "oracle", "--seconds", "4")
-PAIR = """
-about = "two drones look at each other"
-seconds = 4.0
-[agents]
-tracks_hz = 20.0
-imu_rate_hz = 50.0
-[formation]
-drones = 2
-ring = { radius_m = 2.0 }
-[expected]                    # only what no busy machine can spoil
-rmse_px = 15.0
-time_to_identify_s = 60.0
-all_known_s = 60.0
-first_tracks_s = 60.0
-correct = 0.5
-rate = 0.1
-"""
 
 
 def pair(folder: Path, **expected: float) -> tuple[str, str]:

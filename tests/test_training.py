@@ -231,7 +231,7 @@ def test_the_papers_network_is_trained_and_exported_too(tmp_path):
         (["--network", "vgg"], "'plain', 'nano', 'resnet34'"),
         (["--start", "nowhere.pt"], "nowhere.pt: no such file"),
         (["--resume"], "no such checkpoint"),
-        (["--batch", "0"], "found 0, expected a whole number, 1 or more"),
+        (["--batch", "0"], "found 0, expected a whole number above 0"),
         (["--hold-out", "moon"], "--hold-out moon: expected one of --data, which is missing"),
         (["--out", "/nowhere/m.onnx"], "its folder does not exist"),
     ],

@@ -17,7 +17,6 @@ from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.messages import Array
 
 Model = Literal["radtan", "equidistant"]
-MODELS: tuple[Model, ...] = ("radtan", "equidistant")
 ROS_NAMES = {"radtan": "plumb_bob", "equidistant": "equidistant"}
 LEAST_VIEWS = 6
 OUTLIER, ROUNDS = 2.5, 4  # times the median of the views' errors

@@ -15,22 +15,13 @@ from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, Image, TrackStatus
 from swarmtrack.onboard import ScanReport
 from swarmtrack.runtime.outputs import SeenTrack, check_suffix
+from swarmtrack.runtime.palette import colour_of
 
 log = logging.getLogger(__name__)
 
 FRAMES_KEPT = 16  # a scan that waits for its gyro sample is at most a few frames behind
 MAX_BACKLOG = 8  # frames waiting to be encoded, before a live camera's are dropped
 
-# Okabe & Ito's colours, told apart by all eyes (BGR); a drone keeps its colour everywhere.
-COLOURS = [
-    (0, 159, 230),
-    (233, 180, 86),
-    (115, 158, 0),
-    (66, 228, 240),
-    (178, 114, 0),
-    (0, 94, 213),
-    (167, 121, 204),
-]
 UNKNOWN, FOREIGN = (200, 200, 200), (60, 60, 255)
 
 
@@ -48,11 +39,7 @@ def annotate(frame: Frame, t_s: float, seen: list[SeenTrack]) -> Image:
 def _draw(image: Image, seen: SeenTrack) -> None:
     identity, status = seen.entry.identity, seen.entry.track.status
     colour = (
-        FOREIGN
-        if identity == "foreign"
-        else UNKNOWN
-        if identity is None
-        else COLOURS[int(identity) % len(COLOURS)]
+        FOREIGN if identity == "foreign" else UNKNOWN if identity is None else colour_of(int(identity))[::-1]
     )
     u, v = seen.centre
     w, h = np.where(np.isnan(seen.size), 20.0, seen.size)

@@ -31,6 +31,9 @@ from swarmtrack.recording.settings import FlightSettings, read_settings
 from swarmtrack.runtime.assembly import make_ego_history
 from swarmtrack.runtime.replay import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
 
+TOPICS = {
+    inputs.FORM_OF_KIND[kind].topic for kind in (EgoPose, AutopilotRebooted, Announcement, SightingReport)
+}
 FOREVER = 1e9  # s of history
 REPORT_GAP = 1.5  # s between two places that a teammate told of, to be somewhere on the line between them
 POSE_GAP = 0.3  # s from the nearest pose of a recording
@@ -198,7 +201,7 @@ def _read(recording: Recording, shift: float) -> Flown:
     begin = float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
     flown = Flown(recording, settings, ego, begin + shift)
     for message in recording.messages():
-        if message.topic not in inputs.FORM_OF_TOPIC:
+        if message.topic not in TOPICS:
             continue
         _, event = inputs.decode(message.topic, message.data)
         match event:

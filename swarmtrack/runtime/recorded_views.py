@@ -31,6 +31,7 @@ from swarmtrack.onboard import ScanReport
 from swarmtrack.recording import schemas
 from swarmtrack.recording.writer import Topic
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
+from swarmtrack.runtime.palette import colour_of
 
 IMAGE = Topic.well_known("/camera/image", CompressedImage)
 FRAME = Topic.of_json("/camera/frames", schemas.FRAME)
@@ -40,15 +41,6 @@ EVENTS = Topic.well_known("/log", Log)
 
 JPEG_QUALITY = 90
 UNKNOWN_BOX = 24.0  # px
-# By drone, told apart by the colour-blind as well (Okabe & Ito, 2008); unknown is grey, foreign white.
-COLOURS = (
-    (0.90, 0.62, 0.0),
-    (0.34, 0.71, 0.91),
-    (0.0, 0.62, 0.45),
-    (0.94, 0.89, 0.26),
-    (0.84, 0.37, 0.0),
-    (0.8, 0.47, 0.65),
-)
 GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
 
 Written = tuple[Topic, bytes]
@@ -114,7 +106,7 @@ def _colour(identity: Identity) -> Color:
     if identity is None or identity == FOREIGN:
         r, g, b = GREY if identity is None else WHITE
     else:
-        r, g, b = COLOURS[(identity - 1) % len(COLOURS)]
+        r, g, b = (value / 255 for value in colour_of(identity))
     return Color(r=r, g=g, b=b, a=1.0)
 
 

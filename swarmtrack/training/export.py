@@ -11,8 +11,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from swarmtrack.training import COARSEST
 from swarmtrack.training.dataset import STRIDE
-from swarmtrack.training.network import COARSEST
 
 OPSET = 17
 

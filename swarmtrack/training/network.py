@@ -13,7 +13,6 @@ from swarmtrack.training.plain import CenterNet
 from swarmtrack.training.resnet import ResNet34CenterNet
 
 OTHERS = 0.3  # weight of telling apart what flies and is no drone
-COARSEST = 32  # px: images must be a multiple of this
 
 
 def create_network(name: str) -> nn.Module:

@@ -22,7 +22,6 @@ from swarmtrack.detection.net import Net
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Image
 
-PRECISIONS = ("fp32", "fp16", "int8")
 FEWEST_PICTURES = 16  # whose activations tell the ranges
 
 
