@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     endurance = names.add_parser(
         "endurance", help="half an hour of a swarm: what grows, falls behind, is lost"
     )
+    recording = names.add_parser("recording", help="what kill -9 costs a recording, and how fast it replays")
     detector = names.add_parser("detector", help="how good a detector is on labelled images and clips")
     for name in (
         detector,
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         soak,
         monitor,
         endurance,
+        recording,
     ):
         name.add_argument(
             "--out",
@@ -57,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="DIR",
             help="for the results (default: %(default)s)",
         )
-        if name not in (detector, offset, calibration, clients, flood, identity, trackers, soak, monitor):
+        if name in (agent, clips, rotation, recognition, swarm, endurance):
             name.add_argument(
                 "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
             )
@@ -262,6 +264,12 @@ def _monitor(args: argparse.Namespace) -> None:
     monitor_cost.run(args.out, quick=args.quick)
 
 
+def _recording(args: argparse.Namespace) -> None:
+    from swarmtrack.benchmarks import recorded_flights
+
+    recorded_flights.run(args.out, quick=args.quick)
+
+
 BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "agent": _agent,
     "calibration": _calibration,
@@ -273,6 +281,7 @@ BENCHMARKS: dict[str, Callable[[argparse.Namespace], None]] = {
     "identity": _identity,
     "offset": _offset,
     "recognition": _recognition,
+    "recording": _recording,
     "rotation": _rotation,
     "monitor": _monitor,
     "soak": _soak,

@@ -18,11 +18,11 @@ from swarmtrack.agents.arguments import count
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
-    from swarmtrack.agents.swarm_replay import Judged
+    from swarmtrack.agents.swarm_replay import Judged, Published
     from swarmtrack.evaluation.replay_diff import ReplayDiff, SeenScan
     from swarmtrack.messages import TrackList
     from swarmtrack.recording.reader import Recording
-    from swarmtrack.runtime.replay import Replayed
+    from swarmtrack.runtime.replay import Replayed, Watcher
 
 DONE, FAILED = 0, 1
 RECORDED = "recorded"
@@ -80,7 +80,7 @@ class _Task:
     tracker: str | None
     changes: tuple[str, ...]
     detect: bool
-    keep_answers: bool
+    for_verdict: bool
     every_answer: bool
 
 
@@ -94,7 +94,7 @@ class _Flown:
     seconds: float
     """That it took."""
     notes: list[str]
-    answers: list[TrackList]
+    published: Published
     scans: list[SeenScan]
     recorded_scans: list[SeenScan]
     diff: ReplayDiff | None = None
@@ -145,10 +145,14 @@ def _replay_all(tasks: list[_Task], jobs: int | None) -> list[_Flown]:
     import swarmtrack.runtime.replay  # noqa: F401  (loaded once, before the processes part)
 
     with ProcessPoolExecutor(at_once, mp_context=multiprocessing.get_context("fork")) as pool:
-        return list(pool.map(_replay, tasks))
+        flown = pool.map(_replay, tasks)
+        if any(task.for_verdict for task in tasks):
+            import swarmtrack.agents.swarm_replay  # noqa: F401  (while they fly)
+        return list(flown)
 
 
 def _replay(task: _Task) -> _Flown:
+    from swarmtrack.agents.swarm_replay import Published
     from swarmtrack.evaluation.replay_diff import seen_scans
     from swarmtrack.recording.settings import read_settings
     from swarmtrack.runtime.assembly import make_detector
@@ -157,15 +161,26 @@ def _replay(task: _Task) -> _Flown:
 
     clock = SystemClock()
     settings, notes = read_settings(task.recording, task.tracker, task.changes)
-    detector = make_detector(settings.config) if task.detect else None
-    answers: list[TrackList] = []
-    gc.disable()  # nothing here leaves circles behind, and there is much to look through
-    began = clock.now()
-    watcher = answers.append if task.keep_answers else None
-    try:
-        replayed = Replayer(
+    what_if = bool(task.tracker or task.changes or task.detect)
+
+    def fly(watcher: Watcher | None) -> Replayed:
+        detector = make_detector(settings.config) if task.detect else None
+        return Replayer(
             task.recording, settings, detector=detector, watcher=watcher, every_answer=task.every_answer
         ).run()
+
+    changed: list[TrackList] | None = None
+    gc.disable()  # nothing here leaves circles behind, and there is much to look through
+    began = clock.now()
+    try:
+        if task.for_verdict and what_if:
+            changed = []
+            replayed = fly(changed.append)
+        else:
+            replayed = fly(None)
+            if task.for_verdict and not replayed.exact:
+                changed = []
+                replayed = fly(changed.append)
     finally:
         gc.enable()
     scans, recorded = (
@@ -178,7 +193,7 @@ def _replay(task: _Task) -> _Flown:
         replayed,
         clock.now() - began,
         notes,
-        answers,
+        Published(replayed.asked, changed),
         scans,
         recorded,
     )
@@ -236,7 +251,7 @@ def _judge(flight: Recording, flown: list[_Flown], what_if: bool) -> Judged:
     from swarmtrack.agents.swarm import print_verdict
     from swarmtrack.agents.swarm_replay import judge
 
-    answers = {(one.recording.drone_id, one.recording.preface["boot"]): one.answers for one in flown}
+    answers = {(one.recording.drone_id, one.recording.preface["boot"]): one.published for one in flown}
     judged = judge(flight, answers, flown[0].tracker)
     print_verdict(judged.report, Console())
     if judged.unreplayed:

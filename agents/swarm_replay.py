@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -35,8 +35,17 @@ from swarmtrack.transport.zenoh_bridge import Sample
 
 SAME_PLACE_M = 1e-6  # of a pose computed again
 
-Answers = Mapping[tuple[int, str], Sequence[TrackList]]
-"""By drone and boot: what it published in a replay; the k-th message has the number k + 1."""
+
+class Published(NamedTuple):
+    """What one life of an agent published in a replay, the k-th with the number k + 1; None: bit for bit as in flight."""
+
+    messages: int
+    changed: Sequence[TrackList] | None
+
+
+Answers = Mapping[tuple[int, str], Published]
+"""By drone and boot."""
+NOTHING = Published(0, None)
 
 
 @dataclass(slots=True)
@@ -129,15 +138,18 @@ class _Stage:
             self._boots[address.drone_id] = address.rest[0]
         if address.kind is not Kind.TRACKS:
             return heard.sample
+        published = self._answers.get((address.drone_id, self._boots.get(address.drone_id, "")), NOTHING)
         try:
+            if not 1 <= codec.tracks_sequence(heard.payload) <= published.messages:
+                self.unreplayed += 1
+                return None
+            if published.changed is None:
+                return heard.sample
             message = codec.decode_tracks(heard.payload)
         except codec.DecodeError:
             return heard.sample  # the judge counts it
-        answers = self._answers.get((address.drone_id, self._boots.get(address.drone_id, "")), ())
-        if not 1 <= message.sequence <= len(answers):
-            self.unreplayed += 1
-            return None
-        fresh = codec.tracks_message(answers[message.sequence - 1], message.sequence, 0.0, message.t_sigma_s)
+        answer = published.changed[message.sequence - 1]
+        fresh = codec.tracks_message(answer, message.sequence, 0.0, message.t_sigma_s)
         said = msgspec.structs.replace(fresh, t_utc_s=message.t_utc_s)
         try:
             return heard.sample._replace(payload=codec.encode_tracks(said))

@@ -43,6 +43,9 @@ MAX_KNOWN: Final = 1024  # as many drones as a transport remembers
 SIGNATURE_BYTES: Final = 64  # Ed25519
 
 _NORM_TOLERANCE = 1e-6  # of a quaternion or direction: far above rounding, far below a mistake
+# How NaN and infinity begin in MessagePack, as float64 and float32. Where these bytes do not occur, as nearly always,
+# nothing need be looked through; a picture or half a number may hold them by chance.
+_PERHAPS_NOT_FINITE = re.compile(rb"\xcb[\x7f\xff][\xf0-\xff]|\xca[\x7f\xff][\x80-\xff]", re.DOTALL)
 _COVARIANCE_TOLERANCE = 1e-9  # of the trace: the most negative eigenvalue that rounding may leave
 
 
@@ -479,6 +482,26 @@ def encode_tracks(message: TracksMessage) -> bytes:
     return data
 
 
+class _NumberedMessage(msgspec.Struct, array_like=True, frozen=True):
+    """The first fields of `TracksMessage`."""
+
+    version: Literal[1]
+    t_utc_s: float
+    t_sigma_s: float
+    sequence: int
+
+
+_NUMBERED = msgspec.msgpack.Decoder(_NumberedMessage)
+
+
+def tracks_sequence(data: bytes) -> int:
+    """The number of a tracks message, whatever else is in it. Raises DecodeError."""
+    try:
+        return _NUMBERED.decode(data).sequence
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise DecodeError(f"{TracksMessage.what}: {error} in {len(data)} bytes") from None
+
+
 def decode_tracks(data: bytes) -> TracksMessage:
     m = _decode(TracksMessage, data)
     if m.tracks:
@@ -615,7 +638,7 @@ def _decode(kind: type[_M], data: bytes) -> _M:
         raise DecodeError(f"{kind.what}: {_with_field_name(kind, str(error))}") from None
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise DecodeError(f"{kind.what}: {error} in {len(data)} bytes") from None
-    if not _is_finite(message):
+    if _PERHAPS_NOT_FINITE.search(data) and not _is_finite(message):
         raise DecodeError(f"{kind.what}: holds NaN or infinity, expected finite numbers")
     return message
 
@@ -652,6 +675,11 @@ def _check_unit(where: str, components: tuple[float, ...], expected: str) -> Non
 def _check_covariances(where: str, uppers: list[tuple[float, ...]], n: int) -> None:
     """uppers: upper triangles of (n, n) matrices, each to be positive semi-definite."""
     cov = _symmetric(np.array(uppers), n)
+    try:
+        np.linalg.cholesky(cov)
+        return
+    except np.linalg.LinAlgError:  # singular ones are allowed, and need a closer look
+        pass
     smallest = np.linalg.eigvalsh(cov)[:, 0]
     if not np.all(smallest >= -_COVARIANCE_TOLERANCE * np.trace(cov, axis1=1, axis2=2)):
         raise DecodeError(

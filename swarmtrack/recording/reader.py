@@ -24,6 +24,7 @@ from swarmtrack.recording.writer import ACTIVE, PREFACE, SUFFIX
 
 MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
+READ_AHEAD = 1 << 20  # bytes: of a file, which is read from one end to the other
 LARGEST_RECORD = 256 << 20  # bytes: a length beyond it is no length but garbage
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -56,7 +57,7 @@ class Segment:
     def messages(self) -> Iterator[Message]:
         """In the order of writing. Raises RecordingError for what is no MCAP file at all."""
         try:
-            file: IO[bytes] = self.path.open("rb")
+            file: IO[bytes] = self.path.open("rb", buffering=READ_AHEAD)
         except OSError as error:
             raise RecordingError(f"{self.path}: {error.strerror}, expected a recording") from error
         with file:

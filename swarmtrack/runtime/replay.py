@@ -41,6 +41,10 @@ class Stream(NamedTuple):
     same: int
     parted_s: float | None
 
+    @property
+    def all_same(self) -> bool:
+        return self.same == self.recorded
+
 
 NOTHING = Stream(0, 0, None)
 
@@ -71,6 +75,8 @@ class Replayed:
     seconds: float = 0.0
     """Of flight."""
     inputs: int = 0
+    asked: int = 0
+    """Of the inputs: how often somebody asked for the tracks."""
     inputs_lost: int = 0
     """Missing in the recording, by their running numbers: from there on nothing need be the same."""
     scans: list[ScanReport] = field(default_factory=list)
@@ -86,7 +92,7 @@ class Replayed:
     def exact(self) -> bool:
         """Whether everything that was recorded came out again, bit for bit."""
         streams = (self.scans_compared, self.answers_compared)
-        return self.inputs_lost == 0 and all(stream.same == stream.recorded for stream in streams)
+        return self.inputs_lost == 0 and all(stream.all_same for stream in streams)
 
 
 class Replayer:
@@ -112,7 +118,6 @@ class Replayer:
         self._detector = detector
         self._watcher = watcher
         self._answer_every = 1 if every_answer or watcher is not None else ANSWER_EVERY
-        self._asked = 0
         self._result = Replayed()
         self._scans = _Compared()
         self._answers = _Compared()
@@ -156,8 +161,8 @@ class Replayer:
         elif topic == outputs.ASKED_TOPIC:
             n, t, digest = outputs.decode_asked(message.data)
             self._count(n)
-            self._asked += 1
-            if self._asked % self._answer_every and not self._onboard.has_waiting:
+            self._result.asked += 1
+            if self._result.asked % self._answer_every and not self._onboard.has_waiting:
                 return
             tracks = self._door.tracks(t)
             self._note(self._answers, outputs.digest(tracks), t)

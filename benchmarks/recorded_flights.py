@@ -1,0 +1,174 @@
+"""What a recording is worth: how much a killed agent loses of it, and how fast it is flown again, bit for bit.
+
+    swarmtrack bench recording
+
+A real agent with a played autopilot and a scripted camera is ended by SIGKILL at moments chosen by chance; lost is what
+lies between that moment and the last record that can be read. Then `swarmtrack sim` records a minute of three drones,
+and `swarmtrack replay` flies it again: one drone alone, and all with their verdict. Times are those of the whole
+command, from its start to its end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.agent_budget import (
+    CAMERA,
+    agent_process,
+    autopilot,
+    free_udp_port,
+    listening,
+    until_tracking,
+)
+from swarmtrack.benchmarks.real_clips import agent_environment
+from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.recording.reader import files_below, recordings_below
+from swarmtrack.recording.repair import repair
+
+NAME = "recording"
+KILLS, QUICK_KILLS = 10, 2
+FLIGHT_S, QUICK_FLIGHT_S = 60.0, 10.0
+TURNS = 3  # of each replay; told is the median
+SEED = 11
+LOST_MOST_S, SPEED_LEAST = 1.0, 20.0
+
+
+class Killed(NamedTuple):
+    """flown_s: after its first track; lost_s: of the recording's end; readable: every file, after `log repair`."""
+
+    flown_s: float
+    lost_s: float
+    readable: bool
+
+
+class Replays(NamedTuple):
+    """drones: how many were flown again at once; seconds: of the command; exact: all of it, bit for bit."""
+
+    drones: int
+    flight_s: float
+    seconds: list[float]
+    exact: bool
+
+    @property
+    def speed(self) -> float:
+        return self.flight_s / statistics.median(self.seconds)
+
+
+def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
+    """Fly, kill, replay; write recording.json and recording.md into `out`, and return what is in the JSON."""
+    kills = QUICK_KILLS if quick else KILLS
+    rng = np.random.default_rng(SEED)
+    with tempfile.TemporaryDirectory(prefix=f"{NAME}-") as name:
+        folder = Path(name)
+        with report.progress(NAME, kills + 3) as advance:
+            killed = []
+            for k in range(kills):
+                advance(f"kill -9, {k + 1} of {kills}")
+                killed.append(asyncio.run(_kill(folder / f"killed-{k}", rng.uniform(1.0, 6.0))))
+            replays = _replays(folder / "flight", QUICK_FLIGHT_S if quick else FLIGHT_S, advance)
+    result = {
+        "killed": [one._asdict() for one in killed],
+        "replays": [{**one._asdict(), "speed": one.speed} for one in replays],
+    }
+    report.write(out, NAME, result, _markdown(killed, replays))
+    return result
+
+
+async def _kill(folder: Path, seconds: float) -> Killed:
+    """An agent that records into `folder` is ended `seconds` after its first track."""
+    port, team = free_udp_port(), f"bench-{secrets.token_hex(4)}"
+    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    entries = {
+        "drone.id": 1,
+        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
+        "autopilot.link": f"udpin:127.0.0.1:{port}",
+        "network.team": team,
+        "recording.dir": str(folder),
+        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
+    }
+    with agent_process(["swarmtrack.benchmarks.scripted_agent"], entries) as process:
+        async with listening(team) as heard, autopilot(port):
+            await until_tracking(process, heard)
+            await asyncio.sleep(seconds)
+            process.kill()
+            at = time.time()
+            process.wait()
+    for file in files_below(folder):
+        repair(file)
+    (recording,) = recordings_below(folder)
+    last = max(message.log_time_ns for message in recording.messages())
+    return Killed(seconds, at - 1e-9 * last, not recording.damage)
+
+
+def _replays(folder: Path, seconds: float, advance: Callable[[str], None]) -> list[Replays]:
+    advance("sim --record")
+    flown = _command("sim", "--detector", "oracle", "--seconds", str(seconds), "--record", str(folder))
+    if not folder.is_dir():
+        raise BenchmarkError(f"{NAME}: `swarmtrack sim --record` left no recording:\n{flown}")
+    found = []
+    for path in (folder / "drone-1", folder):
+        advance(f"replay of {path.name}")
+        answer = folder.parent / "replay.json"
+        times = []
+        for _ in range(TURNS):
+            began = time.monotonic()
+            said = _command("replay", str(path), "--json", str(answer))
+            times.append(time.monotonic() - began)
+            if not answer.is_file():
+                raise BenchmarkError(f"{NAME}: `swarmtrack replay` wrote no result:\n{said}")
+        drones = json.loads(answer.read_text(encoding="utf-8"))["drones"]
+        answer.unlink()
+        shortest = min(drone["flight_s"] for drone in drones)
+        found.append(Replays(len(drones), shortest, times, all(drone["exact"] for drone in drones)))
+    return found
+
+
+def _command(*words: str) -> str:
+    """A command of ours, whatever its verdict; returns what it said."""
+    command = [sys.executable, "-m", "swarmtrack.agents.main", *words]
+    done = subprocess.run(command, env=agent_environment(), capture_output=True, text=True, check=False)
+    return done.stdout + done.stderr
+
+
+# --- for people --------------------------------------------------------------------------------------
+
+
+def _markdown(killed: Sequence[Killed], replays: Sequence[Replays]) -> str:
+    lost = [one.lost_s for one in killed]
+    readable = sum(one.readable for one in killed)
+    rows = [
+        [
+            f"{one.drones} with their verdict" if one.drones > 1 else "one drone",
+            f"{one.flight_s:.1f}",
+            f"{statistics.median(one.seconds):.2f} ({min(one.seconds):.2f} to {max(one.seconds):.2f})",
+            f"{one.speed:.1f}",
+            "yes" if one.exact else "**no**",
+        ]
+        for one in replays
+    ]
+    return "\n".join(
+        [
+            "# Recording and replay",
+            "",
+            f"SIGKILL at {len(killed)} moments: {min(lost):.2f} to {max(lost):.2f} s lost (median "
+            f"{statistics.median(lost):.2f}; at most {LOST_MOST_S:g} is wanted), {readable} of {len(killed)} "
+            "recordings readable to the end after `swarmtrack log repair`.",
+            "",
+            f"`swarmtrack replay`, the whole command, median of {TURNS} ({SPEED_LEAST:g} times real time are wanted):",
+            "",
+            report.table(["replayed", "flight, s", "took, s", "times real time", "bit for bit"], rows),
+        ]
+    )
