@@ -97,6 +97,7 @@ def _add_detector_arguments(detector: argparse.ArgumentParser) -> None:
         "--scene", action="append", default=[], metavar="NAME", help="of the images only this one"
     )
     detector.add_argument("--every", type=int, default=1, metavar="N", help="of the clips each N-th frame")
+    detector.add_argument("--motion", action="store_true", help="of clips count what moved; their camera must stand")
     detector.add_argument(
         "--held-out-negatives",
         action="store_true",
@@ -255,6 +256,7 @@ def _detector(args: argparse.Namespace) -> None:
         scenes=args.scene,
         every=max(args.every, 1),
         held_out_negatives=args.held_out_negatives,
+        motion=args.motion,
     )
 
 

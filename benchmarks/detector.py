@@ -1,10 +1,11 @@
 """How good a detector is: on labelled images and clips, by scene, size and distractor, and what a frame costs.
 
-    swarmtrack bench detector MODEL DATA [--input-scale 1.5] [--scene NAME ...] [--every N] --out DIR
+    swarmtrack bench detector MODEL DATA [--input-scale 1.5] [--scene NAME ...] [--every N] [--motion] --out DIR
 
 DATA holds labelled images (see `swarmtrack.training.labelled_images`), or pairs NAME.mp4 and NAME_gt.csv in it or in
 `tracks/`, or both. The images count as one set, the clips as another. What a hit is: see
-`swarmtrack.evaluation.detector_score`.
+`swarmtrack.evaluation.detector_score`. With --motion the scores of clips count what moved (`detection.motion_cue`), as in
+an agent whose camera stands still; the clips must be such.
 """
 
 from __future__ import annotations
@@ -51,10 +52,11 @@ def run(
     scenes: Sequence[str] = (),
     every: int = 1,
     held_out_negatives: bool = False,
+    motion: bool = False,
 ) -> dict[str, Any]:
     """Write detector.json, detector.md and detector.png into `out`; returns what the JSON holds."""
     plt = report.pyplot()
-    detector = Detector(model, score_threshold=LOWEST, input_scale=input_scale, look="whole")
+    detector = Detector(model, score_threshold=LOWEST, input_scale=input_scale, look="whole", motion=motion)
     threshold = detector.description.score_threshold
     sets = _look(detector, data, scenes, QUICK_EVERY if quick else every, held_out_negatives)
     images = [look for looks in sets.images.values() for look in looks]
@@ -68,6 +70,7 @@ def run(
         "head": detector.description.head,
         "data": data.name,
         "input_scale": input_scale,
+        "motion": motion,
         **detector_score.summary(main, threshold),
         "threshold_of_090_recall": round(sure, 4),
         "distractor_images_fired": _share(detector_score.fired_on(main, sure).get("anything")),
@@ -94,7 +97,8 @@ def _look(
     by_scene: dict[str, list[Looked]] = {}
     with report.progress(NAME, len(frames) + len(clips)) as advance:
         for frame in frames:
-            look = Looked(_detect(detector, frame.image), frame.drones, frame.distractors, frame.kinds)
+            seen = _detect(detector, frame.image)
+            look = Looked(seen, frame.drones, frame.distractors, frame.kinds)
             by_scene.setdefault(frame.scene, []).append(look)
             advance(frame.scene)
         by_clip = {}
@@ -127,11 +131,17 @@ def _frames(
     return wanted
 
 
-def _detect(detector: Detector, image: Image) -> Detections:
-    seen = detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
+def _detect(detector: Detector, image: Image, t: float = 0.0) -> Detections:
+    earlier = None if detector.compares_with(t) is None else _same_place
+    seen = detector.detect(Frame(t, 0.0, 0, image, StampKind.MEDIA), None, earlier)
     if seen is None:
         raise BenchmarkError(detector.status().text)
     return seen
+
+
+def _same_place(pixels: Array) -> Array:
+    """Of a camera that stands still."""
+    return pixels
 
 
 def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]:
@@ -144,9 +154,10 @@ def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]
             if not alive:
                 break
             if index % every == 0:
+                seen = _detect(detector, np.asarray(image, np.uint8), index / clip.fps)
                 boxes = truth.get(index)
                 drones = EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
-                yield Looked(_detect(detector, np.asarray(image, np.uint8)), drones)
+                yield Looked(seen, drones)
     finally:
         video.release()
 
@@ -231,7 +242,7 @@ def _markdown(result: dict[str, Any]) -> str:
         f"# Detector {result['model']} on {result['data']}",
         "",
         f"Head {result['head']}, understood by {result['source']}; {result['file_mb']} MB; whole frames, input scale"
-        f" {result['input_scale']:g}; threshold {result['threshold']:g}. A hit: the centre within max(6 px, half the"
+        f" {result['input_scale']:g}{'; clips with what moved' if result['motion'] else ''}; threshold {result['threshold']:g}. A hit: the centre within max(6 px, half the"
         " longer side of the label). False / image: at that threshold.",
     ]
     for title, key in (("Images", "by_scene"), ("Clips", "by_clip")):

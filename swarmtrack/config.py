@@ -291,6 +291,10 @@ class DetectorSection(Section):
         default=True,
         description="guided, and shrunk as a whole: also a tile at full resolution with each frame",
     )
+    motion: Switch = Field(
+        default=True,
+        description="what changed since the frame a tenth of a second before, as the gyro turned, counts as likelier",
+    )
     threads: Count = Field(default=1, description="of inference; more than one is slower on a busy machine")
     providers: tuple[Literal["cpu", "xnnpack", "openvino", "cuda", "tensorrt", "qnn", "coreml"], ...] = Field(
         default=("cpu",),

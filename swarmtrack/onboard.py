@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -47,6 +48,7 @@ from swarmtrack.tracking.consistency import Consistency
 
 MAX_WAIT = 0.05  # s: a gyro that is silent for longer is not waited for
 LOST_ATTITUDE = 0.3  # rad: whose autopilot is silent for so long does not know where it looks
+BLURRED_PX = 3.0  # by which two pictures may miss each other and still be compared
 MAX_SILENCE = 1.0  # s that a scan may stay away beyond the history: by then a target may be anywhere
 
 
@@ -232,6 +234,21 @@ class Onboard:
         sigma = np.sqrt([np.diagonal(track.cov)[::2] for track in tracks])
         boxes = np.concatenate([centre, 3.0 * sigma, [track.size for track in tracks]], axis=1)
         return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
+
+    def pixels_at(self, then: float, now: float) -> Callable[[Array], Array] | None:
+        """From pixels (n, 2) of a frame exposed now to where the same directions lay in one exposed then (their own
+        stamps), by the gyro alone; NaN where the lens does not reach. None where the gyro cannot tell."""
+        late, early = (self.gyro.orientation(t + self.clock.used_s) for t in (now, then))
+        turn = rotation_between(late, early)
+        if self._camera.fx * math.sqrt(turn.variance) > BLURRED_PX:
+            return None
+        camera, matrix = self._camera, turn.matrix
+
+        def earlier(pixels: Array) -> Array:
+            rays = camera.bearing(pixels) @ matrix.T
+            return camera.project(rays)[0]
+
+        return earlier
 
     def ego_pose(self, t: float) -> TeamPose | None:
         """Where this drone itself was at t, in the team frame."""

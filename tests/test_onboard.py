@@ -296,3 +296,32 @@ def test_a_heading_that_is_found_after_boot_does_not_turn_the_team_frame():
     assert ego.position == pytest.approx([1.0, 2.0, 0.0])
     drone.on_pose(EgoPose(0.08, np.array([0.0, 1.0, 0.0]), rotation.from_euler(0.0, 0.0, 1.5)))
     assert drone.ego_pose(0.08).position == pytest.approx([1.0 + np.sin(1.0), 2.0 + np.cos(1.0), 0.0])
+
+
+def test_pixels_of_an_earlier_frame_are_those_of_the_same_directions_however_the_camera_turned():
+    camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.2, 0.05, 0.0, 0.0)))
+    drone = onboard(camera=camera, offset=0.02)
+    rate = np.array([0.4, -0.3, 1.2])  # body axes
+    for k in range(101):
+        drone.on_imu(ImuSample(k / 200.0, rate, NO_ACCEL))
+    directions = rotation.exp(np.array([[0.0, 0.1, 0.0], [0.1, -0.2, 0.0], [0.0, 0.0, 0.3]])) @ [
+        0.0,
+        0.0,
+        1.0,
+    ]
+    in_camera = rotation.BODY_FROM_FORWARD_CAMERA.T @ rate
+    then_from_now = rotation.exp(in_camera * 0.1)
+    pixels, _, _ = camera.project(directions)
+    expected, _, _ = camera.project(directions @ then_from_now.T)
+    found = drone.pixels_at(0.3, 0.4)(pixels)
+    assert np.abs(found - expected).max() < 1e-3
+    assert np.abs(found - pixels).max() > 30.0
+
+
+def test_a_camera_without_a_gyro_is_taken_to_stand_still_and_one_whose_gyro_fell_silent_is_not():
+    pixels = np.array([[100.0, 100.0], [500.0, 300.0]])
+    assert np.allclose(onboard().pixels_at(0.0, 0.1)(pixels), pixels)
+    drone = onboard()
+    for k in range(11):
+        drone.on_imu(ImuSample(k / 200.0, np.zeros(3), NO_ACCEL))
+    assert drone.pixels_at(0.9, 1.0) is None

@@ -9,10 +9,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.detection import motion_cue
 from swarmtrack.detection.description import Declared, Description
 from swarmtrack.detection.gaze import Gaze, Habits, Window, coverage
 from swarmtrack.detection.heads import Candidates, merged
 from swarmtrack.detection.model import model_path, open_session, runs_on
+from swarmtrack.detection.motion_cue import Earlier, MotionCue
 from swarmtrack.detection.net import TRIAL_SIZE, Net
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus
@@ -48,8 +50,8 @@ class Detector:
     before looking, for drones of few pixels (the time grows with its square). providers: ONNX Runtime's, by short name,
     best first; cache: folder of the engines that some of them compile. declared: what the file does not say of the net,
     or says wrongly. look: "whole" frames, or "guided" by the tracks as `habits` say; "auto": guided where the whole
-    frame would be shrunk. A model that cannot work raises `ModelError` here; a bad frame later is counted and yields
-    nothing.
+    frame would be shrunk. motion: also ask what moved since an earlier frame (`motion_cue`). A model that cannot work
+    raises `ModelError` here; a bad frame later is counted and yields nothing.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Detector:
         declared: Declared = NOTHING_DECLARED,
         look: Literal["auto", "whole", "guided"] = "auto",
         habits: Habits = USUAL,
+        motion: bool = False,
         max_detections: int = 64,
         clock: Clock | None = None,
     ) -> None:
@@ -87,6 +90,7 @@ class Detector:
         self._input_scale = input_scale
         self._look = look
         self._gaze = Gaze(habits, self._net.fixed_size)
+        self._motion = MotionCue() if motion else None
         self._limit = max_detections
         self._seconds = np.zeros((LATENCY_FRAMES, 3))  # ring of (pre, infer, post)
         self._frames = self._found = self._refused = self._broken = self._windows = 0
@@ -122,9 +126,16 @@ class Detector:
         shrunk = self._net.scale_of(width, height, self._input_scale) < 1.0
         return self._look == "guided" or (self._look == "auto" and shrunk)
 
-    def detect(self, frame: Frame, tracks: Array | None = None) -> Detections | None:
+    def compares_with(self, t: float) -> float | None:
+        """When the frame was exposed that `detect` wants to compare the next one, of t, with; None: with none."""
+        return None if self._motion is None else self._motion.before(t)
+
+    def detect(
+        self, frame: Frame, tracks: Array | None = None, earlier: Earlier | None = None
+    ) -> Detections | None:
         """All drones in the frame, best first, in pixels of the image as given; where it is guided, those in the parts
-        that it looked at. tracks (n, 6) px: see `Gaze.next`; None: look at the whole.
+        that it looked at. tracks (n, 6) px: see `Gaze.next`; None: look at the whole. earlier: from this frame to the
+        one that `compares_with` named; None: what moved is not asked.
 
         None where it could not look (counted, and said in `status`): that is not the same as seeing nobody, which
         would count against every track.
@@ -140,7 +151,7 @@ class Detector:
         if tracks is not None and self.is_guided(frame.image):
             windows = self._gaze.next((width, height), scale, tracks)
         try:
-            found, seconds = self._look_through(frame.image, windows)
+            found, seconds = self._look_through(frame, windows, earlier)
         except ModelError as error:  # NaN from this image only: the next one may be fine
             self._broken += 1
             self._trouble = str(error)
@@ -153,24 +164,37 @@ class Detector:
         seen = coverage(windows, (width, height))
         return Detections(frame.t, frame.sequence, found.centre, found.size, found.score, coverage=seen)
 
-    def _look_through(self, image: Image, windows: Sequence[Window]) -> tuple[Candidates, Array]:
+    def _look_through(
+        self, frame: Frame, windows: Sequence[Window], earlier: Earlier | None
+    ) -> tuple[Candidates, Array]:
         """What is in the windows, in pixels of the image, and the seconds (3,) that it took."""
+        threshold, image = self.score_threshold, frame.image
+        cue = self._motion if earlier is not None else None
+        least = threshold if cue is None else min(threshold, motion_cue.LEAST)
         whole = (image.shape[1], image.shape[0])
         spent = np.zeros(3)
         parts = []
         for window in windows:
             part = image[window.y : window.y + window.height, window.x : window.x + window.width]
-            found, seconds = self._net.look(part, window.scale, self.score_threshold, self._limit)
+            found, seconds = self._net.look(part, window.scale, least, self._limit)
             found = found._replace(centre=found.centre + np.array([window.x, window.y]))
             parts.append(found.take(~window.cuts(found.centre, found.size, whole)))
             spent += seconds
-        return parts[0] if len(parts) == 1 else merged(parts, limit=self._limit), spent
+        found = parts[0] if len(parts) == 1 else merged(parts, limit=self._limit)
+        began = self._clock.now()
+        if cue is not None and earlier is not None:
+            found = cue.weigh(frame, found, threshold, earlier)
+        if self._motion is not None:
+            self._motion.remember(frame)
+        spent[2] += self._clock.now() - began
+        return found, spent
 
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""
         for _ in range(2):
             empty = np.full((height, width, 3), self.description.pad_value, np.uint8)
-            self._look_through(empty, [Window(0, 0, width, height, self._input_scale)])
+            window = Window(0, 0, width, height, self._input_scale)
+            self._net.look(empty, window.scale, self.score_threshold, self._limit)
 
     @property
     def latency(self) -> Latency:

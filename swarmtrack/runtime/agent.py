@@ -182,7 +182,9 @@ class Agent:
             began = self._detecting_since = self._wall.now()
             guided = detector.is_guided(frame.image)
             tracks = self._parts.onboard.expected_boxes(frame.t) if guided else None
-            detections = await loop.run_in_executor(self._worker, detector.detect, frame, tracks)
+            then = detector.compares_with(frame.t)
+            earlier = None if then is None else self._parts.onboard.pixels_at(then, frame.t)
+            detections = await loop.run_in_executor(self._worker, detector.detect, frame, tracks, earlier)
             self._detecting_since = None
             self.health.detector.add(self._wall.now() - began)
             if detections is None:

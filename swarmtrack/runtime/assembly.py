@@ -249,6 +249,7 @@ def make_detector(config: DroneConfig) -> Detector | None:
         providers=section.providers,
         cache=section.engine_cache,
         look=section.look,
+        motion=section.motion,
         habits=Habits(whole_every=section.whole_every, target_px=section.target_px, tiles=section.tiles),
         declared=Declared(
             head=None if section.head == "auto" else section.head,

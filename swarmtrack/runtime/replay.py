@@ -208,7 +208,9 @@ class Replayer:
             return
         guided = self._detector.is_guided(frame.image)
         boxes = self._onboard.expected_boxes(frame.t) if guided else None
-        detections = self._detector.detect(frame, boxes)
+        then = self._detector.compares_with(frame.t)
+        earlier = None if then is None else self._onboard.pixels_at(then, frame.t)
+        detections = self._detector.detect(frame, boxes, earlier)
         if detections is not None:
             yield detections
 

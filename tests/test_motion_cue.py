@@ -1,0 +1,152 @@
+"""What moved is likelier a drone, whatever the camera did meanwhile, and nothing is ever made less likely."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from swarmtrack.detection.heads import Candidates
+from swarmtrack.detection.motion_cue import APART_S, LONGEST_S, SURE, MotionCue
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Frame, StampKind
+
+CAMERA = PinholeCamera(430.0, 430.0, 160.0, 120.0, 320, 240)
+STILL_THEN, STILL_NOW = np.array([80.0, 70.0]), np.array([80.0, 70.0])
+MOVED_THEN, MOVED_NOW = np.array([212.0, 150.0]), np.array([200.0, 144.0])
+THRESHOLD = 0.34
+rng = np.random.default_rng(8)
+CLUTTER = cv2.GaussianBlur(rng.uniform(90, 220, (240, 320)), (0, 0), 3.0) * 3.0 - 300.0
+
+
+def picture(*centres, background=CLUTTER, noise=1.5):
+    """Dark blobs, as wide as a small drone, before clutter."""
+    v, u = np.mgrid[0:240, 0:320]
+    image = background + rng.normal(0.0, noise, (240, 320))
+    for centre in centres:
+        blob = np.exp(-((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / (2 * 3.0**2))
+        image = image * (1 - blob) + 20.0 * blob
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def frame(t, image):
+    return Frame(t, 0.0, round(1000 * t), image, StampKind.MEDIA)
+
+
+def candidates(*centres, score=0.25):
+    n = len(centres)
+    return Candidates(
+        np.array(centres, float), np.full((n, 2), 14.0), np.full(n, score), np.zeros(n, np.intp)
+    )
+
+
+def same_place(pixels):
+    return pixels
+
+
+def after(then, seconds=0.1):
+    cue = MotionCue()
+    cue.remember(frame(1.0, then))
+    assert cue.before(1.0 + seconds) == 1.0
+    return cue
+
+
+def test_a_weak_candidate_that_moved_is_shown_and_one_that_stands_still_is_as_weak_as_before():
+    cue = after(picture(STILL_THEN, MOVED_THEN))
+    shown = cue.weigh(
+        frame(1.1, picture(STILL_NOW, MOVED_NOW)), candidates(STILL_NOW, MOVED_NOW), THRESHOLD, same_place
+    )
+    assert shown.centre.tolist() == [MOVED_NOW.tolist()]
+    assert shown.score[0] > SURE
+    assert shown.size.tolist() == [[14.0, 14.0]]
+
+
+def test_what_the_net_would_have_shown_stays_at_its_score_where_it_stands_still_and_the_surest_comes_first():
+    cue = after(picture(STILL_THEN, MOVED_THEN))
+    found = candidates(STILL_NOW, MOVED_NOW, score=0.4)
+    shown = cue.weigh(frame(1.1, picture(STILL_NOW, MOVED_NOW)), found, THRESHOLD, same_place)
+    assert shown.centre.tolist() == [MOVED_NOW.tolist(), STILL_NOW.tolist()]
+    assert shown.score[1] == 0.4
+    assert shown.score[0] > 0.7
+
+
+def test_a_camera_that_turned_makes_nothing_of_a_still_world_likelier():
+    """Everything moves by 22 px and rolls; seen through the turn, only what moved in the world has moved."""
+    sky = 150.0 + 0.1 * CLUTTER
+    turn = rotation.exp(np.array([0.01, 0.05, 0.08]))  # then from now
+    H = CAMERA.K @ turn @ CAMERA.K_inverse
+
+    def earlier(pixels):
+        return CAMERA.project(CAMERA.bearing(pixels) @ turn.T)[0]
+
+    background = cv2.warpPerspective(sky, H, (320, 240), borderMode=cv2.BORDER_REFLECT)
+    then = picture(earlier(STILL_NOW[None])[0], earlier(MOVED_THEN[None])[0], background=background)
+    now = frame(1.1, picture(STILL_NOW, MOVED_NOW, background=sky))
+    places = candidates(STILL_NOW, MOVED_NOW, [120.0, 180.0], [240.0, 60.0], score=0.4)
+    shown = after(then).weigh(now, places, THRESHOLD, earlier)
+    scores = {tuple(centre): score for centre, score in zip(shown.centre, shown.score, strict=True)}
+    assert scores.pop(tuple(MOVED_NOW)) > 0.6
+    assert set(scores.values()) == {0.4}
+    unaware = after(then).weigh(now, places, THRESHOLD, same_place)
+    assert dict(zip(map(tuple, unaware.centre), unaware.score, strict=True))[tuple(STILL_NOW)] > 0.4
+
+
+@pytest.mark.parametrize("centre", [[0.0, 0.0], [319.0, 239.0], [160.0, 0.0], [-0.4, 120.0]])
+def test_at_the_border_only_what_both_pictures_show_is_compared(centre):
+    def far_off(pixels):
+        return pixels + 1000.0
+
+    def beyond_the_lens(pixels):
+        return np.full_like(pixels, math.nan)
+
+    for earlier in (same_place, far_off, beyond_the_lens):
+        shown = after(picture()).weigh(
+            frame(1.1, picture()), candidates(centre, score=0.4), THRESHOLD, earlier
+        )
+        assert shown.score.tolist() == [0.4]
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (240, 320, 1), (240, 320, 3)])
+def test_grey_and_colour_are_alike_and_no_candidate_is_no_matter(shape):
+    def image(*centres):
+        channels = shape[2] if len(shape) == 3 else 1
+        return np.repeat(picture(*centres)[..., None], channels, axis=2).reshape(shape)
+
+    shown = after(image(MOVED_THEN)).weigh(
+        frame(1.1, image(MOVED_NOW)), candidates(MOVED_NOW), THRESHOLD, same_place
+    )
+    assert shown.score[0] > SURE
+    none = candidates()
+    nobody = after(image()).weigh(frame(1.1, image()), none, THRESHOLD, same_place)
+    assert len(nobody.score) == 0
+
+
+@pytest.mark.parametrize("fps", [7.0, 15.0, 30.0, 120.0])
+def test_the_frame_to_compare_with_is_the_youngest_that_is_old_enough_and_few_are_kept(fps):
+    cue = MotionCue()
+    for k in range(60):
+        t = k / fps
+        before = cue.before(t)
+        if k / fps >= APART_S + 1.0 / fps:
+            assert before is not None
+            assert APART_S <= t - before < APART_S + 1.0 / fps + 1e-9
+        cue.remember(frame(t, np.zeros((16, 16), np.uint8)))
+        assert len(cue._kept) <= math.ceil(APART_S * fps) + 2
+
+
+def test_after_a_pause_a_clock_that_went_back_or_another_size_nothing_is_compared():
+    for t, shape in ((1.0 + LONGEST_S + 0.1, (16, 16)), (1.0 - 1e-3, (16, 16)), (1.1, (8, 16))):
+        cue = after(np.zeros((16, 16), np.uint8))
+        if t < 1.0 + LONGEST_S:
+            cue.remember(frame(t, np.zeros(shape, np.uint8)))
+            assert cue.before(t + 0.05) is None
+        else:
+            assert cue.before(t) is None
+
+
+def test_a_camera_that_changes_its_size_is_no_motion():
+    shown = after(picture()[::2]).weigh(
+        frame(1.1, picture(MOVED_NOW)), candidates(MOVED_NOW, score=0.4), THRESHOLD, same_place
+    )
+    assert shown.score.tolist() == [0.4]
