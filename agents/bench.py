@@ -99,6 +99,9 @@ def _add_detector_arguments(detector: argparse.ArgumentParser) -> None:
     detector.add_argument("--every", type=int, default=1, metavar="N", help="of the clips each N-th frame")
     detector.add_argument("--motion", action="store_true", help="of clips count what moved; their camera must stand")
     detector.add_argument(
+        "--scenario", action="append", default=[], metavar="NAME", help="also a flight of the simulation, rendered"
+    )
+    detector.add_argument(
         "--held-out-negatives",
         action="store_true",
         help="beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
@@ -257,6 +260,7 @@ def _detector(args: argparse.Namespace) -> None:
         every=max(args.every, 1),
         held_out_negatives=args.held_out_negatives,
         motion=args.motion,
+        scenarios=args.scenario,
     )
 
 

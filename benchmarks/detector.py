@@ -1,11 +1,13 @@
 """How good a detector is: on labelled images and clips, by scene, size and distractor, and what a frame costs.
 
-    swarmtrack bench detector MODEL DATA [--input-scale 1.5] [--scene NAME ...] [--every N] [--motion] --out DIR
+    swarmtrack bench detector MODEL DATA [--input-scale 1.5] [--scene NAME ...] [--every N] [--motion]
+        [--scenario NAME ...] --out DIR
 
 DATA holds labelled images (see `swarmtrack.training.labelled_images`), or pairs NAME.mp4 and NAME_gt.csv in it or in
-`tracks/`, or both. The images count as one set, the clips as another. What a hit is: see
+`tracks/`, or both. The images count as one set, the clips as another, and with them the flights of --scenario, which are
+rendered as `swarmtrack sim` renders them: not as training pictures are drawn. What a hit is: see
 `swarmtrack.evaluation.detector_score`. With --motion the scores of clips count what moved (`detection.motion_cue`), as in
-an agent whose camera stands still; the clips must be such.
+an agent whose camera stands still; the clips must be such. Of scenarios the true turn is known.
 """
 
 from __future__ import annotations
@@ -22,9 +24,15 @@ from swarmtrack.benchmarks import real_clips, report
 from swarmtrack.benchmarks.real_clips import Clip
 from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.detection.detector import Detector
+from swarmtrack.detection.motion_cue import Earlier
 from swarmtrack.evaluation import detector_score
 from swarmtrack.evaluation.detector_score import EMPTY, Looked, Matches, by_centre, match
+from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.training.labelled_images import LabelledFrame, held_out, load_frames
 from swarmtrack.training.validation import LOWEST, SURE_RECALL
 
@@ -32,6 +40,7 @@ NAME = "detector"
 TIMED = ((320, 256), (640, 480))  # px
 REPEATS, QUICK_REPEATS = 60, 10
 QUICK_EVERY = 16
+OBSERVERS, FLIGHT_FROM_S, FLIGHT_S = 2, 4.0, 8.0  # of a scenario: who looks, from when on, for how long
 CURVE = 200  # points of a plotted curve
 
 
@@ -53,12 +62,13 @@ def run(
     every: int = 1,
     held_out_negatives: bool = False,
     motion: bool = False,
+    scenarios: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Write detector.json, detector.md and detector.png into `out`; returns what the JSON holds."""
     plt = report.pyplot()
     detector = Detector(model, score_threshold=LOWEST, input_scale=input_scale, look="whole", motion=motion)
     threshold = detector.description.score_threshold
-    sets = _look(detector, data, scenes, QUICK_EVERY if quick else every, held_out_negatives)
+    sets = _look(detector, data, scenes, QUICK_EVERY if quick else every, held_out_negatives, scenarios)
     images = [look for looks in sets.images.values() for look in looks]
     clips = [look for looks in sets.clips.values() for look in looks]
     main = images if any(len(look.drones) for look in images) else clips
@@ -90,12 +100,17 @@ def run(
 
 
 def _look(
-    detector: Detector, data: Path, scenes: Sequence[str], every: int, held_out_negatives: bool
+    detector: Detector,
+    data: Path,
+    scenes: Sequence[str],
+    every: int,
+    held_out_negatives: bool,
+    scenarios: Sequence[str],
 ) -> Sets:
     clips = _clips(data)
     frames = _frames(data, scenes, held_out_negatives, none_is_fine=bool(clips))
     by_scene: dict[str, list[Looked]] = {}
-    with report.progress(NAME, len(frames) + len(clips)) as advance:
+    with report.progress(NAME, len(frames) + len(clips) + len(scenarios)) as advance:
         for frame in frames:
             seen = _detect(detector, frame.image)
             look = Looked(seen, frame.drones, frame.distractors, frame.kinds)
@@ -105,6 +120,9 @@ def _look(
         for clip in clips:
             by_clip[clip.name] = list(look_at_clip(detector, clip, every))
             advance(clip.name)
+        for name in scenarios:
+            by_clip[f"scenario {name}"] = list(look_at_flight(detector, load_scenario(name), every))
+            advance(name)
     return Sets(by_scene, by_clip)
 
 
@@ -131,8 +149,7 @@ def _frames(
     return wanted
 
 
-def _detect(detector: Detector, image: Image, t: float = 0.0) -> Detections:
-    earlier = None if detector.compares_with(t) is None else _same_place
+def _detect(detector: Detector, image: Image, t: float = 0.0, earlier: Earlier | None = None) -> Detections:
     seen = detector.detect(Frame(t, 0.0, 0, image, StampKind.MEDIA), None, earlier)
     if seen is None:
         raise BenchmarkError(detector.status().text)
@@ -142,6 +159,29 @@ def _detect(detector: Detector, image: Image, t: float = 0.0) -> Detections:
 def _same_place(pixels: Array) -> Array:
     """Of a camera that stands still."""
     return pixels
+
+
+def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterator[Looked]:
+    """What the first drones of a scenario see, and what they should, once the others have left their places."""
+    camera, mount = scenario.camera, scenario.body_from_camera
+    renderer = Renderer(scenario.world, camera, mount)
+    truth = SwarmTruth(scenario.world, camera, mount)
+    for observer in list(scenario.members)[:OBSERVERS]:
+        for frame in range(0, int(FLIGHT_S * scenario.fps), every):
+            t = FLIGHT_FROM_S + frame / scenario.fps
+            then, earlier = detector.compares_with(t), None
+            if then is not None:
+                looked, looks = (scenario.world.pose(observer, when) @ mount for when in (then, t))
+                earlier = _turned(camera, looked.rotation.T @ looks.rotation)
+            found = _detect(detector, renderer.image(observer, t, frame), t, earlier)
+            # Truth is undistorted, detections are not.
+            boxes = np.array(list(truth.view(observer, t).in_view.values())).reshape(-1, 4)
+            boxes[:, :2] = camera.distort(boxes[:, :2])
+            yield Looked(found, boxes)
+
+
+def _turned(camera: PinholeCamera, then_from_now: Array) -> Earlier:
+    return lambda pixels: camera.project(camera.bearing(pixels) @ then_from_now.T)[0]
 
 
 def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]:
@@ -154,7 +194,9 @@ def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]
             if not alive:
                 break
             if index % every == 0:
-                seen = _detect(detector, np.asarray(image, np.uint8), index / clip.fps)
+                t = index / clip.fps
+                earlier = None if detector.compares_with(t) is None else _same_place
+                seen = _detect(detector, np.asarray(image, np.uint8), t, earlier)
                 boxes = truth.get(index)
                 drones = EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
                 yield Looked(seen, drones)

@@ -272,9 +272,10 @@ class DetectorSection(Section):
 
     model: Text = Field(default="default", description='"default", the one that is shipped, or an .onnx file')
     score_threshold: Probability | None = Field(default=None, description="instead of the model's own")
-    input_scale: Annotated[Positive, Field(le=4.0)] = Field(
-        default=1.0,
-        description="size of the detector's input by the image's: below 1 faster, above 1 sees farther",
+    input_scale: Annotated[Positive, Field(le=4.0)] | None = Field(
+        default=None,
+        description="size of the detector's input by the image's, where it sees the whole: below 1 faster, above 1 "
+        'farther; by default 0.5, and 1 with look = "whole"',
     )
     look: Literal["auto", "whole", "guided"] = Field(
         default="auto",

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from swarmtrack.runtime.recorder import Recorder
     from swarmtrack.sensors.simulated import Simulation
 
+GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
+
 
 @dataclass(slots=True)
 class Parts:
@@ -241,10 +243,11 @@ def make_detector(config: DroneConfig) -> Detector | None:
     from swarmtrack.detection.gaze import Habits  # noqa: PLC0415
 
     section = config.detector
+    usual_scale = 1.0 if section.look == "whole" else GUIDED_SCALE
     return Detector(
         section.model,
         score_threshold=section.score_threshold,
-        input_scale=section.input_scale,
+        input_scale=section.input_scale or usual_scale,
         threads=section.threads,
         providers=section.providers,
         cache=section.engine_cache,
