@@ -97,9 +97,15 @@ def _add_detector_arguments(detector: argparse.ArgumentParser) -> None:
         "--scene", action="append", default=[], metavar="NAME", help="of the images only this one"
     )
     detector.add_argument("--every", type=int, default=1, metavar="N", help="of the clips each N-th frame")
-    detector.add_argument("--motion", action="store_true", help="of clips count what moved; their camera must stand")
     detector.add_argument(
-        "--scenario", action="append", default=[], metavar="NAME", help="also a flight of the simulation, rendered"
+        "--motion", action="store_true", help="of clips count what moved; their camera must stand"
+    )
+    detector.add_argument(
+        "--scenario",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="also a flight of the simulation, rendered",
     )
     detector.add_argument(
         "--held-out-negatives",

@@ -120,13 +120,13 @@ def run(args: argparse.Namespace) -> int:
         _Task(recording, args.tracker, tuple(args.changes), args.detect, flight is not None, args.exact)
         for recording in drones
     ]
-    flown = _replay_all(tasks, args.jobs)
     what_if = bool(args.tracker or args.changes or args.detect)
+    flown, as_heard = _replay_all(tasks, None if what_if else flight, args.jobs)
     if args.against is not None or what_if or args.plot:
         _compare(flown, other)
     for one in flown:
         _print(one, what_if)
-    judged = None if flight is None else _judge(flight, flown, what_if)
+    judged = None if flight is None else _judge(flight, flown, as_heard, what_if)
     if args.plot is not None:
         _plot(flown, args.plot, args.against or RECORDED)
     if args.json is not None:
@@ -137,18 +137,28 @@ def run(args: argparse.Namespace) -> int:
     return DONE if judged is None or judged.report.passed else FAILED
 
 
-def _replay_all(tasks: list[_Task], jobs: int | None) -> list[_Flown]:
-    """Each in a process of its own, as many at a time as there are cores."""
-    at_once = min(len(tasks), jobs or len(os.sched_getaffinity(0)))
+def _replay_all(
+    tasks: list[_Task], flight: Recording | None, jobs: int | None
+) -> tuple[list[_Flown], Judged | None]:
+    """Each in a process of its own, as many at a time as there are cores; and beside them the verdict on the flight, if
+    all is as it was heard. None: that is yet to be judged."""
+    at_once = min(len(tasks) + (flight is not None), jobs or len(os.sched_getaffinity(0)))
     if at_once == 1:
-        return [_replay(task) for task in tasks]
+        return [_replay(task) for task in tasks], None
     import swarmtrack.runtime.replay  # noqa: F401  (loaded once, before the processes part)
 
     with ProcessPoolExecutor(at_once, mp_context=multiprocessing.get_context("fork")) as pool:
         flown = pool.map(_replay, tasks)
-        if any(task.for_verdict for task in tasks):
-            import swarmtrack.agents.swarm_replay  # noqa: F401  (while they fly)
-        return list(flown)
+        judged = None if flight is None else pool.submit(_judge_as_heard, flight, tasks[0].recording)
+        return list(flown), None if judged is None or judged.exception() else judged.result()
+
+
+def _judge_as_heard(flight: Recording, drone: Recording) -> Judged:
+    from swarmtrack.agents.swarm_replay import judge
+    from swarmtrack.recording.settings import read_settings
+
+    settings, _ = read_settings(drone)
+    return judge(flight, None, settings.config.tracker.name)
 
 
 def _replay(task: _Task) -> _Flown:
@@ -245,17 +255,22 @@ def _in_words(diff: ReplayDiff) -> str:
     )
 
 
-def _judge(flight: Recording, flown: list[_Flown], what_if: bool) -> Judged:
+def _judge(flight: Recording, flown: list[_Flown], as_heard: Judged | None, what_if: bool) -> Judged:
     from rich.console import Console
 
     from swarmtrack.agents.swarm import print_verdict
     from swarmtrack.agents.swarm_replay import judge
 
     answers = {(one.recording.drone_id, one.recording.preface["boot"]): one.published for one in flown}
-    judged = judge(flight, answers, flown[0].tracker)
+    same = all(published.changed is None for published in answers.values())
+    if as_heard is not None and same and not as_heard.unreplayed(answers):
+        judged = as_heard
+    else:
+        judged = judge(flight, answers, flown[0].tracker)
     print_verdict(judged.report, Console())
-    if judged.unreplayed:
-        print(f"{judged.unreplayed} messages with tracks were heard whose inputs are not recorded")
+    unreplayed = judged.unreplayed(answers)
+    if unreplayed:
+        print(f"{unreplayed} messages with tracks were heard whose inputs are not recorded")
     if not what_if:
         differences = judged.differences
         print(

@@ -37,7 +37,7 @@ SAME_PLACE_M = 1e-6  # of a pose computed again
 
 
 class Published(NamedTuple):
-    """What one life of an agent published in a replay, the k-th with the number k + 1; None: bit for bit as in flight."""
+    """What one life of an agent published in a replay, the k-th as number k + 1; None: bit for bit as in flight."""
 
     messages: int
     changed: Sequence[TrackList] | None
@@ -52,12 +52,20 @@ NOTHING = Published(0, None)
 class Judged:
     """report: judged anew; recorded: the verdict of the flight, as JSON has it; None where it was cut off.
 
-    unreplayed: track messages that were heard and did not come out of the replay.
+    numbers: of the track messages that were heard, by drone and boot.
     """
 
     report: SwarmReport
     recorded: dict[str, Any] | None
-    unreplayed: int
+    numbers: dict[tuple[int, str], list[int]]
+
+    def unreplayed(self, answers: Answers) -> int:
+        """How many of the track messages that were heard did not come out of the replay."""
+        return sum(
+            not 1 <= number <= answers.get(life, NOTHING).messages
+            for life, numbers in self.numbers.items()
+            for number in numbers
+        )
 
     @property
     def differences(self) -> list[str]:
@@ -72,8 +80,9 @@ def is_flight(recording: Recording) -> bool:
     return recording.kind == "swarm" and PLAN in recording.attachments
 
 
-def judge(recording: Recording, answers: Answers, tracker: str) -> Judged:
-    """tracker: what flew in the replay. Raises RecordingError where the truth cannot be made again."""
+def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged:
+    """answers None: all as it was heard. tracker: what flew in the replay. Raises RecordingError where the truth cannot
+    be made again."""
     plan = recording.attached(PLAN)
     layers = Layers([Layer(recording.folder / PLAN, "", plan["files"])], plan["files"])
     try:
@@ -93,15 +102,15 @@ def judge(recording: Recording, answers: Answers, tracker: str) -> Judged:
         detector=plan["detector"],
         limits=limits,
     )
-    return Judged(report, stage.verdict, stage.unreplayed)
+    return Judged(report, stage.verdict, stage.numbers)
 
 
 class _Stage:
     """Says everything again that was heard in flight, the tracks as they came out of the replay."""
 
-    def __init__(self, recording: Recording, answers: Answers, clock: HeldClock, watch: Watch) -> None:
+    def __init__(self, recording: Recording, answers: Answers | None, clock: HeldClock, watch: Watch) -> None:
         self.verdict: dict[str, Any] | None = None
-        self.unreplayed = 0
+        self.numbers: dict[tuple[int, str], list[int]] = {}
         self._recording = recording
         self._answers = answers
         self._clock = clock
@@ -138,18 +147,22 @@ class _Stage:
             self._boots[address.drone_id] = address.rest[0]
         if address.kind is not Kind.TRACKS:
             return heard.sample
-        published = self._answers.get((address.drone_id, self._boots.get(address.drone_id, "")), NOTHING)
+        life = (address.drone_id, self._boots.get(address.drone_id, ""))
         try:
-            if not 1 <= codec.tracks_sequence(heard.payload) <= published.messages:
-                self.unreplayed += 1
+            number = codec.tracks_sequence(heard.payload)
+            self.numbers.setdefault(life, []).append(number)
+            if self._answers is None:
+                return heard.sample
+            published = self._answers.get(life, NOTHING)
+            if not 1 <= number <= published.messages:
                 return None
             if published.changed is None:
                 return heard.sample
             message = codec.decode_tracks(heard.payload)
         except codec.DecodeError:
             return heard.sample  # the judge counts it
-        answer = published.changed[message.sequence - 1]
-        fresh = codec.tracks_message(answer, message.sequence, 0.0, message.t_sigma_s)
+        answer = published.changed[number - 1]
+        fresh = codec.tracks_message(answer, number, 0.0, message.t_sigma_s)
         said = msgspec.structs.replace(fresh, t_utc_s=message.t_utc_s)
         try:
             return heard.sample._replace(payload=codec.encode_tracks(said))

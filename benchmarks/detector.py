@@ -4,10 +4,10 @@
         [--scenario NAME ...] --out DIR
 
 DATA holds labelled images (see `swarmtrack.training.labelled_images`), or pairs NAME.mp4 and NAME_gt.csv in it or in
-`tracks/`, or both. The images count as one set, the clips as another, and with them the flights of --scenario, which are
-rendered as `swarmtrack sim` renders them: not as training pictures are drawn. What a hit is: see
-`swarmtrack.evaluation.detector_score`. With --motion the scores of clips count what moved (`detection.motion_cue`), as in
-an agent whose camera stands still; the clips must be such. Of scenarios the true turn is known.
+`tracks/`, or both. The images count as one set, the clips as another, and with them the flights of --scenario, rendered
+as `swarmtrack sim` renders them: not as training pictures are drawn. What a hit is: see
+`swarmtrack.evaluation.detector_score`. With --motion the scores of clips count what moved (`detection.motion_cue`), as
+in an agent whose camera stands still; the clips must be such. Of scenarios the true turn is known.
 """
 
 from __future__ import annotations
@@ -68,7 +68,13 @@ def run(
     plt = report.pyplot()
     detector = Detector(model, score_threshold=LOWEST, input_scale=input_scale, look="whole", motion=motion)
     threshold = detector.description.score_threshold
-    sets = _look(detector, data, scenes, QUICK_EVERY if quick else every, held_out_negatives, scenarios)
+    sets = _look(
+        detector,
+        _frames(data, scenes, held_out_negatives),
+        _clips(data),
+        [load_scenario(name) for name in scenarios],
+        QUICK_EVERY if quick else every,
+    )
     images = [look for looks in sets.images.values() for look in looks]
     clips = [look for looks in sets.clips.values() for look in looks]
     main = images if any(len(look.drones) for look in images) else clips
@@ -101,14 +107,11 @@ def run(
 
 def _look(
     detector: Detector,
-    data: Path,
-    scenes: Sequence[str],
+    frames: Sequence[LabelledFrame],
+    clips: Sequence[Clip],
+    scenarios: Sequence[Scenario],
     every: int,
-    held_out_negatives: bool,
-    scenarios: Sequence[str],
 ) -> Sets:
-    clips = _clips(data)
-    frames = _frames(data, scenes, held_out_negatives, none_is_fine=bool(clips))
     by_scene: dict[str, list[Looked]] = {}
     with report.progress(NAME, len(frames) + len(clips) + len(scenarios)) as advance:
         for frame in frames:
@@ -120,9 +123,9 @@ def _look(
         for clip in clips:
             by_clip[clip.name] = list(look_at_clip(detector, clip, every))
             advance(clip.name)
-        for name in scenarios:
-            by_clip[f"scenario {name}"] = list(look_at_flight(detector, load_scenario(name), every))
-            advance(name)
+        for scenario in scenarios:
+            by_clip[f"scenario {scenario.name}"] = list(look_at_flight(detector, scenario, every))
+            advance(scenario.name)
     return Sets(by_scene, by_clip)
 
 
@@ -133,10 +136,9 @@ def _clips(data: Path) -> list[Clip]:
         return []
 
 
-def _frames(
-    data: Path, scenes: Sequence[str], held_out_negatives: bool, *, none_is_fine: bool
-) -> list[LabelledFrame]:
-    if none_is_fine and not any((data / name).exists() for name in ("images.csv", "data.yaml", "images")):
+def _frames(data: Path, scenes: Sequence[str], held_out_negatives: bool) -> list[LabelledFrame]:
+    has_images = any((data / name).exists() for name in ("images.csv", "data.yaml", "images"))
+    if _clips(data) and not has_images:
         return []
     frames = load_frames(data)
     unknown = set(scenes) - {frame.scene for frame in frames}
@@ -280,12 +282,13 @@ def _row(name: str, entry: dict[str, Any]) -> list[str]:
 
 def _markdown(result: dict[str, Any]) -> str:
     header = ["", *(title for title, _, _ in COLUMNS)]
+    moved = "; clips with what moved" if result["motion"] else ""
     lines = [
         f"# Detector {result['model']} on {result['data']}",
         "",
         f"Head {result['head']}, understood by {result['source']}; {result['file_mb']} MB; whole frames, input scale"
-        f" {result['input_scale']:g}{'; clips with what moved' if result['motion'] else ''}; threshold {result['threshold']:g}. A hit: the centre within max(6 px, half the"
-        " longer side of the label). False / image: at that threshold.",
+        f" {result['input_scale']:g}{moved}; threshold {result['threshold']:g}. A hit: the centre within max(6 px, half"
+        " the longer side of the label). False / image: at that threshold.",
     ]
     for title, key in (("Images", "by_scene"), ("Clips", "by_clip")):
         if result[key]:

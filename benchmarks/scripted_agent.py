@@ -22,6 +22,7 @@ import numpy as np
 
 from swarmtrack.config import load_config
 from swarmtrack.detection.detector import Detector
+from swarmtrack.detection.motion_cue import Earlier
 from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus, StampKind
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
@@ -73,7 +74,10 @@ class ScriptedDetector:
     def is_guided(self, image: Image) -> bool:
         return False
 
-    def detect(self, frame: Frame, tracks: Array | None = None) -> Detections:
+    def compares_with(self, t: float) -> None:
+        """With no other frame."""
+
+    def detect(self, frame: Frame, tracks: Array | None = None, earlier: Earlier | None = None) -> Detections:
         if self._real is not None:
             self._real.detect(frame)
         else:

@@ -194,7 +194,7 @@ import threading, sys
 from swarmtrack.agents import vehicle
 from swarmtrack.detection.detector import Detector
 
-def detect(self, frame, tracks=None):
+def detect(self, frame, tracks=None, earlier=None):
     print("stuck", flush=True)
     threading.Event().wait(3600)
 

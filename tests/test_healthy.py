@@ -29,7 +29,7 @@ from swarmtrack.runtime import agent
 agent.STUCK_DETECTOR = 1.0
 detect, frames = Detector.detect, []
 
-def detect_three(self, frame, tracks=None):
+def detect_three(self, frame, tracks=None, earlier=None):
     frames.append(frame)
     if len(frames) > 3:
         threading.Event().wait(3600)
