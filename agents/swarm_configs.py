@@ -59,6 +59,10 @@ def write_configs(
     return files
 
 
+# mbm tells calm flight from agile by itself; the others have one model of motion, which had better fit.
+GENTLY = "acceleration_psd = 3000.0           # px²/s³: these drones fly gently\n"
+
+
 def _team_file(scenario: Scenario, team: str, tracker: str, simulator: str) -> str:
     return f"""\
 # What all drones of this swarm share. A drone's own file begins with: extends = "team.toml"
@@ -76,8 +80,7 @@ team = {_text(team)}
 name = {_text(tracker)}
 p_detection = 0.9                   # that a teammate in view is detected in one frame
 clutter_per_scan = 1.0              # false detections expected in one frame
-acceleration_psd = 3000.0           # px²/s³: these drones fly gently
-
+{"" if tracker == "mbm" else GENTLY}
 [autopilot]
 imu_rate_hz = {scenario.imu_rate_hz:g}
 
