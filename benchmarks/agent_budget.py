@@ -231,15 +231,7 @@ def detecting_lines(tracker: str, seconds: float) -> list[Line]:
 def measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
     """The scripted agent with these options, at 200 Hz of gyro and 15 Hz of frames, for `seconds` of its life."""
     port, team = free_udp_port(), f"bench-{os.getpid()}"
-    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
-    entries = {
-        "drone.id": 1,
-        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
-        "tracker.name": tracker,
-        "autopilot.link": f"udpin:127.0.0.1:{port}",
-        "network.team": team,
-        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
-    }
+    entries = scripted_entries(port, team) | {"tracker.name": tracker}
     module = ["swarmtrack.benchmarks.scripted_agent", "--fps", str(FPS), *options]
     with agent_process(module, entries) as process:
         return asyncio.run(_observe(process, team, port, seconds))
@@ -297,6 +289,18 @@ async def until_tracking(process: subprocess.Popen[bytes], heard: Heard) -> None
         if time.monotonic() > deadline:
             raise BenchmarkError(f"agent: no confirmed track was heard within {PATIENCE_S:g} s")
         await asyncio.sleep(0.02)
+
+
+def scripted_entries(port: int, team: str) -> dict[str, Any]:
+    """The config of the scripted agent: its autopilot at a UDP port of this machine."""
+    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    return {
+        "drone.id": 1,
+        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
+        "autopilot.link": f"udpin:127.0.0.1:{port}",
+        "network.team": team,
+        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
+    }
 
 
 @contextmanager

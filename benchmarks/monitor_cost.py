@@ -31,6 +31,7 @@ from swarmtrack.benchmarks.agent_budget import (
     cpu_seconds,
     free_udp_port,
     listening,
+    scripted_entries,
     until_tracking,
 )
 from swarmtrack.benchmarks.report import BenchmarkError
@@ -69,14 +70,7 @@ class Watched(NamedTuple):
 async def measure_agent(seconds: float) -> Watched:
     """Of an agent that nobody, then somebody looks at; `seconds` a turn."""
     port, team = free_udp_port(), f"bench-{secrets.token_hex(4)}"
-    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
-    entries = {
-        "drone.id": 1,
-        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
-        "autopilot.link": f"udpin:127.0.0.1:{port}",
-        "network.team": team,
-        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
-    }
+    entries = scripted_entries(port, team)
     module = ["swarmtrack.benchmarks.scripted_agent", "--fps", str(FPS)]
     sizes: list[int] = []
     shares: dict[bool, list[float]] = {False: [], True: []}

@@ -26,11 +26,11 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.agent_budget import (
-    CAMERA,
     agent_process,
     autopilot,
     free_udp_port,
     listening,
+    scripted_entries,
     until_tracking,
 )
 from swarmtrack.benchmarks.real_clips import agent_environment
@@ -90,15 +90,7 @@ def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
 async def _kill(folder: Path, seconds: float) -> Killed:
     """An agent that records into `folder` is ended `seconds` after its first track."""
     port, team = free_udp_port(), f"bench-{secrets.token_hex(4)}"
-    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
-    entries = {
-        "drone.id": 1,
-        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
-        "autopilot.link": f"udpin:127.0.0.1:{port}",
-        "network.team": team,
-        "recording.dir": str(folder),
-        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
-    }
+    entries = scripted_entries(port, team) | {"recording.dir": str(folder)}
     with agent_process(["swarmtrack.benchmarks.scripted_agent"], entries) as process:
         async with listening(team) as heard, autopilot(port):
             await until_tracking(process, heard)

@@ -41,10 +41,6 @@ class Stream(NamedTuple):
     same: int
     parted_s: float | None
 
-    @property
-    def all_same(self) -> bool:
-        return self.same == self.recorded
-
 
 NOTHING = Stream(0, 0, None)
 
@@ -92,7 +88,7 @@ class Replayed:
     def exact(self) -> bool:
         """Whether everything that was recorded came out again, bit for bit."""
         streams = (self.scans_compared, self.answers_compared)
-        return self.inputs_lost == 0 and all(stream.all_same for stream in streams)
+        return self.inputs_lost == 0 and all(stream.same == stream.recorded for stream in streams)
 
 
 class Replayer:
