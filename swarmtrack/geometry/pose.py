@@ -35,12 +35,20 @@ class Pose:
 
     def __matmul__(self, other: Pose) -> Pose:
         """a_from_b @ b_from_c = a_from_c."""
-        return Pose(self.rotation @ other.rotation, self.rotation @ other.position + self.position)
+        return _sound(self.rotation @ other.rotation, self.rotation @ other.position + self.position)
 
     def inverse(self) -> Pose:
         """b_from_a."""
-        return Pose(self.rotation.T, -self.rotation.T @ self.position)
+        return _sound(self.rotation.T.copy(), -self.rotation.T @ self.position)
 
     def transform(self, points: Array) -> Array:
         """Coordinates in b to coordinates in a. points (n, 3) m -> (n, 3) m."""
         return np.asarray(points, dtype=float) @ self.rotation.T + self.position
+
+
+def _sound(rotation: Array, position: Array) -> Pose:
+    """Made of sound poses, arrays in C order: needs no check, which costs as much as all else."""
+    pose = object.__new__(Pose)
+    object.__setattr__(pose, "rotation", rotation)
+    object.__setattr__(pose, "position", position)
+    return pose

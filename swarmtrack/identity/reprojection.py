@@ -39,6 +39,9 @@ class Predictions(NamedTuple):
     cov: Array
 
 
+NOBODY = Predictions([], [], np.empty((0, 2)), np.empty((1, 0)), np.empty((1, 0, 2, 2)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LastSeen:
     """An identified drone that went out of sight at t.
@@ -82,6 +85,8 @@ def reproject(
     flown off also of how far it may be: drift_speed [m/s] times the age of the pose, or `FAST` times that. After
     stay_s [s] half of them are still there, but who announces itself again is flying.
     """
+    if not announcements:
+        return NOBODY
     observer, camera = view.observer, view.camera
     camera_from_team = view.team_from_camera.inverse()
     positions = np.array([a.position for a in announcements]).reshape(-1, 3)
@@ -114,6 +119,8 @@ def retrace(seen: Sequence[LastSeen], view: View, *, turn_rate: float) -> Predic
     times as far. Distances are not known, so whoever is out of sight while the observer moves may appear to have
     moved as much as a drone at `NEAREST`.
     """
+    if not seen:
+        return NOBODY
     camera = view.camera
     age = np.array([view.observer.t - s.t for s in seen])
     travelled = COURSE_S * -np.expm1(-age / COURSE_S)
@@ -143,6 +150,8 @@ def retrace(seen: Sequence[LastSeen], view: View, *, turn_rate: float) -> Predic
 
 def joined(first: Predictions, second: Predictions) -> Predictions:
     """Both as one, in order; the shorter mixture is filled up with shares of zero."""
+    if not first.key or not second.key:
+        return first if first.key else second
     c = max(len(first.share), len(second.share))
     return Predictions(
         first.key + second.key,

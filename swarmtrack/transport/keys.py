@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import secrets
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 from swarmtrack import codec
@@ -12,6 +13,7 @@ from swarmtrack.transport.base import Kind
 
 ROOT = "swarmtrack"
 VERSION = "v1"
+USUAL_LENGTH = 128  # of a key; whoever makes up longer ones shall not fill our memory
 ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
 
 ENCODINGS: dict[Kind, str] = {
@@ -58,6 +60,11 @@ def all_but_video(team: str) -> list[str]:
 
 def parse(text: str) -> Address | None:
     """The key's parts, or None where it is none of ours."""
+    return _parsed(text) if len(text) <= USUAL_LENGTH else _parsed.__wrapped__(text)
+
+
+@lru_cache(maxsize=1024)  # a team says the same few again and again
+def _parsed(text: str) -> Address | None:
     match = _KEY.fullmatch(text)
     if match is None or int(match["id"]) > 65535:
         return None
