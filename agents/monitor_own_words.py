@@ -29,8 +29,8 @@ from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.merge import Hearsay, utc_offset
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
-from swarmtrack.runtime.assembly import make_ego_history
 from swarmtrack.runtime.clock import UTC_SIGMA
+from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.runtime.replay import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind

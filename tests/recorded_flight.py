@@ -23,9 +23,9 @@ from swarmtrack.messages import (
     StampKind,
 )
 from swarmtrack.recording.settings import FlightSettings
-from swarmtrack.runtime.assembly import make_onboard
 from swarmtrack.runtime.clock import ManualClock
 from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.perception import make_onboard
 from swarmtrack.runtime.recorder import Recorder
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible

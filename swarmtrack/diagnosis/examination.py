@@ -16,8 +16,9 @@ from swarmtrack.diagnosis.surroundings import DetectorFacts
 from swarmtrack.diagnosis.watching import Watch
 from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.runtime.assembly import make_detector, make_simulation, simulated_mount
+from swarmtrack.runtime.assembly import make_simulation, simulated_mount
 from swarmtrack.runtime.clock import Clock
+from swarmtrack.runtime.perception import make_detector
 
 if TYPE_CHECKING:
     from swarmtrack.sensors.simulated import Simulation

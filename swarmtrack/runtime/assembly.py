@@ -5,19 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement
-from swarmtrack.motion.ego import EgoHistory
-from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.onboard import Onboard
 from swarmtrack.runtime.clock import Clock, ManualClock, SystemClock
 from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.perception import make_detector, make_onboard
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
@@ -26,7 +22,6 @@ from swarmtrack.sensors.detection_stream import DetectionStream
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
-from swarmtrack.tracking import create_tracker
 from swarmtrack.transport import topology
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
@@ -39,8 +34,6 @@ if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
     from swarmtrack.runtime.recorder import Recorder
     from swarmtrack.sensors.simulated import Simulation
-
-GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
 
 
 @dataclass(slots=True)
@@ -164,39 +157,6 @@ def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
     return start.pose()
 
 
-def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
-    """The drone's perception: the same in flight and in a replay."""
-    motion = config.motion
-    x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
-    return Onboard(
-        config.drone.id,
-        camera=mounted.camera,
-        mounting=Mounting(
-            mounted.body_from_camera, mounted.time_offset_s, config.camera.estimate_time_offset
-        ),
-        tracker=create_tracker(config.tracker.name, camera=mounted.camera, **config.tracker.parameters),
-        gyro=GyroHistory(
-            history_s=motion.history_s,
-            noise_density=motion.gyro_noise_density_rad_s_sqrt_hz,
-            angular_acceleration_psd=motion.angular_acceleration_psd_rad2_s3,
-            bias=(x, y, z),
-        ),
-        ego=make_ego_history(config, start, history_s=motion.history_s),
-        identity=IdentityParameters(**config.identity.parameters),
-        estimate_gyro_bias=motion.estimate_gyro_bias,
-    )
-
-
-def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: float) -> EgoHistory:
-    """Where the drone itself is in the team frame, over so many seconds."""
-    return EgoHistory(
-        start=start,
-        origin=np.array(config.drone.start.offset_m),
-        absolute=config.drone.start.source == "gps",
-        history_s=history_s,
-    )
-
-
 def make_autopilot(
     config: DroneConfig, clock: Clock, simulation: Simulation | None, *, in_step: bool = False
 ) -> Autopilot | None:
@@ -232,38 +192,6 @@ def _in_step(link: str) -> str:
     """A recording beside frames at pace `fast` goes at their speed: else the gyro's history runs away from them."""
     address = parse_link(link)
     return str(replace(address, speed=1.0)) if address.scheme == "tlog" else link
-
-
-def make_detector(config: DroneConfig) -> Detector | None:
-    """None for a camera that detects by itself."""
-    if config.camera.detects_by_itself:
-        return None
-    from swarmtrack.detection.description import Declared  # noqa: PLC0415
-    from swarmtrack.detection.detector import Detector  # noqa: PLC0415
-    from swarmtrack.detection.gaze import Habits  # noqa: PLC0415
-
-    section = config.detector
-    usual_scale = 1.0 if section.look == "whole" else GUIDED_SCALE
-    return Detector(
-        section.model,
-        score_threshold=section.score_threshold,
-        input_scale=section.input_scale or usual_scale,
-        threads=section.threads,
-        providers=section.providers,
-        cache=section.engine_cache,
-        look=section.look,
-        motion=section.motion,
-        habits=Habits(whole_every=section.whole_every, target_px=section.target_px, tiles=section.tiles),
-        declared=Declared(
-            head=None if section.head == "auto" else section.head,
-            names=section.names,
-            classes=section.classes,
-            veto=section.veto,
-            channel_order=section.channel_order,
-            scale=section.scale,
-            mean=section.mean,
-        ),
-    )
 
 
 def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> Transport:

@@ -28,7 +28,7 @@ from swarmtrack.recording import inputs
 from swarmtrack.recording.merge import shifts
 from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings, read_settings
-from swarmtrack.runtime.assembly import make_ego_history
+from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.runtime.replay import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
 
 TOPICS = {

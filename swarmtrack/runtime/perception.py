@@ -1,0 +1,87 @@
+"""From a config to a drone's perception: the same in flight, in a replay, and wherever a flight is looked at again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmtrack.config import DroneConfig, MountedCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.tracking import create_tracker
+
+# What sees pictures needs OpenCV and ONNX Runtime: 80 MB and half a second, which an agent whose camera detects by
+# itself does not pay.
+if TYPE_CHECKING:
+    from swarmtrack.detection.detector import Detector
+
+GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
+
+
+def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
+    """The drone's perception: the same in flight and in a replay."""
+    motion = config.motion
+    x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
+    return Onboard(
+        config.drone.id,
+        camera=mounted.camera,
+        mounting=Mounting(
+            mounted.body_from_camera, mounted.time_offset_s, config.camera.estimate_time_offset
+        ),
+        tracker=create_tracker(config.tracker.name, camera=mounted.camera, **config.tracker.parameters),
+        gyro=GyroHistory(
+            history_s=motion.history_s,
+            noise_density=motion.gyro_noise_density_rad_s_sqrt_hz,
+            angular_acceleration_psd=motion.angular_acceleration_psd_rad2_s3,
+            bias=(x, y, z),
+        ),
+        ego=make_ego_history(config, start, history_s=motion.history_s),
+        identity=IdentityParameters(**config.identity.parameters),
+        estimate_gyro_bias=motion.estimate_gyro_bias,
+    )
+
+
+def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: float) -> EgoHistory:
+    """Where the drone itself is in the team frame, over so many seconds."""
+    return EgoHistory(
+        start=start,
+        origin=np.array(config.drone.start.offset_m),
+        absolute=config.drone.start.source == "gps",
+        history_s=history_s,
+    )
+
+
+def make_detector(config: DroneConfig) -> Detector | None:
+    """None for a camera that detects by itself."""
+    if config.camera.detects_by_itself:
+        return None
+    from swarmtrack.detection.description import Declared  # noqa: PLC0415
+    from swarmtrack.detection.detector import Detector  # noqa: PLC0415
+    from swarmtrack.detection.gaze import Habits  # noqa: PLC0415
+
+    section = config.detector
+    usual_scale = 1.0 if section.look == "whole" else GUIDED_SCALE
+    return Detector(
+        section.model,
+        score_threshold=section.score_threshold,
+        input_scale=section.input_scale or usual_scale,
+        threads=section.threads,
+        providers=section.providers,
+        cache=section.engine_cache,
+        look=section.look,
+        motion=section.motion,
+        habits=Habits(whole_every=section.whole_every, target_px=section.target_px, tiles=section.tiles),
+        declared=Declared(
+            head=None if section.head == "auto" else section.head,
+            names=section.names,
+            classes=section.classes,
+            veto=section.veto,
+            channel_order=section.channel_order,
+            scale=section.scale,
+            mean=section.mean,
+        ),
+    )
