@@ -18,11 +18,11 @@ from swarmtrack.agents.arguments import count
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
-    from swarmtrack.agents.swarm_replay import Judged, Published
+    from swarmtrack.agents.swarm_replay import Judged
     from swarmtrack.evaluation.replay_diff import ReplayDiff, SeenScan
     from swarmtrack.messages import TrackList
     from swarmtrack.recording.reader import Recording
-    from swarmtrack.runtime.replay import Replayed, Watcher
+    from swarmtrack.runtime.replay import Published, Replayed, Watcher
 
 DONE, FAILED = 0, 1
 RECORDED = "recorded"
@@ -33,10 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from swarmtrack.tracking import TRACKERS
 
     parser.add_argument(
-        "path",
+        "paths",
         type=Path,
+        nargs="+",
         metavar="FILE|DIR",
-        help="a recording, or the folder of several, as sim --record made",
+        help="recordings, or folders of several, as sim --record made",
     )
     parser.add_argument("--tracker", choices=list(TRACKERS), help="what if it had flown with this one?")
     parser.add_argument(
@@ -69,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare every published list of tracks, not every tenth, and exit with 1 unless all are the same bit "
         "for bit",
     )
-    parser.add_argument("--jobs", type=count, metavar="N", help="recordings at a time (default: one a core)")
+    parser.add_argument("--jobs", type=count, metavar="N", help="recordings at a time (default: two a core)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,19 +102,19 @@ class _Flown:
 
 
 def run(args: argparse.Namespace) -> int:
-    from swarmtrack.agents.swarm_replay import is_flight
     from swarmtrack.recording.reader import recordings_below
 
     if args.json is not None and not args.json.absolute().parent.is_dir():
         raise RecordingError(
             f"--json {args.json}: cannot be written, expected a file in a folder that exists"
         )
-    recordings = recordings_below(args.path)
+    found = (recording for path in args.paths for recording in recordings_below(path))
+    recordings = list({recording.folder.absolute(): recording for recording in found}.values())
     drones = [recording for recording in recordings if recording.kind == "drone"]
-    flight = next((recording for recording in recordings if is_flight(recording)), None)
+    flight = next((recording for recording in recordings if recording.is_simulated_flight), None)
     if not drones:
         raise RecordingError(
-            f"{args.path}: holds nothing that a drone was told, expected an agent's recording"
+            f"{', '.join(map(str, args.paths))}: nothing there that a drone was told, expected an agent's recording"
         )
     other = None if args.against in (None, RECORDED) else _read_other(Path(args.against))
     tasks = [
@@ -142,15 +143,17 @@ def _replay_all(
 ) -> tuple[list[_Flown], Judged | None]:
     """Each in a process of its own, as many at a time as there are cores; and beside them the verdict on the flight, if
     all is as it was heard. None: that is yet to be judged."""
-    at_once = min(len(tasks) + (flight is not None), jobs or len(os.sched_getaffinity(0)))
+    at_once = min(len(tasks) + (flight is not None), jobs or 2 * len(os.sched_getaffinity(0)))
     if at_once == 1:
         return [_replay(task) for task in tasks], None
     import swarmtrack.runtime.replay  # noqa: F401  (loaded once, before the processes part)
 
-    with ProcessPoolExecutor(at_once, mp_context=multiprocessing.get_context("fork")) as pool:
-        flown = pool.map(_replay, tasks)
+    # Nothing in these processes leaves circles behind, and there is much to look through for them.
+    fork = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(at_once, mp_context=fork, initializer=gc.disable) as pool:
         judged = None if flight is None else pool.submit(_judge_as_heard, flight, tasks[0].recording)
-        return list(flown), None if judged is None or judged.exception() else judged.result()
+        flown = list(pool.map(_replay, tasks))
+        return flown, None if judged is None or judged.exception() else judged.result()
 
 
 def _judge_as_heard(flight: Recording, drone: Recording) -> Judged:
@@ -162,12 +165,11 @@ def _judge_as_heard(flight: Recording, drone: Recording) -> Judged:
 
 
 def _replay(task: _Task) -> _Flown:
-    from swarmtrack.agents.swarm_replay import Published
     from swarmtrack.evaluation.replay_diff import seen_scans
     from swarmtrack.recording.settings import read_settings
-    from swarmtrack.runtime.assembly import make_detector
     from swarmtrack.runtime.clock import SystemClock
-    from swarmtrack.runtime.replay import Replayer
+    from swarmtrack.runtime.perception import make_detector
+    from swarmtrack.runtime.replay import Published, Replayer
 
     clock = SystemClock()
     settings, notes = read_settings(task.recording, task.tracker, task.changes)
@@ -180,19 +182,15 @@ def _replay(task: _Task) -> _Flown:
         ).run()
 
     changed: list[TrackList] | None = None
-    gc.disable()  # nothing here leaves circles behind, and there is much to look through
     began = clock.now()
-    try:
-        if task.for_verdict and what_if:
+    if task.for_verdict and what_if:
+        changed = []
+        replayed = fly(changed.append)
+    else:
+        replayed = fly(None)
+        if task.for_verdict and not replayed.exact:
             changed = []
             replayed = fly(changed.append)
-        else:
-            replayed = fly(None)
-            if task.for_verdict and not replayed.exact:
-                changed = []
-                replayed = fly(changed.append)
-    finally:
-        gc.enable()
     scans, recorded = (
         seen_scans(reports, replayed.begin) for reports in (replayed.scans, replayed.recorded_scans)
     )

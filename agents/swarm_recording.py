@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from swarmtrack.agents.swarm_watch import HeldClock
 from swarmtrack.errors import RecordingError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.recording.reader import FLIGHT_PLAN
 from swarmtrack.runtime.clock import Clock
 from swarmtrack.scenario_file import read_scenario
 from swarmtrack.simulation.scenarios import Scenario
@@ -18,7 +19,6 @@ from swarmtrack.transport.zenoh_bridge import Sample
 if TYPE_CHECKING:
     from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 
-PLAN = "flight_plan.json"
 TRUTH_HZ = 10.0
 
 
@@ -68,7 +68,7 @@ class FlightRecording:
             self._folder,
             bounds={"max_bytes": 10**12},  # a flight of minutes
             metadata={"scenario": self._scenario.name},
-            attachments=[Attachment(PLAN, "application/json", json.dumps(plan, default=str).encode())],
+            attachments=[Attachment(FLIGHT_PLAN, "application/json", json.dumps(plan, default=str).encode())],
         )
 
     async def heard(self, samples: AsyncIterator[Sample]) -> AsyncIterator[Sample]:

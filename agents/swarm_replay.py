@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from swarmtrack import codec
-from swarmtrack.agents.swarm_recording import PLAN
 from swarmtrack.agents.swarm_watch import HeldClock, Watch
 from swarmtrack.errors import ConfigError, RecordingError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
-from swarmtrack.messages import TrackList
-from swarmtrack.recording.reader import Recording
+from swarmtrack.recording.reader import FLIGHT_PLAN, Message, Recording
+from swarmtrack.runtime.replay import Published
 from swarmtrack.runtime.swarm_recorder import (
     FLIGHT_TOPIC,
     HEARD_TOPIC,
@@ -25,6 +24,7 @@ from swarmtrack.runtime.swarm_recorder import (
     Heard,
     read_flight,
     read_heard,
+    read_truth,
 )
 from swarmtrack.scenario_file import limits_of, scenario_of
 from swarmtrack.simulation.scenarios import Scenario
@@ -33,14 +33,8 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.zenoh_bridge import Sample
 
+TOPICS = frozenset({HEARD_TOPIC, FLIGHT_TOPIC, TRUTH_TOPIC, VERDICT_TOPIC})
 SAME_PLACE_M = 1e-6  # of a pose computed again
-
-
-class Published(NamedTuple):
-    """What one life of an agent published in a replay, the k-th as number k + 1; None: bit for bit as in flight."""
-
-    messages: int
-    changed: Sequence[TrackList] | None
 
 
 Answers = Mapping[tuple[int, str], Published]
@@ -75,25 +69,19 @@ class Judged:
         return list(_differences("", self.recorded, self.report.as_record()))
 
 
-def is_flight(recording: Recording) -> bool:
-    """Whether it is that of a simulated flight, whose truth is known."""
-    return recording.kind == "swarm" and PLAN in recording.attachments
-
-
 def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged:
     """answers None: all as it was heard. tracker: what flew in the replay. Raises RecordingError where the truth cannot
     be made again."""
-    plan = recording.attached(PLAN)
-    layers = Layers([Layer(recording.folder / PLAN, "", plan["files"])], plan["files"])
+    plan = recording.attached(FLIGHT_PLAN)
+    layers = Layers([Layer(recording.folder / FLIGHT_PLAN, "", plan["files"])], plan["files"])
     try:
         scenario = scenario_of(layers, plan["scenario"], seed=plan["seed"], drones=plan["drones"])
         limits = limits_of(layers)
     except ConfigError as error:
         raise RecordingError(f"{recording.folder}: this program cannot fly its scenario: {error}") from None
-    _check_truth(recording, scenario)
     clock = HeldClock()
     watch = Watch(scenario, clock, clock, epoch=plan["epoch_s"], seconds=plan["seconds"])
-    stage = _Stage(recording, answers, clock, watch)
+    stage = _Stage(recording, scenario, answers, clock, watch)
     asyncio.run(stage.play())
     report = watch.report(
         seconds=plan["seconds"],
@@ -108,10 +96,18 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
 class _Stage:
     """Says everything again that was heard in flight, the tracks as they came out of the replay."""
 
-    def __init__(self, recording: Recording, answers: Answers | None, clock: HeldClock, watch: Watch) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        scenario: Scenario,
+        answers: Answers | None,
+        clock: HeldClock,
+        watch: Watch,
+    ) -> None:
         self.verdict: dict[str, Any] | None = None
         self.numbers: dict[tuple[int, str], list[int]] = {}
         self._recording = recording
+        self._scenario = scenario
         self._answers = answers
         self._clock = clock
         self._watch = watch
@@ -122,7 +118,7 @@ class _Stage:
         await self._watch.judge_the_rest()
 
     async def _samples(self) -> AsyncIterator[Sample]:
-        for message in self._recording.messages():
+        for message in self._recording.messages(TOPICS):
             if message.topic == HEARD_TOPIC:
                 heard = read_heard(message)
                 self._clock.set(heard.t, heard.utc)
@@ -136,8 +132,21 @@ class _Stage:
                     self._watch.started(event.drone_id)
                 else:
                     self._watch.ended(event.drone_id)
+            elif message.topic == TRUTH_TOPIC:
+                self._check_truth(message)
             elif message.topic == VERDICT_TOPIC:
                 self.verdict = msgspec.json.decode(message.data)
+
+    def _check_truth(self, message: Message) -> None:
+        """The recorded truth is what the flight was judged by; another version may fly the same scenario otherwise."""
+        true = read_truth(message)
+        flown = self._scenario.world.drones.get(true.drone_id)
+        if flown is None or np.abs(flown.position(true.t_s) - true.position_m).max() > SAME_PLACE_M:
+            raise RecordingError(
+                f"{self._recording.folder}: drone {true.drone_id} flew elsewhere at {true.t_s:.1f} s than this "
+                f"program's scenario {self._scenario.name} says, expected the version that recorded it "
+                f"({self._recording.preface.get('swarmtrack')})"
+            )
 
     def _instead(self, heard: Heard) -> Sample | None:
         address = keys.parse(heard.key)
@@ -147,7 +156,9 @@ class _Stage:
             self._boots[address.drone_id] = address.rest[0]
         if address.kind is not Kind.TRACKS:
             return heard.sample
-        life = (address.drone_id, self._boots.get(address.drone_id, ""))
+        if address.drone_id not in self._boots:
+            return heard.sample  # before its process was known to live; the judge pays no heed to it
+        life = (address.drone_id, self._boots[address.drone_id])
         try:
             number = codec.tracks_sequence(heard.payload)
             self.numbers.setdefault(life, []).append(number)
@@ -168,21 +179,6 @@ class _Stage:
             return heard.sample._replace(payload=codec.encode_tracks(said))
         except ValueError:  # as in flight: what no reader would accept is not said
             return None
-
-
-def _check_truth(recording: Recording, scenario: Scenario) -> None:
-    """The recorded truth is what the flight was judged by; another version may fly the same scenario otherwise."""
-    for message in recording.messages():
-        if message.topic != TRUTH_TOPIC:
-            continue
-        true = msgspec.json.decode(message.data)
-        position = scenario.world.pose(true["drone_id"], true["t_s"]).position
-        if np.abs(position - true["position_m"]).max() > SAME_PLACE_M:
-            raise RecordingError(
-                f"{recording.folder}: drone {true['drone_id']} flew elsewhere at {true['t_s']:.1f} s than this "
-                f"program's scenario {scenario.name} says, expected the version that recorded it "
-                f"({recording.preface.get('swarmtrack')})"
-            )
 
 
 def _differences(key: str, recorded: Any, now: Any) -> list[str]:

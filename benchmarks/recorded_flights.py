@@ -4,8 +4,8 @@
 
 A real agent with a played autopilot and a scripted camera is ended by SIGKILL at moments chosen by chance; lost is what
 lies between that moment and the last record that can be read. Then `swarmtrack sim` records a minute of three drones,
-and `swarmtrack replay` flies it again: one drone alone, and all with their verdict. Times are those of the whole
-command, from its start to its end.
+and `swarmtrack replay` flies it again: one drone alone, all three, and all with their verdict. Times are those of the
+whole command, from its start to its end.
 """
 
 from __future__ import annotations
@@ -43,6 +43,11 @@ KILLS, QUICK_KILLS = 10, 2
 FLIGHT_S, QUICK_FLIGHT_S = 60.0, 10.0
 TURNS = 3  # of each replay; told is the median
 SEED = 11
+REPLAYED = {
+    "one drone": ["drone-1"],
+    "three drones": ["drone-*"],
+    "three with their verdict": ["drone-*", "swarm"],
+}
 LOST_MOST_S, SPEED_LEAST = 1.0, 20.0
 
 
@@ -55,9 +60,9 @@ class Killed(NamedTuple):
 
 
 class Replays(NamedTuple):
-    """drones: how many were flown again at once; seconds: of the command; exact: all of it, bit for bit."""
+    """what: was flown again; seconds: of the command; exact: all of it, bit for bit."""
 
-    drones: int
+    what: str
     flight_s: float
     seconds: list[float]
     exact: bool
@@ -73,7 +78,7 @@ def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     rng = np.random.default_rng(SEED)
     with tempfile.TemporaryDirectory(prefix=f"{NAME}-") as name:
         folder = Path(name)
-        with report.progress(NAME, kills + 3) as advance:
+        with report.progress(NAME, kills + 1 + len(REPLAYED)) as advance:
             killed = []
             for k in range(kills):
                 advance(f"kill -9, {k + 1} of {kills}")
@@ -111,20 +116,21 @@ def _replays(folder: Path, seconds: float, advance: Callable[[str], None]) -> li
     if not folder.is_dir():
         raise BenchmarkError(f"{NAME}: `swarmtrack sim --record` left no recording:\n{flown}")
     found = []
-    for path in (folder / "drone-1", folder):
-        advance(f"replay of {path.name}")
+    for what, parts in REPLAYED.items():
+        advance(f"replay of {what}")
+        paths = [str(path) for part in parts for path in sorted(folder.glob(part))]
         answer = folder.parent / "replay.json"
         times = []
         for _ in range(TURNS):
             began = time.monotonic()
-            said = _command("replay", str(path), "--json", str(answer))
+            said = _command("replay", *paths, "--json", str(answer))
             times.append(time.monotonic() - began)
             if not answer.is_file():
                 raise BenchmarkError(f"{NAME}: `swarmtrack replay` wrote no result:\n{said}")
         drones = json.loads(answer.read_text(encoding="utf-8"))["drones"]
         answer.unlink()
         shortest = min(drone["flight_s"] for drone in drones)
-        found.append(Replays(len(drones), shortest, times, all(drone["exact"] for drone in drones)))
+        found.append(Replays(what, shortest, times, all(drone["exact"] for drone in drones)))
     return found
 
 
@@ -143,7 +149,7 @@ def _markdown(killed: Sequence[Killed], replays: Sequence[Replays]) -> str:
     readable = sum(one.readable for one in killed)
     rows = [
         [
-            f"{one.drones} with their verdict" if one.drones > 1 else "one drone",
+            one.what,
             f"{one.flight_s:.1f}",
             f"{statistics.median(one.seconds):.2f} ({min(one.seconds):.2f} to {max(one.seconds):.2f})",
             f"{one.speed:.1f}",

@@ -197,6 +197,14 @@ def test_a_file_cut_anywhere_becomes_a_complete_one(tmp_path, seed):
     assert repair(file) is None
 
 
+def test_some_topics_are_read_as_if_there_were_no_others(flown):
+    for recording in recordings_below(flown[0]):
+        everything = list(recording.messages())
+        for topics in ({"/imu"}, {"/imu", "/asked"}, {"/none"}, set()):
+            wanted = [message for message in everything if message.topic in topics]
+            assert list(recording.messages(topics)) == wanted
+
+
 @pytest.mark.parametrize(
     "garbage",
     [b"", b"#!/bin/sh\n", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + bytes(100), random.Random(1).randbytes(999)],

@@ -144,8 +144,8 @@ class _Only:
     def __getattr__(self, name):
         return getattr(self._recording, name)
 
-    def messages(self):
-        return iter(self._messages)
+    def messages(self, topics):
+        return (message for message in self._messages if message.topic in topics)
 
 
 # --- what if --------------------------------------------------------------------------------------
@@ -373,10 +373,17 @@ def test_the_verdict_on_a_recorded_swarm_is_reproduced(tmp_path, capsys, monkeyp
     scenario.unlink()  # the recording knows it
     out = tmp_path / "again.json"
     assert replay(folder, "--json", str(out)) == flight.returncode
-    assert "the verdict is the recorded one" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "the verdict is the recorded one" in said
+    assert "whose inputs are not recorded" not in said
     again = json.loads(out.read_text())
     assert again["verdict"] == json.loads(verdict.read_text())
     assert all(drone["exact"] for drone in again["drones"])
+    # One drone named twice is one drone; without what was heard of the swarm there is nothing to judge.
+    assert replay(folder / "drone-1", str(folder / "drone-1")) == 0
+    said = capsys.readouterr().out
+    assert said.count("drone 1 (") == 1
+    assert "verdict" not in said
     # Judged by a limit that nobody keeps, it fails, and so says the exit code.
     monkeypatch.setattr("swarmtrack.agents.swarm_replay.limits_of", lambda layers: Limits(rmse_px=1e-3))
     assert replay(folder) == 1

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.association import most_likely_matching
 
 MIN_HIT_RADIUS = 6.0  # px
 
@@ -110,8 +110,6 @@ def match_hits(
     radius = np.maximum(min_radius, 0.5 * truth.size.max(axis=1, initial=0.0))
     allowed = distance <= radius[:, None]
     # One hit must outweigh any sum of distances, so that a second hit is never given up for a closer first one.
-    miss = 1.0 + float(radius.sum())
-    rows, columns = linear_sum_assignment(np.where(allowed, distance, miss))
-    good = allowed[rows, columns]
-    rows, columns = rows[good], columns[good]
+    hit = 1.0 + float(radius.sum())
+    rows, columns = most_likely_matching(np.where(allowed, hit - distance, -np.inf))
     return rows, columns, distance[rows, columns]

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.messages import FOREIGN, Identity, TrackStatus
 from swarmtrack.onboard import ScanReport
+from swarmtrack.tracking.association import most_likely_matching
 
 GATE_PX = 15.0
 APART_PX = 1.0  # from here on two tracks have parted
@@ -143,10 +143,9 @@ def _pairs(one: tuple[SeenTrack, ...], other: tuple[SeenTrack, ...]) -> list[tup
     a = np.array([(track.u, track.v) for track in one])
     b = np.array([(track.u, track.v) for track in other])
     distance = np.linalg.norm(a[:, None] - b[None], axis=2)
-    # Beyond the gate a pair costs more than any number of pairs within it, so as many as possible lie within.
-    cost = np.where(distance <= GATE_PX, distance, 1e6)
-    rows, columns = linear_sum_assignment(cost)
-    return [(one[i], other[j]) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= GATE_PX]
+    # A pair is worth more than any sum of distances within the gate, so there are as many as possible.
+    rows, columns = most_likely_matching(np.where(distance <= GATE_PX, 1e6 - distance, -np.inf))
+    return [(one[i], other[j]) for i, j in zip(rows, columns, strict=True)]
 
 
 def scans_record(scans: Iterable[SeenScan]) -> list[dict[str, Any]]:

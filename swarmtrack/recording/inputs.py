@@ -8,6 +8,7 @@ written with as many digits as bring it back exactly; NaN and infinity, which JS
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import msgspec
@@ -155,12 +156,12 @@ def encode(n: int, event: Input) -> bytes:
 
 def decode(topic: str, data: bytes) -> tuple[int, Input]:
     """The number of a record and its event. Raises RecordingError where it is not what was written."""
-    form = FORM_OF_TOPIC[topic]
     try:
         record = _DECODER.decode(data)
-        return record["n"], _message(form, record)
+        return record["n"], _READERS[topic](record)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{topic}: a record that is no {form.schema}: {error}") from None
+        schema = FORM_OF_TOPIC[topic].schema
+        raise RecordingError(f"{topic}: a record that is no {schema}: {error}") from None
 
 
 def plain(value: float) -> float | str:
@@ -198,17 +199,34 @@ def _field(entry: Entry, value: Any) -> Any:
     return value
 
 
-def _message(form: Form, record: dict[str, Any]) -> Any:
-    return form.kind(**{entry.attribute: _value(entry, record[entry.key]) for entry in form.entries})
+def _reader(form: Form) -> Callable[[dict[str, Any]], Any]:
+    """What makes a message of a record; how each attribute is read is looked up once, not with every record."""
+    kind = form.kind
+    parts = [(entry.attribute, entry.key, _read_by(entry)) for entry in form.entries]
+
+    def read(record: dict[str, Any]) -> Any:
+        values = {}
+        for attribute, key, convert in parts:
+            value = record[key]
+            values[attribute] = None if value is None else convert(value)
+        return kind(**values)
+
+    return read
 
 
-def _value(entry: Entry, value: Any) -> Any:
-    if value is None:
-        return None
+def _read_by(entry: Entry) -> Callable[[Any], Any]:
     if entry.shape is not None:
-        return np.array(value, dtype=np.float64).reshape(entry.shape)
+        shape = entry.shape
+        return lambda value: np.array(value, dtype=np.float64).reshape(shape)
     if entry.form is not None:
-        return tuple(_message(entry.form, part) for part in value)
-    if entry.type == "number":
-        return float(value)
-    return tuple(value) if entry.type in ("integers", "strings") else value
+        read = _reader(entry.form)
+        return lambda value: tuple(map(read, value))
+    match entry.type:
+        case "number":
+            return float
+        case "integers" | "strings":
+            return tuple
+    return lambda value: value
+
+
+_READERS = {form.topic: _reader(form) for form in FORMS}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -26,8 +26,10 @@ MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
 READ_AHEAD = 1 << 20  # bytes: of a file, which is read from one end to the other
 LARGEST_RECORD = 256 << 20  # bytes: a length beyond it is no length but garbage
+FLIGHT_PLAN = "flight_plan.json"  # attached to the recording of a simulated flight
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+_IS_MESSAGE = int(Opcode.MESSAGE)
 
 
 class Message(NamedTuple):
@@ -54,8 +56,8 @@ class Segment:
     damage: str | None = None
     """What is wrong with the file, in words; None: nothing, it is complete."""
 
-    def messages(self) -> Iterator[Message]:
-        """In the order of writing. Raises RecordingError for what is no MCAP file at all."""
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """In the order of writing, of these topics (None: of all). Raises RecordingError for what is no MCAP file."""
         try:
             file: IO[bytes] = self.path.open("rb", buffering=READ_AHEAD)
         except OSError as error:
@@ -64,9 +66,9 @@ class Segment:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RecordingError(f"{self.path}: is no MCAP file, expected a recording")
             self.damage = None
-            yield from self._records(file)
+            yield from self._records(file, topics)
 
-    def _records(self, file: IO[bytes]) -> Iterator[Message]:
+    def _records(self, file: IO[bytes], topics: Collection[str] | None) -> Iterator[Message]:
         while True:
             at = file.tell()
             head = file.read(_HEAD.size)
@@ -84,31 +86,15 @@ class Segment:
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return  # what follows is an index of what we read
             try:
-                yield from self._record(opcode, body)
+                if opcode == Opcode.CHUNK:
+                    yield from self._chunk(_unpacked(Chunk.read(_stream(body))), topics)
+                else:
+                    yield from self._record(opcode, body, topics)
             except (ValueError, KeyError, struct.error, zstandard.ZstdError, RuntimeError, EOFError) as error:
                 self.damage = f"holds what cannot be read at byte {at} ({error or type(error).__name__})"
                 return
 
-    def _record(self, opcode: int, body: bytes) -> Iterator[Message]:
-        match opcode:
-            case Opcode.CHUNK:
-                yield from self._chunk(_unpacked(Chunk.read(_stream(body))))
-            case Opcode.MESSAGE:
-                yield self._message(body)
-            case Opcode.SCHEMA:
-                schema = Schema.read(_stream(body))
-                self.schemas[schema.id] = schema
-            case Opcode.CHANNEL:
-                channel = Channel.read(_stream(body))
-                self.channels[channel.id] = channel
-            case Opcode.METADATA:
-                metadata = Metadata.read(_stream(body))
-                self.metadata[metadata.name] = metadata.metadata
-            case Opcode.ATTACHMENT:
-                attachment = Attachment.read(_stream(body))
-                self.attachments[attachment.name] = attachment
-
-    def _chunk(self, data: bytes) -> Iterator[Message]:
+    def _chunk(self, data: bytes, topics: Collection[str] | None) -> Iterator[Message]:
         at = 0
         while at < len(data):
             opcode, length = _HEAD.unpack_from(data, at)
@@ -117,14 +103,28 @@ class Segment:
                 raise ValueError("a record that ends beyond its chunk")
             body = data[at : at + length]
             at += length
-            if opcode == Opcode.MESSAGE:  # nearly all are
-                yield self._message(body)
-            else:
-                yield from self._record(opcode, body)
+            yield from self._record(opcode, body, topics)
 
-    def _message(self, body: bytes) -> Message:
-        channel, _, log_time, _ = _MESSAGE.unpack_from(body)
-        return Message(self.channels[channel], log_time, body[_MESSAGE.size :])
+    def _record(self, opcode: int, body: bytes, topics: Collection[str] | None) -> Iterable[Message]:
+        """The message in it, if it is one that is wanted."""
+        if opcode == _IS_MESSAGE:  # nearly all are
+            number, _, log_time, _ = _MESSAGE.unpack_from(body)
+            channel = self.channels[number]
+            if topics is None or channel.topic in topics:
+                return (Message(channel, log_time, body[_MESSAGE.size :]),)
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(_stream(body))
+            self.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(_stream(body))
+            self.channels[channel.id] = channel
+        elif opcode == Opcode.METADATA:
+            metadata = Metadata.read(_stream(body))
+            self.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(_stream(body))
+            self.attachments[attachment.name] = attachment
+        return ()
 
 
 def _stream(body: bytes) -> ReadDataStream:
@@ -168,9 +168,15 @@ class Recording:
         """What is wrong with its files, a sentence each; known after they were read."""
         return [f"{segment.path} {segment.damage}" for segment in self.segments if segment.damage]
 
-    def messages(self) -> Iterator[Message]:
+    @property
+    def is_simulated_flight(self) -> bool:
+        """Whether it is what was heard of one, whose truth is known."""
+        return self.kind == "swarm" and FLIGHT_PLAN in self.attachments
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """Of all segments; topics: of these only."""
         for segment in self.segments:
-            yield from segment.messages()
+            yield from segment.messages(topics)
 
     def attached(self, name: str) -> Any:
         """An attachment in JSON. Raises RecordingError."""

@@ -8,7 +8,7 @@ scan's tracks and of every answer to "where are they now", and each is compared.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,8 +20,8 @@ from swarmtrack.onboard import Onboard, ScanReport
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
-from swarmtrack.runtime.assembly import make_onboard
 from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.perception import make_onboard
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
@@ -30,8 +30,17 @@ FRAMES_TOPIC, IMAGES_TOPIC = "/camera/frames", "/camera/image"
 ANSWER_EVERY = 10
 FRAMES_KEPT = 64  # read, and their detections not met yet
 
+TOPICS = frozenset({*inputs.FORM_OF_TOPIC, outputs.ASKED_TOPIC, outputs.TRACKS_TOPIC})
+
 Watcher = Callable[[TrackList], None]
 """Is given every answer to the question for tracks, in order."""
+
+
+class Published(NamedTuple):
+    """What one life of an agent published in a replay, the k-th as number k + 1; None: bit for bit as in flight."""
+
+    messages: int
+    changed: Sequence[TrackList] | None
 
 
 class Stream(NamedTuple):
@@ -112,6 +121,7 @@ class Replayer:
         self._onboard: Onboard = make_onboard(settings.config, settings.mounted, settings.start)
         self._door = Door(self._onboard)
         self._detector = detector
+        self._topics = TOPICS if detector is None else TOPICS | {FRAMES_TOPIC, IMAGES_TOPIC}
         self._watcher = watcher
         self._answer_every = 1 if every_answer or watcher is not None else ANSWER_EVERY
         self._result = Replayed()
@@ -130,7 +140,7 @@ class Replayer:
             )
         result = self._result
         first = last = None
-        for message in self._recording.messages():
+        for message in self._recording.messages(self._topics):
             first = message.log_time_ns if first is None else first
             last = message.log_time_ns
             try:
@@ -170,9 +180,9 @@ class Replayer:
             digest, report = outputs.decode_report(message.data)
             self._scans.recorded.append(digest)
             self._result.recorded_scans.append(report)
-        elif self._detector is not None and topic == FRAMES_TOPIC:
+        elif topic == FRAMES_TOPIC:
             self._exact_times = msgspec.json.decode(message.data)
-        elif self._detector is not None and topic == IMAGES_TOPIC:
+        elif topic == IMAGES_TOPIC:
             self._keep_frame(message.data)
 
     def _count(self, n: int) -> None:

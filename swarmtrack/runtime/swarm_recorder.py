@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from foxglove.messages import CompressedImage, Pose, PoseInFrame, Quaternion, Timestamp, Vector3
@@ -34,6 +34,8 @@ TRUTH = Topic.of_json(TRUTH_TOPIC, {"title": "swarmtrack.Truth", "type": "object
 VERDICT = Topic.of_json(VERDICT_TOPIC, {"title": "swarmtrack.Verdict", "type": "object"})
 CLOSE_S = 10.0  # nobody waits for us to end
 
+T = TypeVar("T")
+
 
 class Heard(msgspec.Struct, array_like=True, frozen=True):
     """A sample, and when it was heard by the listener's clocks [s]."""
@@ -56,6 +58,15 @@ class FlightEvent(msgspec.Struct, frozen=True):
     drone_id: int
     t_s: float
     utc_s: float
+
+
+class TrueRecord(msgspec.Struct, frozen=True):
+    """What stands in the file of a drone in truth. t_s: world time; position and quaternion: world_from_body."""
+
+    t_s: float
+    drone_id: int
+    position_m: tuple[float, float, float]
+    quaternion_wxyz: tuple[float, float, float, float]
 
 
 class TruePose(NamedTuple):
@@ -172,12 +183,7 @@ def _write_picture(drone_id: int, view: codec.VideoMessage, write: Write, log_ti
 def _write_truth(true: TruePose, write: Write, log_time: int) -> None:
     x, y, z = true.pose.position.tolist()
     qw, qx, qy, qz = to_quaternion(true.pose.rotation).tolist()
-    record = {
-        "t_s": true.t,
-        "drone_id": true.drone_id,
-        "position_m": [x, y, z],
-        "quaternion_wxyz": [qw, qx, qy, qz],
-    }
+    record = TrueRecord(true.t, true.drone_id, (x, y, z), (qw, qx, qy, qz))
     write(TRUTH, log_time, msgspec.json.encode(record))
     pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
     stamp = Timestamp(sec=log_time // 10**9, nsec=log_time % 10**9)
@@ -185,17 +191,28 @@ def _write_truth(true: TruePose, write: Write, log_time: int) -> None:
     write(topic, log_time, PoseInFrame(timestamp=stamp, frame_id="team_ned", pose=pose).encode())
 
 
+_READ_HEARD = msgspec.msgpack.Decoder(Heard)
+_READ_FLIGHT = msgspec.json.Decoder(FlightEvent)
+_READ_TRUTH = msgspec.json.Decoder(TrueRecord)
+
+
 def read_heard(message: Message) -> Heard:
     """Of `/heard`. Raises RecordingError."""
-    try:
-        return msgspec.msgpack.decode(message.data, type=Heard)
-    except msgspec.MsgspecError as error:
-        raise RecordingError(f"{HEARD_TOPIC}: a record that is no swarmtrack.Heard: {error}") from None
+    return _read(_READ_HEARD, message, "swarmtrack.Heard")
 
 
 def read_flight(message: Message) -> FlightEvent:
     """Of `/flight`. Raises RecordingError."""
+    return _read(_READ_FLIGHT, message, "swarmtrack.Flight")
+
+
+def read_truth(message: Message) -> TrueRecord:
+    """Of `/truth`. Raises RecordingError."""
+    return _read(_READ_TRUTH, message, "swarmtrack.Truth")
+
+
+def _read(decoder: msgspec.msgpack.Decoder[T] | msgspec.json.Decoder[T], message: Message, kind: str) -> T:
     try:
-        return msgspec.json.decode(message.data, type=FlightEvent)
+        return decoder.decode(message.data)
     except msgspec.MsgspecError as error:
-        raise RecordingError(f"{FLIGHT_TOPIC}: a record that is no swarmtrack.Flight: {error}") from None
+        raise RecordingError(f"{message.topic}: a record that is no {kind}: {error}") from None

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
 
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 
 STANDARD_GRAVITY = 9.80665  # m/s²
@@ -86,11 +86,17 @@ class Trajectory:
 
     def attitude(self, t: float) -> Array:
         """world_from_body, (3, 3)."""
-        return self._attitude_and_rate(t)[0]
+        return self.pose(t).rotation
+
+    def pose(self, t: float) -> Pose:
+        """world_from_body."""
+        flat = self.path.derivatives(t)
+        yaw, _ = self.yaw_profile.yaw(t, flat)
+        return Pose(_flat_attitude(flat[2], yaw).attitude, flat[0])
 
     def body_rate(self, t: float) -> Array:
         """Angular velocity against the world, (3,) rad/s in body axes: what a perfect gyro reads."""
-        return self._attitude_and_rate(t)[1]
+        return self.motion(t).body_rate
 
     def specific_force(self, t: float) -> Array:
         """Acceleration minus gravity, (3,) m/s² in body axes: what a perfect accelerometer reads."""
@@ -108,11 +114,6 @@ class Trajectory:
         attitude, rate = attitude_and_rate(flat[2], flat[3], yaw, yaw_rate)
         return Motion(flat[0], flat[1], attitude, rate, attitude.T @ (flat[2] - GRAVITY))
 
-    def _attitude_and_rate(self, t: float) -> tuple[Array, Array]:
-        flat = self.path.derivatives(t)
-        yaw, yaw_rate = self.yaw_profile.yaw(t, flat)
-        return attitude_and_rate(flat[2], flat[3], yaw, yaw_rate)
-
 
 def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: float) -> tuple[Array, Array]:
     """Attitude world_from_body (3, 3) and body rate (3,) rad/s that differential flatness demands.
@@ -122,6 +123,29 @@ def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: fl
     (roll, pitch, yaw). Mellinger & Kumar 2011, section III, take another plane, as their angles are Z-X-Y.
     The rate is the derivative of exactly this construction, hence good to rounding.
     """
+    attitude, thrust, right, length = _flat_attitude(acceleration, yaw)
+    x, y, z = attitude.T
+    z_dot = -(jerk - z * (z @ jerk)) / thrust
+    right_dot = -yaw_rate * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    ahead_dot = _cross(right_dot, z) + _cross(right, z_dot)
+    x_dot = (ahead_dot - x * (x @ ahead_dot)) / length
+
+    # R' = R [ω]×, so the components of ω are the products of one axis with the derivative of another.
+    rate = np.array([-float(y @ z_dot), float(x @ z_dot), float(y @ x_dot)])
+    return attitude, rate
+
+
+class _FlatAttitude(NamedTuple):
+    """attitude world_from_body (3, 3), and what it was made of: thrust [m/s²], right (3,) of the heading's vertical
+    plane, and the length of right × z."""
+
+    attitude: Array
+    thrust: float
+    right: Array
+    length: float
+
+
+def _flat_attitude(acceleration: Array, yaw: float) -> _FlatAttitude:
     down = GRAVITY - acceleration
     thrust = math.sqrt(down @ down)
     if thrust < FREE_FALL_THRUST:
@@ -129,20 +153,11 @@ def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: fl
             f"trajectory: acceleration {acceleration} m/s² is free fall, expected one that needs thrust"
         )
     z = down / thrust
-    z_dot = -(jerk - z * (z @ jerk)) / thrust
-
-    right = np.array([-math.sin(yaw), math.cos(yaw), 0.0])  # of the heading's vertical plane
-    right_dot = -yaw_rate * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    right = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     ahead = _cross(right, z)
-    ahead_dot = _cross(right_dot, z) + _cross(right, z_dot)
     length = math.sqrt(ahead @ ahead)
     x = ahead / length
-    x_dot = (ahead_dot - x * (x @ ahead_dot)) / length
-    y = _cross(z, x)
-
-    # R' = R [ω]×, so the components of ω are the products of one axis with the derivative of another.
-    rate = np.array([-float(y @ z_dot), float(x @ z_dot), float(y @ x_dot)])
-    return np.column_stack([x, y, z]), rate
+    return _FlatAttitude(np.array([x, _cross(z, x), z]).T.copy(), thrust, right, length)
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -239,6 +254,8 @@ class MinimumSnap:
     _splines: tuple[Any, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (0.3 s of import: few paths need it)
+
         rest = [(order, np.zeros(3)) for order in range(1, DERIVATIVES)]
         spline = make_interp_spline(self.times, np.asarray(self.waypoints, float), k=7, bc_type=(rest, rest))
         object.__setattr__(self, "_splines", tuple(spline.derivative(n) for n in range(DERIVATIVES)))

@@ -31,8 +31,7 @@ class World:
 
     def pose(self, drone_id: int, t: float) -> Pose:
         """world_from_body."""
-        motion = self.drones[drone_id].motion(t)
-        return Pose(motion.attitude, motion.position)
+        return self.drones[drone_id].pose(t)
 
     def body_rate(self, drone_id: int, t: float) -> Array:
         """(3,) rad/s in body axes."""
