@@ -120,8 +120,6 @@ def test_what_the_dockerfile_copies_is_let_through_by_dockerignore():
 
 @pytest.mark.parametrize("name", SERVICES)
 def test_a_service_runs_a_program_of_ours_with_arguments_it_takes(name):
-    if name not in COMMANDS and name == "monitor":
-        pytest.skip("the command `swarmtrack monitor` is not in this version")
     lines = command_lines(SERVICES[name])
     assert lines
     for line in lines:
@@ -162,6 +160,12 @@ def test_what_a_service_mounts_and_reads_is_there(name):
         for word in line:
             if word.startswith("/etc/swarmtrack/"):
                 assert (DOCKER / mounts["/etc/swarmtrack"] / Path(word).name).is_file()
+
+
+def test_who_runs_the_judge_starts_everybody_it_judges():
+    waits_for = {name: on["condition"] for name, on in SERVICES["judge"]["depends_on"].items()}
+    flying = {name for name in SERVICES if name == "simulator" or name.startswith("drone-")}
+    assert waits_for == {"keys": "service_completed_successfully", **dict.fromkeys(flying, "service_healthy")}
 
 
 def test_drones_find_each_other_by_their_services_names_and_speak_by_keys():
