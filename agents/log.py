@@ -99,7 +99,7 @@ def _merge(paths: list[Path], out: Path) -> int:
     from swarmtrack.recording.merge import merge
     from swarmtrack.recording.reader import recordings_below
 
-    recordings = [recording for path in paths for recording in recordings_below(path)]
+    recordings = recordings_below(*paths)
     moved, count = merge(recordings, out)
     for recording, shift in zip(recordings, moved, strict=True):
         print(f"{recording.folder}: shifted by {1e3 * shift.seconds:+.3f} ms (by {shift.by})")

@@ -17,6 +17,7 @@ from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
     EgoPose,
+    IdClash,
     Input,
     PeerArrived,
     PeerDeparted,
@@ -39,7 +40,7 @@ from swarmtrack.transport.zenoh_bridge import Sample
 HEALTH_TOPIC = "/health"
 HEEDED_INPUTS = frozenset(
     inputs.FORM_OF_KIND[kind].topic
-    for kind in (EgoPose, AutopilotRebooted, Announcement, SightingReport, PeerArrived, PeerDeparted)
+    for kind in (EgoPose, AutopilotRebooted, Announcement, SightingReport, PeerArrived, PeerDeparted, IdClash)
 )
 EGO_HISTORY_S = 2.0
 VIEWS_HZ = 10.0  # as live video at most
@@ -47,7 +48,7 @@ SPOKE_S = 0.2  # s between two signs of life that are kept: silence counts from 
 REPORT_S = 1.0  # s between two reports of whom it sees, as in flight
 JITTER_S = 0.01
 
-Heard = Announcement | SightingReport | PeerArrived | PeerDeparted
+Heard = Announcement | SightingReport | PeerArrived | PeerDeparted | IdClash
 
 
 class OwnWords:
@@ -62,7 +63,7 @@ class OwnWords:
         self._recording = recording
         self._shelf = shelf
         self._team = recording.preface["team"]
-        self._boot = recording.preface["boot"]
+        self.boot = recording.preface["boot"]
         self._offset = utc_offset(recording)
         settings, _ = read_settings(recording)
         self._camera = settings.mounted.camera
@@ -122,7 +123,7 @@ class OwnWords:
             case SightingReport():
                 self.observers.add(event.observer)
                 self._heard.append((t, event))
-            case Announcement() | PeerArrived() | PeerDeparted():
+            case Announcement() | PeerArrived() | PeerDeparted() | IdClash():
                 self._heard.append((t, event))
 
     def _on_sign_of_life(self, t: float) -> None:
@@ -175,7 +176,7 @@ class OwnWords:
             )
         return SightingReport(
             observer=self.drone_id,
-            boot=self._boot,
+            boot=self.boot,
             sequence=len(self._reports) + 1,
             t=tracks.t,
             t_sigma=0.0,
@@ -201,55 +202,55 @@ class OwnWords:
                 continue
             yield self._word(Kind.VIDEO, self.drone_id, t + shift, payload)._replace(picture=picture)
 
-    def words(self, shift: float, *, teammates: set[int], says_itself: bool) -> Iterator[Word]:
-        """teammates: who recorded themselves; says_itself: whom it sees, since nobody recorded hearing it."""
+    def words(self, shift: float, *, lives: set[tuple[int, str]], says_itself: bool) -> Iterator[Word]:
+        """lives: drone and boot of those that recorded themselves; says_itself: whom it sees, since nobody recorded
+        hearing it."""
         if math.isnan(self._first):
             return
-        yield self._token(self.drone_id, self._boot, self._first + shift)
+        yield self._token(self.drone_id, self.boot, self._first + shift)
         for t in self._spoke:
             yield Word(t + shift, self.drone_id, None)
         for t, payload in self._health:
             yield self._word(Kind.HEALTH, self.drone_id, t + shift, payload)
         for t, event in [*self._heard, *(self._reports if says_itself else ())]:
-            word = self._of_event(event, t + shift, self._offset + shift, teammates)
-            if word is not None:
-                yield word
-        yield from self._silent_teammates(shift, teammates)
+            try:
+                yield from self._of_event(event, t + shift, self._offset + shift, lives)
+            except ValueError:
+                self.refused += 1
+        yield from self._silent_teammates(shift, lives)
 
     def departure(self, shift: float) -> Word | None:
         """When it ended; None where it holds nothing."""
         if math.isnan(self._last):
             return None
-        return self._token(self.drone_id, self._boot, self._last + shift, alive=False)
+        return self._token(self.drone_id, self.boot, self._last + shift, alive=False)
 
-    def _of_event(self, event: Heard, t: float, offset: float, teammates: set[int]) -> Word | None:
-        try:
-            match event:
-                case Announcement():
-                    payload = codec.encode_announcement(event, offset, t - offset)
-                    return self._word(Kind.POSE, event.drone_id, t, payload)
-                case SightingReport():
-                    payload = codec.encode_sightings(event, offset, t - offset)
-                    return self._word(Kind.IDENTITIES, event.observer, t, payload)
-                case PeerArrived() if event.drone_id not in teammates:
-                    return self._token(event.drone_id, event.boot, t)
-                case PeerDeparted() if event.drone_id not in teammates:
-                    return self._token(event.drone_id, event.boot, t, alive=False)
-        except ValueError:
-            self.refused += 1
-        return None
+    def _of_event(self, event: Heard, t: float, offset: float, lives: set[tuple[int, str]]) -> Iterator[Word]:
+        drone_id = event.observer if isinstance(event, SightingReport) else event.drone_id
+        match event:
+            case Announcement():
+                yield self._word(Kind.POSE, drone_id, t, codec.encode_announcement(event, offset, t - offset))
+            case SightingReport():
+                payload = codec.encode_sightings(event, offset, t - offset)
+                yield self._word(Kind.IDENTITIES, drone_id, t, payload)
+            case PeerArrived(boot=boot) | PeerDeparted(boot=boot) if (drone_id, boot) not in lives:
+                yield self._token(drone_id, boot, t, alive=isinstance(event, PeerArrived))
+            case IdClash(boots=boots):
+                for boot in boots:
+                    if (drone_id, boot) not in lives:
+                        yield self._token(drone_id, boot, t)
 
-    def _silent_teammates(self, shift: float, teammates: set[int]) -> Iterator[Word]:
+    def _silent_teammates(self, shift: float, lives: set[tuple[int, str]]) -> Iterator[Word]:
         """Of those who did not record themselves it is known that they lived while their token stood."""
         since: dict[int, float] = {}
-        lives: list[tuple[int, float, float]] = []
+        spans: list[tuple[int, float, float]] = []
         for t, event in self._heard:
-            if isinstance(event, PeerArrived) and event.drone_id not in teammates:
+            if isinstance(event, PeerArrived) and (event.drone_id, event.boot) not in lives:
                 since.setdefault(event.drone_id, t)
             elif isinstance(event, PeerDeparted) and event.drone_id in since:
-                lives.append((event.drone_id, since.pop(event.drone_id), t))
-        lives += [(drone_id, t, self._last) for drone_id, t in since.items()]
-        for drone_id, begin, end in lives:
+                spans.append((event.drone_id, since.pop(event.drone_id), t))
+        spans += [(drone_id, t, self._last) for drone_id, t in since.items()]
+        for drone_id, begin, end in spans:
             for k in range(int((end - begin) / REPORT_S) + 1):
                 yield Word(begin + k * REPORT_S + shift, drone_id, None)
 

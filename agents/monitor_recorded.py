@@ -39,7 +39,7 @@ class _TracksHead(msgspec.Struct, array_like=True):
 
 def read_timeline(paths: Sequence[Path]) -> Timeline:
     """Raises RecordingError where nothing of it can be played, and ConfigError for the config of another version."""
-    recordings = list({r.folder: r for path in paths for r in recordings_below(path)}.values())
+    recordings = recordings_below(*paths)
     recordings.sort(key=lambda recording: recording.kind == "drone")  # a swarm's clock is everybody's
     where = ", ".join(map(str, paths))
     teams = sorted({recording.preface.get("team", "") for recording in recordings})
@@ -62,6 +62,7 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
     tracked: dict[int, list[Tracked]] = {}
     ends: list[Word] = []
     recorded = {own.drone_id for own in drones}
+    lives = {(own.drone_id, own.boot) for own in drones}
     for heard, shift in zip(swarms, moved, strict=False):
         words += heard.words(shift, recorded)
         for drone_id, told in heard.tracked.items():
@@ -72,7 +73,7 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
         words += own.views(shift)
         tracked.setdefault(own.drone_id, []).append(own.tracked)
         if not swarms:
-            words += own.words(shift, teammates=recorded, says_itself=own.drone_id not in heard_of)
+            words += own.words(shift, lives=lives, says_itself=own.drone_id not in heard_of)
             ends += filter(None, [own.departure(shift)])
     end = max((word.t for word in words), default=0.0)
     words += [word for word in ends if word.t < end - SILENT_S]  # later ones ended with the recording
@@ -108,9 +109,7 @@ class _HeardWords:
 
     def read(self) -> None:
         offset = utc_offset(self._recording)
-        for message in self._recording.messages():
-            if message.topic != HEARD_TOPIC:
-                continue
+        for message in self._recording.messages({HEARD_TOPIC}):
             try:
                 heard = read_heard(message)
                 address = keys.parse(heard.key)

@@ -108,8 +108,7 @@ def run(args: argparse.Namespace) -> int:
         raise RecordingError(
             f"--json {args.json}: cannot be written, expected a file in a folder that exists"
         )
-    found = (recording for path in args.paths for recording in recordings_below(path))
-    recordings = list({recording.folder.absolute(): recording for recording in found}.values())
+    recordings = recordings_below(*args.paths)
     drones = [recording for recording in recordings if recording.kind == "drone"]
     flight = next((recording for recording in recordings if recording.is_simulated_flight), None)
     if not drones:

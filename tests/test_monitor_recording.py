@@ -160,6 +160,14 @@ def test_of_a_lone_drone_there_is_what_it_saw_and_heard(flown):
 # --- what cannot be played ------------------------------------------------------------------------
 
 
+def test_two_processes_that_speak_as_one_drone_are_played(tmp_path):
+    fly(tmp_path, 3.0, faults=True)
+    playback = Playback(read_timeline([tmp_path / "rec"]))
+    light = at(playback, 1.4)["light"]
+    assert (light["kind"], light["text"]) == ("bad", "2 processes speak as drone 99")
+    assert "processes" not in json.dumps(at(playback, 2.0)["light"])
+
+
 def test_what_is_cut_off_is_played_as_far_as_it_goes_and_told(heard, tmp_path):
     (whole,) = heard.rglob("*.mcap")
     cut = tmp_path / "0001.mcap"

@@ -38,7 +38,7 @@ from swarmtrack.messages import (
 from swarmtrack.recording import inputs
 from swarmtrack.recording.info import summarise
 from swarmtrack.recording.merge import merge, shifts
-from swarmtrack.recording.reader import recordings_below
+from swarmtrack.recording.reader import files_below, recordings_below
 from swarmtrack.recording.repair import repair
 from swarmtrack.recording.writer import Bounds, Preface, RecordingWriter, Topic
 from swarmtrack.runtime.clock import SystemClock
@@ -195,6 +195,14 @@ def test_a_file_cut_anywhere_becomes_a_complete_one(tmp_path, seed):
     assert before is None or found == before
     assert file.with_name("0001.mcap.cut").read_bytes()[:cut] == data[:cut]
     assert repair(file) is None
+
+
+def test_a_file_named_twice_is_read_once(flown):
+    whole = recordings_below(flown[0])
+    again = recordings_below(*files_below(flown[0]), flown[0], flown[0] / "drone-1")
+    assert [[segment.path for segment in r.segments] for r in again] == [
+        [segment.path for segment in r.segments] for r in whole
+    ]
 
 
 def test_some_topics_are_read_as_if_there_were_no_others(flown):

@@ -58,7 +58,7 @@ def shifts(recordings: Sequence[Recording]) -> list[Shift]:
     hearsay = []
     for recording in recordings:
         hearsay.append(Hearsay())
-        for message in recording.messages():
+        for message in recording.messages({SAID_TOPIC, SIGHTINGS_TOPIC}):
             hearsay[-1].note(message)
     return shifts_by(hearsay, [utc_offset(recording) for recording in recordings])
 

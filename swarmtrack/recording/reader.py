@@ -200,10 +200,11 @@ def files_below(path: Path) -> list[Path]:
     return found
 
 
-def recordings_below(path: Path) -> list[Recording]:
-    """Every recording at or below a path, by folder. Raises RecordingError for files that are none of ours."""
+def recordings_below(*paths: Path) -> list[Recording]:
+    """Every recording at or below these paths, by folder. Raises RecordingError for files that are none of ours."""
     by_folder: dict[Path, list[Segment]] = {}
-    for file in files_below(path):
+    files = {file.absolute(): file for path in paths for file in files_below(path)}
+    for file in files.values():
         by_folder.setdefault(file.parent, []).append(Segment(file))
     return [_opened(folder, segments) for folder, segments in by_folder.items()]
 

@@ -200,9 +200,7 @@ def _read(recording: Recording, shift: float) -> Flown:
     ego = make_ego_history(settings.config, settings.start, history_s=FOREVER)
     begin = float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
     flown = Flown(recording, settings, ego, begin + shift)
-    for message in recording.messages():
-        if message.topic not in TOPICS:
-            continue
+    for message in recording.messages(TOPICS):
         _, event = inputs.decode(message.topic, message.data)
         match event:
             case EgoPose():
@@ -224,10 +222,10 @@ def _read(recording: Recording, shift: float) -> Flown:
 def _pictures(recording: Recording) -> Iterator[tuple[float, int, bytes]]:
     """Time on the drone's clock, number and JPEG of every recorded picture."""
     exact = None
-    for message in recording.messages():
+    for message in recording.messages({FRAMES_TOPIC, IMAGES_TOPIC}):
         if message.topic == FRAMES_TOPIC:
             exact = msgspec.json.decode(message.data)
-        elif message.topic == IMAGES_TOPIC and exact is not None:
+        elif exact is not None:
             jpeg = jpeg_of(message.data)
             if jpeg is not None:
                 yield float(exact["t_s"]), int(exact["sequence"]), jpeg
