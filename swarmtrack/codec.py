@@ -20,6 +20,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
@@ -674,9 +675,12 @@ def _check_unit(where: str, components: tuple[float, ...], expected: str) -> Non
 
 def _check_covariances(where: str, uppers: list[tuple[float, ...]], n: int) -> None:
     """uppers: upper triangles of (n, n) matrices, each to be positive semi-definite."""
-    if all(_is_positive_definite(upper, n) for upper in uppers):
+    cov = _symmetric(np.array(uppers), n)
+    try:
+        np.linalg.cholesky(cov)
         return
-    cov = _symmetric(np.array(uppers), n)  # singular ones are allowed, and need a closer look
+    except np.linalg.LinAlgError:  # singular ones are allowed, and need a closer look
+        pass
     smallest = np.linalg.eigvalsh(cov)[:, 0]
     if not np.all(smallest >= -_COVARIANCE_TOLERANCE * np.trace(cov, axis1=1, axis2=2)):
         raise DecodeError(
@@ -684,34 +688,23 @@ def _check_covariances(where: str, uppers: list[tuple[float, ...]], n: int) -> N
         )
 
 
-def _is_positive_definite(upper: tuple[float, ...], n: int) -> bool:
-    """By Gaussian elimination: all pivots are positive. In plain numbers, for so few a fifth of NumPy's price."""
-    left = list(upper)
-    at = 0
-    for width in range(n, 0, -1):
-        row = left[at : at + width]
-        if not row[0] > 0.0:
-            return False
-        at += width
-        entry = at
-        for i in range(1, width):
-            factor = row[i] / row[0]
-            for j in range(i, width):
-                left[entry] -= factor * row[j]
-                entry += 1
-    return True
-
-
 def _upper_triangle(matrix: Array) -> tuple[float, ...]:
     return tuple(matrix[_UPPER[len(matrix)]].tolist())
 
 
+def _entries(n: int) -> NDArray[np.intp]:
+    """(n, n): which entry of the upper triangle stands there."""
+    entry = np.zeros((n, n), dtype=np.intp)
+    entry[_UPPER[n]] = np.arange(n * (n + 1) // 2)
+    return np.maximum(entry, entry.T)
+
+
+_ENTRIES = {n: _entries(n) for n in _UPPER}
+
+
 def _symmetric(upper: Array, n: int) -> Array:
     """upper (k, n(n+1)/2), row by row -> (k, n, n)."""
-    rows, columns = _UPPER[n]
-    matrix = np.empty((len(upper), n, n))
-    matrix[:, rows, columns] = upper
-    matrix[:, columns, rows] = upper
+    matrix: Array = upper[:, _ENTRIES[n]]
     return matrix
 
 

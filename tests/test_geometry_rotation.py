@@ -81,6 +81,7 @@ def test_batches_are_the_single_answers_stacked():
     for f, x in ((rotation.exp, phi), (rotation.log, R), (rotation.to_quaternion, R), (rotation.to_euler, R)):
         for i, k in np.ndindex(4, 5):
             assert np.allclose(f(x)[i, k], f(x[i, k]), rtol=1e-14, atol=1e-14)
+    assert np.isnan(rotation.exp([np.inf, 0.0, 0.0])).all()
     assert rotation.exp(np.empty((0, 3))).shape == (0, 3, 3)
     assert rotation.log(np.empty((0, 3, 3))).shape == (0, 3)
 

@@ -205,6 +205,16 @@ def test_a_file_named_twice_is_read_once(flown):
     ]
 
 
+def test_segments_are_read_in_order_however_they_are_named(tmp_path, monkeypatch):
+    write(tmp_path / "life", 10.0, segment_s=3.0)
+    (whole,) = recordings_below(tmp_path)
+    first, *others = [segment.path for segment in whole.segments]
+    assert others
+    monkeypatch.chdir(tmp_path)
+    (again,) = recordings_below(*reversed(others), first.relative_to(tmp_path))
+    assert [segment.path.absolute() for segment in again.segments] == [first, *others]
+
+
 def test_some_topics_are_read_as_if_there_were_no_others(flown):
     for recording in recordings_below(flown[0]):
         everything = list(recording.messages())

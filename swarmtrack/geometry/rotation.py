@@ -160,6 +160,8 @@ def _exp_of_one(phi: list[float]) -> Array:
     x, y, z = phi
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
+    if not math.isfinite(angle):
+        return np.full((3, 3), math.nan)
     small = angle < 1e-4
     a = 1.0 - square / 6.0 if small else math.sin(angle) / angle
     b = 0.5 - square / 24.0 if small else 2.0 * (math.sin(0.5 * angle) / angle) ** 2

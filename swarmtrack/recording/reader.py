@@ -202,15 +202,14 @@ def files_below(path: Path) -> list[Path]:
 
 def recordings_below(*paths: Path) -> list[Recording]:
     """Every recording at or below these paths, by folder. Raises RecordingError for files that are none of ours."""
-    by_folder: dict[Path, list[Segment]] = {}
-    files = {file.absolute(): file for path in paths for file in files_below(path)}
-    for file in files.values():
-        by_folder.setdefault(file.parent, []).append(Segment(file))
-    return [_opened(folder, segments) for folder, segments in by_folder.items()]
+    by_folder: dict[Path, dict[str, Path]] = {}
+    for file in (file for path in paths for file in files_below(path)):
+        by_folder.setdefault(file.parent.absolute(), {}).setdefault(file.name, file)
+    return [_opened([Segment(files[name]) for name in sorted(files)]) for files in by_folder.values()]
 
 
-def _opened(folder: Path, segments: list[Segment]) -> Recording:
-    recording = Recording(folder, segments)
+def _opened(segments: list[Segment]) -> Recording:
+    recording = Recording(segments[0].path.parent, segments)
     for segment in segments:
         for _ in segment.messages():
             break  # the preface stands before the first message
