@@ -197,14 +197,14 @@ def _flood(args: argparse.Namespace) -> None:
 
 
 def _identity(args: argparse.Namespace) -> None:
-    from swarmtrack.benchmarks import identity_layouts
+    from swarmtrack.benchmarks.identity import layouts as identity
 
-    layouts = identity_layouts.QUICK_LAYOUTS if args.quick else identity_layouts.LAYOUTS
-    identity_layouts.run(args.out, layouts=layouts)
+    layouts = identity.QUICK_LAYOUTS if args.quick else identity.LAYOUTS
+    identity.run(args.out, layouts=layouts)
 
 
 def _recognition(args: argparse.Namespace) -> None:
-    from swarmtrack.benchmarks import recognition
+    from swarmtrack.benchmarks.identity import recognition
 
     programme = recognition.QUICK if args.quick else None
     recognition.run(args.out, tracker=args.tracker, programme=programme)
@@ -217,8 +217,8 @@ def _swarm(args: argparse.Namespace) -> None:
 
 
 def _trackers(args: argparse.Namespace) -> None:
-    from swarmtrack.benchmarks import trackers
-    from swarmtrack.benchmarks.tracker_programme import Programme
+    from swarmtrack.benchmarks.trackers import benchmark as trackers
+    from swarmtrack.benchmarks.trackers.programme import Programme
 
     trackers.run(
         args.out,
@@ -241,14 +241,14 @@ def _calibration(args: argparse.Namespace) -> None:
 
 
 def _endurance(args: argparse.Namespace) -> None:
-    from swarmtrack.benchmarks import endurance
+    from swarmtrack.benchmarks.endurance import benchmark as endurance
 
     usual = endurance.QUICK_MINUTES if args.quick else endurance.MINUTES
     endurance.run(args.out, minutes=args.minutes or usual, tracker=args.tracker)
 
 
 def _soak(args: argparse.Namespace) -> None:
-    from swarmtrack.benchmarks import soak
+    from swarmtrack.benchmarks.trackers import soak
 
     soak.run(args.out, scans=soak.QUICK_SCANS if args.quick else soak.SCANS)
 

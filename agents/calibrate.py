@@ -18,7 +18,7 @@ from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera
-    from swarmtrack.diagnosis.watching import Watch
+    from swarmtrack.doctor.watching import Watch
 
 DONE, FAILED = 0, 1
 SECONDS = 60.0
@@ -82,12 +82,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _extrinsics(args: argparse.Namespace) -> int:
-    from swarmtrack.calibrating.extrinsics import doubts, toml_lines, write_into
+    from swarmtrack.calibration.extrinsics import doubts, toml_lines, write_into
+    from swarmtrack.clock import SystemClock
     from swarmtrack.config import mount_camera
-    from swarmtrack.diagnosis.watching import Watch
+    from swarmtrack.doctor.watching import Watch
     from swarmtrack.motion.hand_eye import compare, solve
     from swarmtrack.runtime.assembly import make_simulation, simulated_mount
-    from swarmtrack.runtime.clock import SystemClock
 
     config = _config(args)
     recorded = args.video is not None
@@ -180,7 +180,7 @@ def _nothing(watched: Any, frames: int) -> int:
 def _record(found: Any, problems: list[str], lines: list[str], mounted: MountedCamera) -> dict[str, Any]:
     import numpy as np
 
-    from swarmtrack.calibrating.extrinsics import rpy_deg
+    from swarmtrack.calibration.extrinsics import rpy_deg
 
     return {
         "rpy_deg": rpy_deg(found).round(4).tolist(),
@@ -210,7 +210,7 @@ def _change_deg(found: Any, mounted: MountedCamera) -> float:
 def _say(found: Any, problems: list[str], lines: list[str], mounted: MountedCamera) -> None:
     import numpy as np
 
-    from swarmtrack.calibrating.extrinsics import rpy_deg
+    from swarmtrack.calibration.extrinsics import rpy_deg
 
     sigma = np.degrees(found.rotation_sigma)
     angles = ", ".join(f"{angle:.2f}" for angle in rpy_deg(found))

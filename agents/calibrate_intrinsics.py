@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from swarmtrack.agents.arguments import positive_seconds
 
 if TYPE_CHECKING:
-    from swarmtrack.calibrating.board import Board
-    from swarmtrack.calibrating.intrinsics import Fit
-    from swarmtrack.calibrating.views import Views
+    from swarmtrack.calibration.board import Board
+    from swarmtrack.calibration.intrinsics import Fit
+    from swarmtrack.calibration.views import Views
 
 DONE, FAILED = 0, 1
 SECONDS = 180.0
@@ -99,7 +99,7 @@ def _add_board_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from swarmtrack.calibrating.board import Board
+    from swarmtrack.calibration.board import Board
     from swarmtrack.errors import SourceError
 
     try:
@@ -115,7 +115,7 @@ def _write_board(board: Board, out: Path, paper: str) -> int:
     import cv2
     import numpy as np
 
-    from swarmtrack.calibrating.board import as_pdf
+    from swarmtrack.calibration.board import as_pdf
     from swarmtrack.errors import SourceError
 
     if out.suffix.lower() == ".pdf":
@@ -134,7 +134,7 @@ def _write_board(board: Board, out: Path, paper: str) -> int:
 
 
 async def _intrinsics(args: argparse.Namespace, board: Board) -> int:
-    from swarmtrack.calibrating.intrinsics import as_yaml, doubts, fit
+    from swarmtrack.calibration.intrinsics import as_yaml, doubts, fit
     from swarmtrack.errors import CalibrationError, SourceError
 
     views = await _collect(args, board)
@@ -165,8 +165,8 @@ async def _collect(args: argparse.Namespace, board: Board) -> Views | None:
     from rich.console import Console
     from rich.live import Live
 
-    from swarmtrack.calibrating.views import Views
-    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.calibration.views import Views
+    from swarmtrack.clock import SystemClock
     from swarmtrack.sensors.camera_address import parse_address
     from swarmtrack.sensors.cameras import open_camera
 

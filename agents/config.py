@@ -19,7 +19,7 @@ for example:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    from swarmtrack.agents import config_new
+    from swarmtrack.setup import wizard
 
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = EXAMPLE
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     new = actions.add_parser(
         "new", help="write a commented config for a drone, and its team's", allow_abbrev=False
     )
-    config_new.add_arguments(new)
+    wizard.add_arguments(new)
 
     check = actions.add_parser(
         "check", help="what swarmtrack-agent --check says; several files: also as a team"
@@ -49,21 +49,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _new(args: argparse.Namespace) -> int:
-    from swarmtrack.agents.config_new import create
+    from swarmtrack.setup.wizard import create
 
     create(args)
     return 0
 
 
 def _check(args: argparse.Namespace) -> int:
-    from swarmtrack.agents.config_team import contradictions
-    from swarmtrack.agents.vehicle import check
     from swarmtrack.config import load_config
+    from swarmtrack.runtime.check import check
+    from swarmtrack.setup.team_check import contradictions
 
     configs, code = [], 0
     for path in args.files:
         try:
-            code = max(code, check(path))
+            check(path)
             configs.append(load_config(path))
         except SwarmtrackError as error:
             code = 2
@@ -77,13 +77,13 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _schema(args: argparse.Namespace) -> int:
-    from swarmtrack.agents.config_reference import json_schema
+    from swarmtrack.setup.reference import json_schema
 
     return _write(json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n", args.out)
 
 
 def _reference(args: argparse.Namespace) -> int:
-    from swarmtrack.agents.config_reference import reference
+    from swarmtrack.setup.reference import reference
 
     return _write(reference(), args.out)
 

@@ -39,10 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    from swarmtrack.clock import SystemClock
     from swarmtrack.config import load_config
-    from swarmtrack.diagnosis.examination import examine
     from swarmtrack.diagnosis.findings import Level, worst
-    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.doctor.examination import examine
 
     config = load_config(args.config)
     # What sources log as it happens, the findings say at the end.

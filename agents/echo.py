@@ -10,14 +10,13 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from swarmtrack import codec
 from swarmtrack.agents.arguments import count, positive_seconds
-from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
+from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind
-from swarmtrack.transport.zenoh_bridge import Sample
+from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.zenoh_listener import ZenohListener
+from swarmtrack.wire import codec
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

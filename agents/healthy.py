@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.clock import SystemClock
 from swarmtrack.errors import SourceError
-from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.health_file import ENVIRONMENT, health_path
 
 HEALTHY, UNHEALTHY = 0, 1

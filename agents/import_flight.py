@@ -20,9 +20,9 @@ from urllib.parse import quote
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
+    from swarmtrack.clock import ManualClock
     from swarmtrack.messages import EgoPose, ImuSample, Input
     from swarmtrack.runtime.assembly import Parts
-    from swarmtrack.runtime.clock import ManualClock
 
 BEGIN_S = 1000.0  # of our clock, at the log's first record
 DETECTOR_S = 0.03  # s from an exposure to its detections, as they would have come in flight
@@ -77,10 +77,10 @@ class _Log:
 
 
 def run(args: argparse.Namespace) -> int:
+    from swarmtrack.clock import ManualClock
     from swarmtrack.config import load_config
     from swarmtrack.runtime.assembly import assemble
-    from swarmtrack.runtime.clock import ManualClock
-    from swarmtrack.toml_layers import Layer
+    from swarmtrack.toml.layers import Layer
 
     if not -1e6 < args.offset < 1e6:
         raise SourceError(f"--offset {args.offset:g}: expected seconds")

@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmtrack.agents.arguments import positive_seconds
-from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
+from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, first_of
 
 if TYPE_CHECKING:
-    from swarmtrack.agents.swarm_table import Spectator
-    from swarmtrack.agents.swarm_watch import Watch
     from swarmtrack.evaluation.swarm_verdict import SwarmReport
+    from swarmtrack.localswarm.table import Spectator
+    from swarmtrack.localswarm.watch import Watch
     from swarmtrack.transport.settings import NetworkSettings
 
 FAILED = 1
@@ -78,8 +78,8 @@ def run(args: argparse.Namespace) -> int:
     """Exit codes: 0 passed, 1 failed, 2 wrong usage."""
     from rich.console import Console
 
-    from swarmtrack.agents.swarm import check_writable, conclude
-    from swarmtrack.agents.swarm_table import PlainLines
+    from swarmtrack.agents.sim import check_writable, conclude
+    from swarmtrack.localswarm.table import PlainLines
 
     if args.json is not None:
         check_writable(args.json)
@@ -100,8 +100,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: Spectator) -> SwarmReport:
-    from swarmtrack.agents.swarm_watch import Watch
-    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.clock import SystemClock
+    from swarmtrack.localswarm.watch import Watch
     from swarmtrack.scenario_file import load_limits, load_scenario
 
     task = asyncio.current_task()
@@ -139,7 +139,7 @@ async def ask_simulator(url: str, patience_s: float) -> Flown:
     """Until it answers. Raises NotThere."""
     import aiohttp
 
-    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.clock import SystemClock
 
     clock = SystemClock()
     deadline, trouble = clock.now() + patience_s, "no answer"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.clock import SystemClock
 
 EXAMPLE = """\
 for example:

@@ -13,7 +13,7 @@ from swarmtrack.agents.arguments import count
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
-    from swarmtrack.runtime.flight_labels import LabelledPicture
+    from swarmtrack.replay.flight_labels import LabelledPicture
 
 SHEET_COLUMNS, SHEET_ROWS, SHEET_WIDTH = 4, 4, 320  # pictures, px
 
@@ -49,7 +49,7 @@ def _metres(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     from swarmtrack.recording.reader import recordings_below
-    from swarmtrack.runtime.flight_labels import Body, FlightLabels
+    from swarmtrack.replay.flight_labels import Body, FlightLabels
 
     if args.out.exists() and (not args.out.is_dir() or any(args.out.iterdir())):
         raise SourceError(f"--out {args.out}: is there already, expected a new folder")

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmtrack.agents.arguments import port
-from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
+from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.errors import SwarmtrackError, TransportError
 
 if TYPE_CHECKING:
     from aiohttp import web
 
-    from swarmtrack.agents.monitor_server import Feed
+    from swarmtrack.monitor.server import Feed
 
 DEFAULT_PORT = 8080
 
@@ -79,9 +79,9 @@ async def serve(args: argparse.Namespace) -> int:
 
 
 async def _serve_swarm(args: argparse.Namespace) -> int:
-    from swarmtrack.agents.monitor_live import LiveFeed
-    from swarmtrack.agents.monitor_team import Team
-    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.clock import SystemClock
+    from swarmtrack.monitor.live import LiveFeed
+    from swarmtrack.monitor.team import Team
     from swarmtrack.transport import keys
     from swarmtrack.transport.zenoh_listener import ZenohListener
 
@@ -98,8 +98,8 @@ async def _serve_swarm(args: argparse.Namespace) -> int:
 
 
 async def _serve_recording(args: argparse.Namespace) -> int:
-    from swarmtrack.agents.monitor_player import Playback, Player
-    from swarmtrack.agents.monitor_recorded import read_timeline
+    from swarmtrack.monitor.player import Playback, Player
+    from swarmtrack.monitor.recorded import read_timeline
 
     if args.team or args.config or args.connect or args.keys or args.insecure:
         raise SwarmtrackError(
@@ -121,8 +121,8 @@ async def _serve(
     """begin: awaited once the page is there."""
     from aiohttp import web
 
-    from swarmtrack.agents.monitor_access import Door, token_for
-    from swarmtrack.agents.monitor_server import PAGE, MonitorServer
+    from swarmtrack.monitor.access import Door, token_for
+    from swarmtrack.monitor.server import PAGE, MonitorServer
 
     token = token_for(args.bind, args.token)
     server = MonitorServer(feed, Door(token, PAGE.read_text(encoding="utf-8")))

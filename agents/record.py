@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 from swarmtrack.agents.arguments import positive_seconds
-from swarmtrack.agents.monitoring import add_network_arguments, network_of_monitor
+from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
+from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
-from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind

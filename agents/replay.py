@@ -18,11 +18,11 @@ from swarmtrack.agents.arguments import count
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
-    from swarmtrack.agents.swarm_replay import Judged
     from swarmtrack.evaluation.replay_diff import ReplayDiff, SeenScan
     from swarmtrack.messages import TrackList
     from swarmtrack.recording.reader import Recording
-    from swarmtrack.runtime.replay import Published, Replayed, Watcher
+    from swarmtrack.replay.replayer import Published, Replayed, Watcher
+    from swarmtrack.replay.verdict import Judged
 
 DONE, FAILED = 0, 1
 RECORDED = "recorded"
@@ -145,7 +145,7 @@ def _replay_all(
     at_once = min(len(tasks) + (flight is not None), jobs or 2 * len(os.sched_getaffinity(0)))
     if at_once == 1:
         return [_replay(task) for task in tasks], None
-    import swarmtrack.runtime.replay  # noqa: F401  (loaded once, before the processes part)
+    import swarmtrack.replay.replayer  # noqa: F401  (loaded once, before the processes part)
 
     # Nothing in these processes leaves circles behind, and there is much to look through for them.
     fork = multiprocessing.get_context("fork")
@@ -156,19 +156,19 @@ def _replay_all(
 
 
 def _judge_as_heard(flight: Recording, drone: Recording) -> Judged:
-    from swarmtrack.agents.swarm_replay import judge
     from swarmtrack.recording.settings import read_settings
+    from swarmtrack.replay.verdict import judge
 
     settings, _ = read_settings(drone)
     return judge(flight, None, settings.config.tracker.name)
 
 
 def _replay(task: _Task) -> _Flown:
+    from swarmtrack.clock import SystemClock
     from swarmtrack.evaluation.replay_diff import seen_scans
     from swarmtrack.recording.settings import read_settings
-    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.replay.replayer import Published, Replayer
     from swarmtrack.runtime.perception import make_detector
-    from swarmtrack.runtime.replay import Published, Replayer
 
     clock = SystemClock()
     settings, notes = read_settings(task.recording, task.tracker, task.changes)
@@ -255,8 +255,8 @@ def _in_words(diff: ReplayDiff) -> str:
 def _judge(flight: Recording, flown: list[_Flown], as_heard: Judged | None, what_if: bool) -> Judged:
     from rich.console import Console
 
-    from swarmtrack.agents.swarm import print_verdict
-    from swarmtrack.agents.swarm_replay import judge
+    from swarmtrack.agents.sim import print_verdict
+    from swarmtrack.replay.verdict import judge
 
     answers = {(one.recording.drone_id, one.recording.preface["boot"]): one.published for one in flown}
     same = all(published.changed is None for published in answers.values())
@@ -337,7 +337,7 @@ def _compare(flown: list[_Flown], other: dict[tuple[int, str], list[SeenScan]] |
 
 def _plot(flown: list[_Flown], path: Path, against: str) -> None:
     try:
-        from swarmtrack.agents.replay_plot import plot
+        from swarmtrack.replay.plot import plot
     except ImportError:
         raise RecordingError("--plot needs matplotlib: pip install 'swarmtrack[bench]'") from None
     diffs = {one.recording.drone_id: one.diff for one in flown if one.diff is not None}

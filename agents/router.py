@@ -16,7 +16,7 @@ from pathlib import Path
 import zenoh
 
 from swarmtrack.agents.arguments import positive_seconds
-from swarmtrack.agents.monitoring import credentials_in
+from swarmtrack.agents.network_arguments import credentials_in
 from swarmtrack.config import load_team_config
 from swarmtrack.errors import TransportError
 from swarmtrack.security.names import Role

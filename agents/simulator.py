@@ -141,8 +141,8 @@ def main(argv: list[str] | None = None) -> int:
 
 async def fly(scenario: Scenario, arguments: argparse.Namespace) -> None:
     """Simulate until told to stop."""
-    from swarmtrack.agents.simulated_hardware import simulate
-    from swarmtrack.runtime.clock import SystemClock
+    from swarmtrack.clock import SystemClock
+    from swarmtrack.localswarm.hardware import simulate
 
     clock, loop, stop = SystemClock(), asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

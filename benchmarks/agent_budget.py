@@ -30,7 +30,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack import codec
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
@@ -43,6 +42,7 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
+from swarmtrack.wire import codec
 
 NAME = "agent"
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)

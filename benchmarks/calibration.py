@@ -24,11 +24,11 @@ import cv2
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.calibrating.board import KINDS, Board, Kind
-from swarmtrack.calibrating.extrinsics import doubts
-from swarmtrack.calibrating.image_motion import ImageMotion
-from swarmtrack.calibrating.intrinsics import Fit, Model, fit
-from swarmtrack.calibrating.views import Views
+from swarmtrack.calibration.board import KINDS, Board, Kind
+from swarmtrack.calibration.extrinsics import doubts
+from swarmtrack.calibration.image_motion import ImageMotion
+from swarmtrack.calibration.intrinsics import Fit, Model, fit
+from swarmtrack.calibration.views import Views
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.messages import Array

@@ -34,7 +34,7 @@ import numpy as np
 
 from swarmtrack.benchmarks import real_clips, report
 from swarmtrack.benchmarks.report import number
-from swarmtrack.benchmarks.tracker_clips import look
+from swarmtrack.benchmarks.trackers.clips import look
 from swarmtrack.detection.detector import Detector
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.clip_score import TrackPoints, TruthBoxes, match_hits

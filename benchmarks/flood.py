@@ -32,15 +32,15 @@ import zenoh
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from swarmtrack import codec
 from swarmtrack.benchmarks import report
+from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement, PeerArrived, Sighting, SightingReport
-from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
+from swarmtrack.wire import codec
 
 RATE_HZ: Final = 10_000.0  # of the flood
 SECONDS: Final = 5.0  # of each measurement

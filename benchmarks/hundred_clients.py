@@ -26,8 +26,8 @@ from typing import Final
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement
-from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.transport import keys
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session

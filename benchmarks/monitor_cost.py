@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack import codec
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.agent_budget import (
     CAMERA,
@@ -43,6 +42,7 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
+from swarmtrack.wire import codec
 
 NAME = "monitor"
 FPS = 20.0

@@ -20,13 +20,13 @@ from typing import cast
 
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.config import load_config
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.motion_cue import Earlier
 from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus, StampKind
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.runtime.console import Console
 
 DRONES = 5

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import zenoh
 
-from swarmtrack import codec
+from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import (
@@ -27,11 +27,11 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
-from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
+from swarmtrack.wire import codec
 
 CLOCK = SystemClock()
 FOCAL = 180.0  # px: 83 degrees, so that three on a circle see each other

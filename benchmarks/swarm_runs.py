@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from swarmtrack.agents.swarm_flight import FlightPlan, fly
-from swarmtrack.agents.swarm_table import Silent
 from swarmtrack.benchmarks import report
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.localswarm.flight import FlightPlan, fly
+from swarmtrack.localswarm.table import Silent
 from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "swarm"

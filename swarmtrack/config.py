@@ -30,8 +30,8 @@ from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, R
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.toml_layers import Layer, Layers, Problem, Table, merge, read_layers
-from swarmtrack.toml_sections import (
+from swarmtrack.toml.layers import Layer, Layers, Problem, Table, merge, read_layers
+from swarmtrack.toml.sections import (
     Count,
     Number,
     ParameterSection,
@@ -560,7 +560,7 @@ def mount_camera(section: CameraSection) -> MountedCamera:
     file_offset_s: float | None = None
     if section.calibration is not None:
         # Here, not above: a drone with its numbers in the config pays for no YAML.
-        from swarmtrack.calibration import load_calibration  # noqa: PLC0415
+        from swarmtrack.camera_files import load_calibration  # noqa: PLC0415
 
         file = load_calibration(section.calibration, section.calibration_camera)
         camera, imu_from_camera, file_offset_s = file.camera, file.imu_from_camera, file.time_offset_s

@@ -47,8 +47,8 @@ from swarmtrack.simulation.trajectory import (
 from swarmtrack.simulation.trajectory import (
     Path as FlightPath,
 )
-from swarmtrack.toml_layers import Key, Layers, Problem, read_layers
-from swarmtrack.toml_sections import (
+from swarmtrack.toml.layers import Key, Layers, Problem, read_layers
+from swarmtrack.toml.sections import (
     Count,
     Number,
     ParameterSection,

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from support.places import CONFIGS
 from swarmtrack.config import DroneConfig, load_config, mount_camera
 from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.geometry.camera import Equidistant, RadTan
-from swarmtrack.toml_layers import key_lines
+from swarmtrack.toml.layers import key_lines
 
-CONFIGS = Path(__file__).parents[1] / "configs"
 CAMERA = """
 [camera]
 source = "v4l2:///dev/video0"

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.clock import Clock, SystemClock
 from swarmtrack.detection import motion_cue
 from swarmtrack.detection.description import Declared, Description
 from swarmtrack.detection.gaze import Gaze, Habits, Window, coverage
@@ -18,7 +19,6 @@ from swarmtrack.detection.motion_cue import Earlier, MotionCue
 from swarmtrack.detection.net import TRIAL_SIZE, Net
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus
-from swarmtrack.runtime.clock import Clock, SystemClock
 
 NOTHING_DECLARED = Declared()
 USUAL = Habits()

@@ -10,6 +10,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
+from swarmtrack.clock import Clock
 from swarmtrack.detection import letterbox
 from swarmtrack.detection.description import Declared, Description, Trial, describe
 from swarmtrack.detection.heads import Candidates, Output, read, suppress
@@ -17,7 +18,6 @@ from swarmtrack.detection.letterbox import Letterbox
 from swarmtrack.detection.model import ELEMENTS, check_input
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Image
-from swarmtrack.runtime.clock import Clock
 
 TRIAL_SIZE = (96, 64)  # px, where the net's input may have any size
 SURELY = 1e-6  # a score is not nearer to 0 or 1 than that

@@ -21,7 +21,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.recording.reader import FORMAT, Recording
 from swarmtrack.recording.writer import Attachment
-from swarmtrack.toml_layers import Layer, Layers, Table, merge
+from swarmtrack.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.tracking import TRACKERS
 
 CONFIG, RESOLVED, CALIBRATION = "config.json", "resolved_config.json", "calibration.json"

@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from swarmtrack.codec import HealthMessage, as_record, encode_health, encode_tracks, tracks_message
+from swarmtrack.clock import UTC_SIGMA, ManualClock, SystemClock
 from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
@@ -17,7 +17,6 @@ from swarmtrack.messages import (
     ImuSample,
 )
 from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.clock import UTC_SIGMA, ManualClock, SystemClock
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import LAG_PERIOD, PERIOD, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
@@ -29,6 +28,7 @@ from swarmtrack.runtime.telling import Teller
 from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.sensors.mavlink.notices import Severity
 from swarmtrack.transport.base import Kind
+from swarmtrack.wire.codec import HealthMessage, as_record, encode_health, encode_tracks, tracks_message
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from swarmtrack.clock import Clock, ManualClock, SystemClock
 from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Announcement
 from swarmtrack.onboard import Onboard
-from swarmtrack.runtime.clock import Clock, ManualClock, SystemClock
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.perception import make_detector, make_onboard
 from swarmtrack.security import names

@@ -6,7 +6,14 @@ import math
 from collections import Counter, deque
 from dataclasses import asdict
 
-from swarmtrack.codec import (
+from swarmtrack.clock import SystemClock
+from swarmtrack.diagnosis.readiness import Readiness, judge
+from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
+from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
+from swarmtrack.onboard import Onboard
+from swarmtrack.runtime.assembly import Parts
+from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
+from swarmtrack.wire.codec import (
     VERSION,
     ConsistencyHealth,
     GyroBiasHealth,
@@ -17,13 +24,6 @@ from swarmtrack.codec import (
     TimeOffsetHealth,
     link_health,
 )
-from swarmtrack.diagnosis.readiness import Readiness, judge
-from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
-from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
-from swarmtrack.onboard import Onboard
-from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.clock import SystemClock
-from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
 
 EVENTS_KEPT = 16
 PERIOD = 1.0  # s between two messages

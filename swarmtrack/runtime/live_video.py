@@ -12,13 +12,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from swarmtrack import codec
+from swarmtrack.clock import UTC_SIGMA, SystemClock
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import Image
 from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.clock import UTC_SIGMA, SystemClock
 from swarmtrack.runtime.health import Health
 from swarmtrack.transport.base import Kind
+from swarmtrack.wire import codec
 
 MAX_HZ = 10.0
 JITTER_S = (

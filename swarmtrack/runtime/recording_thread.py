@@ -14,9 +14,9 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+from swarmtrack.clock import SystemClock
 from swarmtrack.messages import LinkStatus
 from swarmtrack.recording.writer import Bounds, Counters, Preface, RecordingWriter, Topic
-from swarmtrack.runtime.clock import SystemClock
 
 log = logging.getLogger(__name__)
 

@@ -14,18 +14,17 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 from foxglove.messages import CompressedImage, Pose, PoseInFrame, Quaternion, Timestamp, Vector3
 
-from swarmtrack import codec
+from swarmtrack.clock import Clock
 from swarmtrack.errors import RecordingError
 from swarmtrack.geometry import pose as geometry
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.recording.reader import FORMAT, Message
 from swarmtrack.recording.settings import versions
 from swarmtrack.recording.writer import Attachment, Bounds, Preface, Topic
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.runtime.recording_thread import RecordingThread, Write, name_of_life
 from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind
-from swarmtrack.transport.zenoh_bridge import Sample
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.wire import codec
 
 HEARD_TOPIC, FLIGHT_TOPIC, TRUTH_TOPIC, VERDICT_TOPIC = "/heard", "/flight", "/truth", "/verdict"
 HEARD = Topic(HEARD_TOPIC, "swarmtrack.Heard", b"", "msgpack", "")

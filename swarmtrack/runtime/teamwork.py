@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 
-from swarmtrack.codec import encode_sightings
+from swarmtrack.clock import UTC_SIGMA
 from swarmtrack.identity.agreement import Disagreement
 from swarmtrack.messages import (
     Announcement,
@@ -21,10 +21,10 @@ from swarmtrack.messages import (
     SightingReport,
 )
 from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.clock import UTC_SIGMA
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.telling import Teller
 from swarmtrack.transport.base import Kind, Transport
+from swarmtrack.wire.codec import encode_sightings
 
 log = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from swarmtrack.codec import LinkHealth
+from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreement import Disagreement
 from swarmtrack.messages import (
@@ -28,12 +28,12 @@ from swarmtrack.messages import (
 )
 from swarmtrack.onboard import ScanReport
 from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.clock import SystemClock
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 from swarmtrack.runtime.stated_places import StatedPlaces
 from swarmtrack.runtime.status_lines import Lasting, StatusLines
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
+from swarmtrack.wire.codec import LinkHealth
 
 PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
 NUMBER_EVERY = 1.0  # s between two of the number of identified teammates, and two looks for news

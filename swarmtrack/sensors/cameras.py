@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.base import Camera
 from swarmtrack.sensors.camera_address import DETECTS_BY_ITSELF, nearest, parse_address
 from swarmtrack.sensors.images import open_images

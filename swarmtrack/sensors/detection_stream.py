@@ -31,8 +31,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import msgspec
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.messages import Detections, LinkStatus
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
 from swarmtrack.sensors.http_stream import HttpStream, StreamEnded, StreamOptions
 from swarmtrack.sensors.newest_slot import NewestSlot, start, stop

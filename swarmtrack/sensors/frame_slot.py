@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.messages import Frame, Image, StampKind
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.newest_slot import NewestSlot
 
 log = logging.getLogger(__name__)

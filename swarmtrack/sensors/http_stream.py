@@ -14,8 +14,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from swarmtrack.clock import Clock
 from swarmtrack.messages import StampKind
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import in_range
 from swarmtrack.sensors.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, NewestSlot
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Image
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, read_options
 from swarmtrack.sensors.decode import READ_FLAGS
 from swarmtrack.sensors.playback import PACES, Picture, Playback, play

@@ -13,8 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swarmtrack.clock import Clock
 from swarmtrack.messages import Frame, LinkStatus, StampKind
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
 from swarmtrack.sensors.decode import decode_jpeg
 from swarmtrack.sensors.frame_slot import FrameSlot, Freshness, RawFrame

@@ -15,8 +15,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
-from swarmtrack.runtime.clock import Clock
 
 log = logging.getLogger(__name__)
 

@@ -13,9 +13,9 @@ from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress
 from swarmtrack.sensors.frame_slot import BadImage, FrameSlot, RawFrame, WrongSize, already, check_size
 from swarmtrack.sensors.newest_slot import CLOSE_TIMEOUT

@@ -18,8 +18,8 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.messages import Frame, LinkStatus, StampKind
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
 from swarmtrack.sensors.frame_slot import FrameSlot, RawFrame, already
 from swarmtrack.sensors.http_stream import NetworkOptions

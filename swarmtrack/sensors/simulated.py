@@ -24,12 +24,12 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Announcement, Frame, LinkStatus, StampKind
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.simulation.rendering import Renderer

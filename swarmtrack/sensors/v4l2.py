@@ -31,9 +31,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors import v4l2_abi as abi
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, read_options
 from swarmtrack.sensors.decode import decode_grey, decode_jpeg, decode_yuyv

@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, read_options
 from swarmtrack.sensors.playback import PACES, Picture, Playback, play
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from swarmtrack.runtime.clock import SystemClock
+from swarmtrack.clock import SystemClock
 from swarmtrack.training import dataset
 from swarmtrack.training.dataset import Recipe
 from swarmtrack.training.export import export

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import AsyncIterator
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 
@@ -22,6 +22,18 @@ class Kind(enum.StrEnum):
 
 PUBLISHED: Final = (Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
 """What `Transport.publish` takes."""
+
+
+class Sample(NamedTuple):
+    """What was heard, and when by our monotonic clock.
+
+    alive: False for a deletion, such as a token that went; payload is cut after MAX_BYTES + 1.
+    """
+
+    key: str
+    payload: bytes
+    alive: bool
+    arrived: float
 
 
 class Transport(Protocol):

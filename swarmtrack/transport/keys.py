@@ -8,8 +8,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
-from swarmtrack import codec
 from swarmtrack.transport.base import Kind
+from swarmtrack.wire import codec
 
 ROOT = "swarmtrack"
 VERSION = "v1"

@@ -19,9 +19,9 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from swarmtrack.codec import AnnouncementMessage, SightingsMessage
 from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted, PeerEvent
 from swarmtrack.transport.sender_clock import SenderClock
+from swarmtrack.wire.codec import AnnouncementMessage, SightingsMessage
 
 MAX_PEERS = 1024  # live IDs; beyond it is an attack or a mistake
 MAX_BOOTS = 4  # of one ID at a time

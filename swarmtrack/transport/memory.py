@@ -11,8 +11,8 @@ import contextlib
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterable
 
+from swarmtrack.clock import Clock
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import PUBLISHED, Kind
 from swarmtrack.transport.outgoing import Outgoing, Sign

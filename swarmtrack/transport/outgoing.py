@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
-from swarmtrack import codec
+from swarmtrack.clock import Clock
 from swarmtrack.messages import Announcement
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
+from swarmtrack.wire import codec
 
 Sign = Callable[[bytes], bytes]
 """Bytes to an Ed25519 signature."""

@@ -12,13 +12,14 @@ import logging
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 
-from swarmtrack import codec
+from swarmtrack.clock import Clock
 from swarmtrack.messages import AnnouncementRequested, PeerEvent
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.outgoing import REQUEST_S
+from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
+from swarmtrack.wire import codec
 
 Verify = Callable[[int, bytes, bytes], bool]
 """Whether the drone of this ID signed these bytes with this signature."""
@@ -27,8 +28,6 @@ log = logging.getLogger(__name__)
 
 GRACE_S = 0.05  # from a newcomer's token to the first question: what it says of itself may be on its way
 RECONCILE_S = 0.5  # between two questions to a teammate whose announcement is missing
-ANNOUNCED_CLOCKS_AGREE_S = 2.0  # an announcement may have been on its way for so long, and it is the only one
-REPORTED_CLOCKS_AGREE_S = 1.0  # of many reports one was quick
 # Waiting for the agent: more than MAX_PEERS can cause at once, so only a stalled agent loses any.
 MAX_EVENTS = 8192
 SUBSCRIBED = {

@@ -12,8 +12,12 @@ from __future__ import annotations
 from collections import deque
 from typing import Final, NamedTuple
 
-from swarmtrack.codec import AnnouncementMessage, SightingsMessage
+from swarmtrack.wire.codec import AnnouncementMessage, SightingsMessage
 
+# s, how far apart two clocks that somebody keeps may seem: an announcement may have been on its way for so long,
+# and it is the only one; of many reports one was quick.
+ANNOUNCED_CLOCKS_AGREE_S: Final = 2.0
+REPORTED_CLOCKS_AGREE_S: Final = 1.0
 ARRIVAL_SIGMA: Final = 0.2  # s, at least: of a time that is known by its arrival only
 _MESSAGES: Final = 16  # how many differences count: seconds, so that a clock that drifts is followed
 _STEP: Final = 5.0  # s: no message is on its way for so long over a link that lives, so a clock was set

@@ -12,12 +12,13 @@ import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import zenoh
 
-from swarmtrack.codec import MAX_BYTES
-from swarmtrack.runtime.clock import Clock, SystemClock
+from swarmtrack.clock import Clock, SystemClock
+from swarmtrack.transport.base import Sample
+from swarmtrack.wire.codec import MAX_BYTES
 
 BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached while the loop turns
 _HANDFUL: Final = 32  # samples taken in one turn of the loop: at 0.2 ms for the dearest, 6 ms
@@ -26,18 +27,6 @@ _REST_S: Final = 0.01  # between two handfuls: 3200 samples a second at most, wh
 _ROUND_S: Final = (
     0.05  # before what came meanwhile is looked at: of one key, its newest twenty times a second at most
 )
-
-
-class Sample(NamedTuple):
-    """What was heard, and when by our monotonic clock.
-
-    alive: False for a deletion, such as a token that went; payload is cut after MAX_BYTES + 1.
-    """
-
-    key: str
-    payload: bytes
-    alive: bool
-    arrived: float
 
 
 class Bridge:

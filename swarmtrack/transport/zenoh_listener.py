@@ -11,10 +11,10 @@ import zenoh
 
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys, settings
-from swarmtrack.transport.base import Kind
+from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
-from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge, Sample
+from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
     ask_for_announcement,

@@ -18,17 +18,17 @@ from typing import Any, Final, NamedTuple
 
 import zenoh
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import TransportError
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.transport import keys, settings
-from swarmtrack.transport.base import PUBLISHED, Kind
+from swarmtrack.transport.base import PUBLISHED, Kind, Sample
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
 from swarmtrack.transport.settings import Mode, NetworkSettings
-from swarmtrack.transport.zenoh_bridge import Bridge, Sample
+from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
     ask_for_announcement,

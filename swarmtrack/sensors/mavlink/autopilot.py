@@ -19,14 +19,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import LinkStatus
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.contact import Contact, News
-from swarmtrack.sensors.mavlink.diagnosis import LOST_AFTER, Diagnosis, State
 from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Frame, Framer
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
+from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, Diagnosis, State
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link
 from swarmtrack.sensors.mavlink.signing import Codec, read_key
 from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, StreamRequests

@@ -22,8 +22,8 @@ from typing import Protocol, cast
 
 import serial
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.mavlink.address import LinkAddress, parse_address
 
 log = logging.getLogger(__name__)

@@ -16,8 +16,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
-from swarmtrack.runtime.clock import Clock
 from swarmtrack.sensors.mavlink.framer import Frame
 
 KEY_LENGTH = 32  # bytes

@@ -1,0 +1,197 @@
+"""`swarmtrack sim`: a local swarm, one real agent process for each drone, and a verdict against truth."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarmtrack.agents.arguments import port, positive_seconds, seed
+from swarmtrack.errors import SourceError
+from swarmtrack.localswarm.machine_load import BUSY, MachineLoad
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from swarmtrack.evaluation.swarm_verdict import SwarmReport
+    from swarmtrack.localswarm.flight import FlightPlan
+    from swarmtrack.localswarm.table import Spectator
+
+PASSED, FAILED = 0, 1
+DEFAULT_SCENARIO = "hover-triangle"
+
+
+class _ListScenarios(argparse.Action):
+    """Prints and exits, as --help does."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *arguments: Any) -> None:
+        from swarmtrack.scenario_file import SCENARIO_NAMES, load_scenario
+
+        for name in SCENARIO_NAMES():
+            scenario = load_scenario(name)
+            print(f"{name:16} {len(scenario.members):3} drones, {scenario.seconds:3g} s: {scenario.about}")
+        parser.exit()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported: its threads only cost here
+    from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
+
+    parser.add_argument(
+        "--scenario",
+        default=DEFAULT_SCENARIO,
+        metavar="NAME|FILE",
+        help="who flies where, and what goes wrong (default: %(default)s)",
+    )
+    parser.add_argument("--list", nargs=0, action=_ListScenarios, help="list the scenarios, then exit")
+    parser.add_argument(
+        "--drones", type=_drones, metavar="N", help="size of the team (default: the scenario's)"
+    )
+    parser.add_argument(
+        "--seconds", type=positive_seconds, metavar="S", help="length of the flight (default: the scenario's)"
+    )
+    parser.add_argument(
+        "--seed",
+        type=seed,
+        default=1,
+        metavar="K",
+        help="decides all that is left to chance (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
+    )
+    parser.add_argument(
+        "--detector",
+        default="onnx",
+        choices=["onnx", "oracle"],
+        help="onnx: rendered images, the shipped network; oracle: synthetic detections, for large swarms "
+        "(default: %(default)s)",
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the verdict and all figures there")
+    parser.add_argument(
+        "--record", type=Path, metavar="DIR", help="record every agent, the truth and the verdict there"
+    )
+    parser.add_argument(
+        "--monitor", action="store_true", help="serve the web page of the flight; it ends with the flight"
+    )
+    parser.add_argument(
+        "--monitor-port",
+        type=port,
+        metavar="PORT",
+        help="of the page on this machine, 0: any that is free (default: 0); asks for --monitor by itself",
+    )
+    parser.add_argument("--keep", action="store_true", help="keep the folder with the configs and logs")
+
+
+def _drones(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) > 1):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 2 or more")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from swarmtrack.errors import TransportError
+    from swarmtrack.localswarm.flight import FlightPlan
+    from swarmtrack.localswarm.processes import ProcessDied
+    from swarmtrack.localswarm.radio import AirError
+    from swarmtrack.localswarm.recording import check_empty
+
+    if args.json is not None:
+        check_writable(args.json)
+    monitor_port = args.monitor_port if args.monitor_port is not None else 0 if args.monitor else None
+    plan = FlightPlan(
+        args.scenario,
+        args.drones,
+        args.seconds,
+        args.seed,
+        args.tracker,
+        args.detector,
+        args.keep,
+        args.record,
+        monitor_port,
+    )
+    if plan.record is not None:
+        check_empty(plan.record)
+    console = Console()
+    spectator = _spectator(plan, console)
+    load = MachineLoad()
+    try:
+        report = asyncio.run(_fly(plan, spectator))
+    except (AirError, ProcessDied, TransportError) as error:
+        spectator.close()
+        print(f"swarmtrack sim: {error}", file=sys.stderr)
+        print("FAILED")
+        return FAILED
+    except asyncio.CancelledError:
+        spectator.close()
+        print("swarmtrack sim: interrupted; every process has ended", file=sys.stderr)
+        return FAILED
+    finally:
+        spectator.close()
+    code = conclude(report, console, args.json)
+    if code == FAILED and load.share() > BUSY:
+        console.print(
+            f"  this machine's {os.cpu_count()} cores were {load.share():.0%} busy, so this says little of the swarm: "
+            "try again with fewer --drones, with --detector oracle, or on a free machine",
+            highlight=False,
+            soft_wrap=True,
+        )
+    return code
+
+
+def conclude(report: SwarmReport, console: Console, file: Path | None) -> int:
+    """Write the report where it is wanted, print the verdict; returns the exit code."""
+    if file is not None:
+        text = json.dumps(report.as_record(), indent=1, allow_nan=False)
+        file.write_text(f"{text}\n", encoding="utf-8")
+    print_verdict(report, console)
+    return PASSED if report.passed else FAILED
+
+
+def check_writable(path: Path) -> None:
+    """Now, not when the flight is over."""
+    if not path.parent.is_dir() or path.is_dir() or not os.access(path.parent, os.W_OK):
+        raise SourceError(f"--json {path}: cannot be written, expected a file in a folder that exists")
+
+
+def _spectator(plan: FlightPlan, console: Console) -> Spectator:
+    from swarmtrack.localswarm.table import LiveTable, PlainLines
+
+    scenario = plan.load()
+    title = f"{scenario.name}: {scenario.about} ({len(scenario.members)} drones, detector {plan.detector})"
+    if console.is_terminal:
+        return LiveTable(console, title)
+    lines = PlainLines(console)
+    lines.note(title)
+    return lines
+
+
+async def _fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
+    """Ctrl-C, SIGTERM and a terminal that goes cancel the flight; everything is ended in order."""
+    from swarmtrack.localswarm.flight import fly
+
+    task = asyncio.current_task()
+    assert task is not None
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    return await fly(plan, spectator)
+
+
+def print_verdict(report: SwarmReport, console: Console) -> None:
+    from swarmtrack.localswarm.table import agents_table, team_table
+
+    console.print(agents_table(report))
+    console.print(team_table(report))
+    if report.passed:
+        console.print("PASSED", style="bold green")
+        return
+    console.print("FAILED", style="bold red")
+    for shortfall in report.shortfalls:
+        console.print(f"  {shortfall}", highlight=False, soft_wrap=True)

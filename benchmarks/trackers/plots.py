@@ -1,0 +1,266 @@
+"""The plots of `swarmtrack bench trackers`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.trackers.play import SMOOTHER, record
+from swarmtrack.benchmarks.trackers.programme import Result
+from swarmtrack.benchmarks.trackers.results import by_cell, rmse_over_time
+from swarmtrack.benchmarks.trackers.scenes import SCENES, film
+from swarmtrack.evaluation.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
+
+COLOURS = {
+    "kalman": "tab:orange",
+    "jpdaf": "tab:green",
+    "gmphd": "tab:purple",
+    "mbm": "tab:blue",
+    "oracle_cv": "0.35",
+    "oracle_imm": "0.35",
+    SMOOTHER: "0.6",
+}
+STYLES = {"oracle_cv": "--", "oracle_imm": ":", SMOOTHER: "-."}
+MARKERS = {"kalman": "s", "jpdaf": "^", "gmphd": "D", "mbm": "o"}
+WIDTHS = {"kalman": 3.6, "jpdaf": 2.4, "gmphd": 1.5, "mbm": 1.4}  # lines that coincide show as stripes
+IDENTITIES = ("tab:red", "tab:blue", "tab:green")  # as in the paper's figure
+DPI = 140
+
+
+def draw(out: Path, result: Result) -> list[tuple[str, str]]:
+    """Draws what the run has figures for; (file name, caption) of each."""
+    drawn = []
+    for name, caption, plot in (
+        ("time", "RMSE over time, over all runs and drones, in four of the paper's conditions", _over_time),
+        (
+            "conditions",
+            "Error against clutter, noise and missed detections; crosses: the paper's figures",
+            _conditions,
+        ),
+        ("trajectories", "One run of slow_merged: what two trackers make of the same scans", _trajectories),
+        ("latency", "Error of `at(now)` against how late detections arrive", _latency),
+        ("cost", "Processor time of a scan against the number of targets", _cost),
+        ("ablation", "The default tracker without one of its parts", _ablation),
+    ):
+        figure = plot(result)
+        if figure is not None:
+            file = f"trackers_{name}.png"
+            figure.savefig(out / file, dpi=DPI)
+            report.pyplot().close(figure)
+            drawn.append((file, caption))
+    return drawn
+
+
+def _style(tracker: str) -> dict[str, Any]:
+    style = {"color": COLOURS.get(tracker), "linestyle": STYLES.get(tracker, "-"), "label": tracker}
+    return {**style, "linewidth": WIDTHS.get(tracker, 1.1)}
+
+
+def _over_time(result: Result) -> Any:
+    shown = [name for name in ("control", "noise.75", "pd.80", "clutter10") if _has(result, name)]
+    if not shown:
+        return None
+    figure, axes = report.pyplot().subplots(
+        len(shown), 1, figsize=(8.0, 1.9 * len(shown) + 0.6), sharex=True, squeeze=False, layout="constrained"
+    )
+    for name, panel in zip(shown, axes[:, 0], strict=True):
+        scene = SCENES[name]
+        for tracker in _trackers(result, name):
+            error = rmse_over_time(result.played[name, tracker])
+            panel.plot(
+                np.arange(len(error)) / scene.rate_hz,
+                np.maximum(error, 1e-3),
+                **_style(tracker),
+            )
+        panel.set(ylabel="RMSE, px", title=f"{name}: {scene.about}")
+        panel.title.set_fontsize("small")
+        panel.set_ylim(bottom=0.0)
+        panel.grid(alpha=0.25)
+    axes[-1, 0].set(xlabel="time, s", xlim=(0.0, None))
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize="small"
+    )
+    return figure
+
+
+def _conditions(result: Result) -> Any:
+    sweeps = (
+        (
+            "false detections a scan",
+            [("control", 0.0), ("clutter1", 1.0), ("clutter5", 5.0), ("clutter10", 10.0)],
+        ),
+        ("noise σ, px", [("control", 0.0), ("noise.25", 0.5), ("noise.50", 1.0), ("noise.75", 1.5)]),
+        (
+            "P_D",
+            [("control", 1.0), ("pd.97", 0.97), ("pd.95", 0.95), ("pd.90", 0.9), ("pd.80", 0.8)],
+        ),
+    )
+    if not all(_has(result, name) for name in CONDITIONS):
+        return None
+    cells = by_cell(result.rows)
+    figure, axes = report.pyplot().subplots(1, 3, figsize=(11.0, 4.0), sharey=True, layout="constrained")
+    for panel, (label, sweep) in zip(axes, sweeps, strict=True):
+        x = [value for _, value in sweep]
+        for tracker in _trackers(result, "control"):
+            y = [cells[name, tracker]["rmse_px"]["mean"] for name, _ in sweep]
+            panel.plot(x, y, marker=MARKERS.get(tracker), markersize=4, **_style(tracker))
+        for tracker, figures in PUBLISHED_RMSE_PX.items():
+            places = [(value, figures[name]) for name, value in sweep if name in figures]
+            panel.plot(
+                *np.array(places).reshape(-1, 2).T,
+                "x",
+                color=COLOURS[tracker],
+                markersize=7,
+                label=f"{tracker}, paper",
+            )
+        panel.set(xlabel=label, yscale="log")
+        panel.set_xticks(x, [f"{value:g}" for value in x], fontsize="small")
+        panel.grid(alpha=0.25)
+    axes[0].set_ylabel("RMSE, px")
+    axes[2].invert_xaxis()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+    return figure
+
+
+def _trajectories(result: Result) -> Any:
+    scene = "slow_merged"
+    good, other = result.default, "kalman"
+    if not (_has(result, scene) and (scene, good) in result.played and (scene, other) in result.played):
+        return None
+    pairs = list(zip(result.played[scene, good], result.played[scene, other], strict=True))
+    kept = [k for k, (ours, _) in enumerate(pairs) if not (ours.swapped or ours.lost)]
+    swapped = [k for k in kept if pairs[k][1].swapped and not pairs[k][1].lost]
+    run = (swapped or kept or [0])[0]
+    take = film(SCENES[scene], run)
+    z = np.concatenate([observation.scan.z for observation in take.observations])
+    figure, axes = report.pyplot().subplots(1, 2, figsize=(11.0, 5.4), sharey=True, layout="constrained")
+    for panel, tracker in zip(axes, (good, other), strict=True):
+        named = record(SCENES[scene], take, tracker).named
+        assert named is not None
+        panel.plot(z[:, 0], z[:, 1], ".", color="0.8", markersize=2.5, label="detections")
+        for drone, colour in enumerate(IDENTITIES):
+            truth, track = take.truth[:, drone], named[:, drone]
+            panel.plot(truth[:, 0], truth[:, 1], color="0.2", linewidth=0.8, linestyle="--")
+            panel.plot(track[:, 0], track[:, 1], color=colour, linewidth=1.6, alpha=0.85)
+            panel.plot(*truth[0], "o", color=colour, markersize=8, markeredgecolor="k")
+            panel.plot(*truth[-1], "s", color=colour, markersize=8, markeredgecolor="k")
+        panel.set(xlim=(80.0, 280.0), ylim=(60.0, 215.0), xlabel="u, px", title=tracker, aspect="equal")
+    axes[0].set_ylabel("v, px")
+    lines = report.pyplot().Line2D
+    handles = [
+        lines([], [], color="0.2", linestyle="--", linewidth=0.8, label="truth"),
+        lines([], [], color="0.5", linewidth=1.6, label="track, in the colour of the drone it began on"),
+        lines([], [], color="0.5", marker="o", linestyle="", label="where that drone begins"),
+        lines([], [], color="0.5", marker="s", linestyle="", label="where it ends"),
+        lines([], [], color="0.8", marker=".", linestyle="", label="detections"),
+    ]
+    figure.suptitle(f"slow_merged, run {run}", fontsize="medium")
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize="small")
+    return figure
+
+
+def _latency(result: Result) -> Any:
+    cells = by_cell(result.rows)
+    shown = [name for name in SCENES if SCENES[name].family == "latency" and _has(result, name)]
+    if not shown:
+        return None
+    figure, axes = report.pyplot().subplots(
+        1, len(shown), figsize=(3.9 * len(shown), 3.9), squeeze=False, layout="constrained"
+    )
+    for name, panel in zip(shown, axes[0], strict=True):
+        for tracker in _trackers(result, name):
+            at = cells[name, tracker].get("at_rmse_px", {})
+            if len(at) > 1:
+                milliseconds = [float(key) for key in at]
+                panel.plot(
+                    milliseconds,
+                    list(at.values()),
+                    marker=MARKERS.get(tracker),
+                    markersize=4,
+                    **_style(tracker),
+                )
+        panel.set(xlabel="latency, ms", title=name)
+        panel.set_ylim(bottom=0.0)
+        panel.grid(alpha=0.25)
+    axes[0, 0].set_ylabel("error of at(now), px RMSE")
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize="small"
+    )
+    return figure
+
+
+def _cost(result: Result) -> Any:
+    layouts = {
+        "crowded": "all in one gate",
+        "spread": "each alone, 100 px apart",
+    }
+    if not any(cost.layout in layouts for cost in result.costs):
+        return None
+    figure, axes = report.pyplot().subplots(1, 2, figsize=(10.0, 4.4), sharey=True, layout="constrained")
+    names = list(dict.fromkeys(cost.tracker for cost in result.costs))
+    peers = [name for name in names if name not in COLOURS]
+    for panel, (layout, label) in zip(axes, layouts.items(), strict=True):
+        for name in names:
+            own = [cost for cost in result.costs if cost.tracker == name and cost.layout == layout]
+            style = _style(name)
+            if name in peers:
+                style |= {"color": f"C{3 + 2 * peers.index(name)}", "linestyle": "--"}
+            panel.plot(
+                [cost.targets for cost in own],
+                [cost.ms for cost in own],
+                marker=MARKERS.get(name, "."),
+                markersize=4,
+                **style,
+            )
+        panel.set(xscale="log", yscale="log", xlabel="targets N (and detections)", title=label)
+        ticks = sorted({cost.targets for cost in result.costs if cost.layout == layout})
+        panel.set_xticks(ticks, [str(tick) for tick in ticks])
+        panel.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
+        panel.grid(alpha=0.25, which="both")
+    axes[0].set_ylabel("a scan, ms of one core")
+    axes[0].legend(fontsize="small")
+    return figure
+
+
+def _ablation(result: Result) -> Any:
+    if not result.ablation:
+        return None
+    scenes = list(dict.fromkeys(row["scene"] for row in result.ablation))
+    variants = list(dict.fromkeys(row["tracker"] for row in result.ablation))
+    cells = by_cell(result.ablation)
+    figure, axes = report.pyplot().subplots(
+        2,
+        len(scenes),
+        figsize=(2.7 * len(scenes) + 1.5, 5.2),
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
+    )
+    place = np.arange(len(variants))[::-1]
+    for column, scene in enumerate(scenes):
+        median = [cells[scene, variant]["rmse_px"]["median"] for variant in variants]
+        failed = [100.0 * cells[scene, variant]["failed_fraction"]["value"] for variant in variants]
+        for panel, values, label, colour in (
+            (axes[0, column], median, "median RMSE, px", "tab:blue"),
+            (axes[1, column], failed, "swapped or lost, % of runs", "tab:red"),
+        ):
+            panel.barh(place, values, color=colour, alpha=0.75)
+            panel.set_xlabel(label, fontsize="small")
+            panel.set_yticks(place, variants, fontsize="small")
+            panel.grid(alpha=0.25, axis="x")
+        axes[1, column].set_xlim(0.0, max(5.0, 1.1 * max(failed)))
+        axes[0, column].set_title(scene)
+    return figure
+
+
+def _has(result: Result, scene: str) -> bool:
+    return any(name == scene for name, _ in result.played)
+
+
+def _trackers(result: Result, scene: str) -> Sequence[str]:
+    """Those with a colour of their own: peers would crowd the plots."""
+    return [tracker for tracker in COLOURS if (scene, tracker) in result.played]

@@ -1,0 +1,90 @@
+"""The whole examination of one drone: facts gathered side by side, findings in the order of mending them."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmtrack.clock import Clock
+from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
+from swarmtrack.diagnosis import mounting, sources, surroundings
+from swarmtrack.diagnosis.findings import Finding, skipped
+from swarmtrack.diagnosis.mounting import MountFacts
+from swarmtrack.diagnosis.surroundings import DetectorFacts
+from swarmtrack.doctor import machine, team
+from swarmtrack.doctor.watching import Watch
+from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
+from swarmtrack.messages import Frame, StampKind
+from swarmtrack.runtime.assembly import make_simulation, simulated_mount
+from swarmtrack.runtime.perception import make_detector
+
+if TYPE_CHECKING:
+    from swarmtrack.sensors.simulated import Simulation
+
+TIMED_FRAMES = 8
+NETWORK_SECONDS = 5.0  # at most: whoever is there has answered by then
+
+
+async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Finding]:
+    """Look for so many seconds. Raises SwarmtrackError only where a simulation is asked for that does not exist."""
+    simulation = make_simulation(config, clock)
+    mount = _mount(config, simulation)
+    mounted = mount.mounted
+    network = asyncio.create_task(team.ask(config, clock, min(seconds, NETWORK_SECONDS)))
+    watched = await Watch(config, mounted, clock, simulation).run(seconds)
+    findings = [] if mounted is None else sources.check_camera(watched.camera)
+    findings += mounting.check_calibration(mount)
+    if mounted is not None:
+        findings += mounting.check_mount(mount)
+    findings += sources.check_autopilot(watched.autopilot)
+    if watched.autopilot.wanted and not watched.autopilot.refused:
+        findings += sources.check_imu(watched.imu)
+    findings += mounting.check_motion(watched.motion, mounted)
+    fps = dict(watched.camera.status.counters).get("fps") if watched.camera.status else None
+    detector = await asyncio.to_thread(_detector, config, mounted, watched.newest, fps)
+    findings += surroundings.check_detector(detector)
+    findings += surroundings.check_network(await network)
+    findings += surroundings.check_disk(machine.disk(config))
+    findings += surroundings.check_heat(await asyncio.to_thread(machine.heat))
+    return (
+        findings
+        if mounted is not None
+        else [skipped("camera", "not opened without a calibration"), *findings]
+    )
+
+
+def _mount(config: DroneConfig, simulation: Simulation | None) -> MountFacts:
+    if simulation is not None:
+        return MountFacts(simulated_mount(config, simulation))
+    mount = config.camera.body_from_camera
+    try:
+        return MountFacts(mount_camera(config.camera), rpy_deg=None if mount is None else mount.rpy_deg)
+    except CalibrationError as error:
+        return MountFacts(None, str(error))
+
+
+def _detector(
+    config: DroneConfig, mounted: MountedCamera | None, newest: Frame | None, fps: float | None
+) -> DetectorFacts:
+    """Load it, and have it look at the newest frame, or at a grey one."""
+    wanted = not config.camera.detects_by_itself
+    providers = config.detector.providers
+    try:
+        detector = make_detector(config)
+    except ModelError as error:
+        return DetectorFacts(wanted, str(error), providers=providers)
+    if detector is None:
+        return DetectorFacts(wanted=False)
+    if newest is None:
+        size = (480, 640) if mounted is None else (mounted.camera.height, mounted.camera.width)
+        newest = Frame(0.0, 0.0, 0, np.full((*size, 3), 128, np.uint8), StampKind.MEDIA)
+    with suppress(SwarmtrackError):
+        detector.warm_up(newest.image.shape[1], newest.image.shape[0])
+    for _ in range(TIMED_FRAMES):
+        detector.detect(newest)
+    latency = detector.latency
+    ms = 1e3 * (latency.pre.p50 + latency.infer.p50 + latency.post.p50)
+    return DetectorFacts(True, "", detector.path.name, providers, detector.providers, ms, fps)

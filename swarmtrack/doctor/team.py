@@ -1,0 +1,141 @@
+"""Asks the network as a listener, not as a drone: this drone's agent may run meanwhile, and must not see a clone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+from collections import defaultdict
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from swarmtrack.clock import Clock
+from swarmtrack.config import DroneConfig
+from swarmtrack.diagnosis.surroundings import NetworkFacts
+from swarmtrack.errors import KeysError, SwarmtrackError, TransportError
+from swarmtrack.runtime.assembly import credentials_of
+from swarmtrack.security import names
+from swarmtrack.security.credentials import Credentials
+from swarmtrack.transport import keys, topology
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.ports import obstacle
+from swarmtrack.transport.sender_clock import SenderClock
+from swarmtrack.transport.settings import Mode, parse_endpoint
+from swarmtrack.transport.zenoh_listener import ZenohListener
+from swarmtrack.wire import codec
+
+INTERFACES = Path("/sys/class/net")
+IFF_UP, IFF_LOOPBACK, IFF_MULTICAST = 0x1, 0x8, 0x1000
+CLOCKS_AGREE = 2.0  # s
+
+
+async def ask(config: DroneConfig, clock: Clock, seconds: float) -> NetworkFacts:
+    """Who answers within `seconds`, and what they say of themselves."""
+    facts = NetworkFacts(config.drone.id, config.network.team)
+    if config.network.transport == "memory":
+        return replace(facts, in_process=True)
+    try:
+        credentials = credentials_of(config, clock)
+    except SwarmtrackError as error:
+        text = str(error.__cause__ if isinstance(error.__cause__, KeysError) else error)
+        return replace(facts, keys_refused=text)
+    if credentials is not None:
+        left = credentials.expires.timestamp() - clock.utc()
+        facts = replace(
+            facts,
+            expires_days=left / 86400.0,
+            expires=datetime.fromtimestamp(credentials.expires.timestamp(), UTC).strftime("%Y-%m-%d %H:%M"),
+        )
+    if config.network.multicast:
+        facts = replace(facts, multicast=_multicast(config.network.interface))
+    try:
+        return await _listen(config, credentials, clock, seconds, facts)
+    except TransportError as error:
+        return replace(facts, refused=str(error))
+
+
+async def _listen(
+    config: DroneConfig, credentials: Credentials | None, clock: Clock, seconds: float, facts: NetworkFacts
+) -> NetworkFacts:
+    as_drone = topology.of_drone(config.network, config.drone.id, credentials)
+    absent, taken = await _own_addresses(as_drone.listen)
+    facts = replace(facts, absent_hosts=absent)
+    listener = ZenohListener(
+        topology.of_monitor(config.network, credentials), keys.all_but_video(config.network.team)
+    )
+    alive: dict[int, set[str]] = defaultdict(set)
+    clocks: dict[int, SenderClock] = defaultdict(SenderClock)
+    try:
+        await listener.open()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                async for sample in listener.samples():
+                    _note(sample, clock, alive, clocks)
+        linked = listener.links().names
+    finally:
+        await listener.close()
+    if taken and config.drone.id not in alive:
+        raise TransportError(f"{taken}; does another agent run here?")
+    wanted = [name for name in as_drone.expected if _id_of(name) not in alive]
+    strangers = () if credentials is None else tuple(sorted(linked - set(credentials.roster.names)))
+    return replace(
+        facts,
+        alive={i: tuple(boots) for i, boots in alive.items()},
+        apart_s={i: clock.apart_s for i, clock in clocks.items() if i != config.drone.id},
+        missing=tuple(wanted) if as_drone.mode != Mode.CLIENT else (),
+        strangers=strangers,
+    )
+
+
+def _note(sample: Sample, clock: Clock, alive: dict[int, set[str]], clocks: dict[int, SenderClock]) -> None:
+    address = keys.parse(sample.key)
+    if address is None:
+        return
+    if address.kind == Kind.ALIVE and address.rest:
+        (alive[address.drone_id].add if sample.alive else alive[address.drone_id].discard)(address.rest[0])
+        if not alive[address.drone_id]:
+            del alive[address.drone_id]
+    elif address.kind == Kind.POSE:
+        with contextlib.suppress(codec.DecodeError):
+            clocks[address.drone_id].time_of(
+                codec.decode_announcement(sample.payload),
+                arrived=sample.arrived,
+                utc_offset=clock.utc() - clock.now(),
+                tolerance=CLOCKS_AGREE,
+            )
+
+
+async def _own_addresses(endpoints: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
+    """Hosts to listen on that are not this machine's, and what is against listening where it is ours."""
+    absent, taken = [], ""
+    for text in endpoints:
+        endpoint = parse_endpoint(text, "network.listen")
+        error = await obstacle(endpoint)
+        if error is None:
+            continue
+        if error.errno in (errno.EADDRINUSE, errno.EACCES):
+            taken = taken or f"network: cannot listen on {text}: {error.strerror}"
+        elif endpoint.host not in absent:
+            absent.append(endpoint.host)
+    return tuple(absent), taken
+
+
+def _id_of(name: str) -> int | None:
+    return names.drone_id(name) if names.role(name) == names.Role.DRONE else None
+
+
+def _multicast(interface: str, folder: Path = INTERFACES) -> tuple[str, str]:
+    """(interface, what is wrong with it or nothing)."""
+    flags = {}
+    for entry in folder.glob("*"):
+        with contextlib.suppress(OSError, ValueError):
+            flags[entry.name] = int((entry / "flags").read_text(encoding="ascii"), 16)
+    if interface == "auto":
+        usable = [n for n, f in flags.items() if f & IFF_UP and f & IFF_MULTICAST and not f & IFF_LOOPBACK]
+        return ("auto", "" if usable else "no interface but loopback is up")
+    if interface not in flags:
+        return interface, f"there is no such interface, only {', '.join(sorted(flags)) or 'none'}"
+    if not flags[interface] & IFF_UP:
+        return interface, "it is down"
+    return interface, "" if flags[interface] & IFF_MULTICAST else "it carries no multicast"

@@ -1,0 +1,210 @@
+"""Looks at a drone's camera and autopilot for some seconds, and notes the facts."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from swarmtrack.calibration.image_motion import ImageMotion
+from swarmtrack.clock import Clock
+from swarmtrack.config import DroneConfig, MountedCamera
+from swarmtrack.diagnosis.mounting import MotionFacts
+from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts
+from swarmtrack.errors import SwarmtrackError
+from swarmtrack.messages import EgoPose, Frame, ImuSample, StampKind
+from swarmtrack.motion.hand_eye import GyroTurns, compare, solve
+from swarmtrack.runtime.assembly import make_autopilot, make_camera
+from swarmtrack.sensors.base import Autopilot, AutopilotListener, Camera, DetectionSource
+from swarmtrack.sensors.camera_address import parse_address
+
+if TYPE_CHECKING:
+    from swarmtrack.sensors.simulated import Simulation
+
+RECORDINGS = ("file", "images")
+RATE_OVER = 2.0  # s: the last samples, by which a rate is told
+MOST_SAMPLES = 400_000
+LEAST_GYRO_SAMPLES = 50
+
+
+@dataclass
+class Heard(AutopilotListener):
+    """An autopilot's listener that keeps what it is told."""
+
+    samples: list[ImuSample] = field(default_factory=list)
+    poses: list[EgoPose] = field(default_factory=list)
+
+    def on_imu(self, sample: ImuSample) -> None:
+        if len(self.samples) < MOST_SAMPLES:
+            self.samples.append(sample)
+
+    def on_pose(self, pose: EgoPose) -> None:
+        if len(self.poses) < MOST_SAMPLES:
+            self.poses.append(pose)
+
+    def on_autopilot_reboot(self) -> None:
+        """Its clock begins anew: what was kept has nothing to do with what comes."""
+        self.samples.clear()
+        self.poses.clear()
+
+    def on_found_flying(self) -> None:
+        """Of no interest here."""
+
+    def gyro(self) -> GyroTurns:
+        return GyroTurns(
+            np.array([sample.t for sample in self.samples]),
+            np.array([sample.gyro for sample in self.samples]).reshape(-1, 3),
+        )
+
+
+class Watched(NamedTuple):
+    """What came of watching both. newest: the camera's last frame."""
+
+    camera: CameraFacts
+    autopilot: AutopilotFacts
+    imu: ImuFacts
+    motion: MotionFacts
+    newest: Frame | None
+
+
+class Watch:
+    """Camera and autopilot of a config, opened together; either may be missing or broken."""
+
+    def __init__(
+        self,
+        config: DroneConfig,
+        mounted: MountedCamera | None,
+        clock: Clock,
+        simulation: Simulation | None = None,
+    ) -> None:
+        self._config = config
+        self._mounted = mounted
+        self._camera_refused = self._autopilot_refused = ""
+        self._camera: Camera | DetectionSource | None = None
+        self._autopilot: Autopilot | None = None
+        if mounted is not None:
+            try:
+                self._camera = make_camera(config, mounted, clock, simulation)
+            except SwarmtrackError as error:
+                self._camera_refused = str(error)
+        try:
+            self._autopilot = make_autopilot(config, clock, simulation)
+        except SwarmtrackError as error:
+            self._autopilot_refused = str(error)
+        self.heard = Heard()
+        self.motion = None if mounted is None else ImageMotion(mounted.camera)
+        self._frames = 0
+        self._stamps: set[StampKind] = set()
+        self._newest: Frame | None = None
+
+    async def run(self, seconds: float) -> Watched:
+        """Watch for so long, or until a recording ends."""
+        tasks = [asyncio.create_task(self._watch_camera()), asyncio.create_task(self._listen())]
+        try:
+            # A recording's end ends neither the other source nor, by itself, the look at it.
+            await asyncio.wait(tasks, timeout=seconds)
+            return await self._facts(seconds)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            if self._camera is not None:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(1.5):
+                        await self._camera.close()
+
+    async def _watch_camera(self) -> None:
+        if isinstance(self._camera, DetectionSource):
+            async for _ in self._camera.detections():
+                self._frames += 1
+        elif self._camera is not None:
+            async for frame in self._camera.frames():
+                self._frames += 1
+                self._stamps.add(frame.stamp)
+                self._newest = frame
+                if self._autopilot is not None and self.motion is not None:
+                    await asyncio.to_thread(self.motion.see, frame.t, frame.image)
+
+    async def _listen(self) -> None:
+        if self._autopilot is not None:
+            await self._autopilot.run(self.heard)
+
+    async def _facts(self, seconds: float) -> Watched:
+        section = self._config.camera
+        address = None if section.simulated else parse_address(section.source)
+        frame, heard = self._newest, self.heard
+        camera = CameraFacts(
+            seconds=seconds,
+            max_age_s=section.max_age_s,
+            status=None if self._camera is None else self._camera.status(),
+            refused=self._camera_refused,
+            asked_hz=_asked_hz(section.source) if address and address.scheme == "v4l2" else None,
+            frames=self._frames,
+            size=None if frame is None else (frame.image.shape[1], frame.image.shape[0]),
+            stamps=frozenset(self._stamps),
+            shade=None if frame is None else _shade(frame),
+            live=address is None or address.scheme not in RECORDINGS,
+        )
+        link = self._config.autopilot.link
+        autopilot = AutopilotFacts(
+            seconds=seconds,
+            wanted=link != "none",
+            status=None if self._autopilot is None else self._autopilot.status(),
+            refused=self._autopilot_refused,
+            live="tlog" not in link,
+            got_hz=_rate([sample.t for sample in heard.samples]),
+        )
+        imu = ImuFacts(
+            np.array([sample.gyro for sample in heard.samples]).reshape(-1, 3),
+            np.array([sample.accel for sample in heard.samples]).reshape(-1, 3),
+            np.array([pose.t for pose in heard.poses]),
+            np.array([pose.world_from_body for pose in heard.poses]).reshape(-1, 3, 3),
+        )
+        return Watched(camera, autopilot, imu, await asyncio.to_thread(self._compared), frame)
+
+    def _compared(self) -> MotionFacts:
+        """Image against gyro."""
+        if self.motion is None or self._mounted is None:
+            return MotionFacts("without a calibration the image tells no angles")
+        if len(self.heard.samples) < LEAST_GYRO_SAMPLES:
+            return MotionFacts("no gyro")
+        if not self.motion.found:
+            return MotionFacts("nothing in the picture could be followed" if self._frames else "no frames")
+        turns, gyro = self.motion.turns(), self.heard.gyro()
+        agreement = compare(
+            turns,
+            gyro,
+            self._mounted.body_from_camera.rotation.T,
+            reach=0.2,
+            centre=self._mounted.time_offset_s,
+        )
+        if agreement is None:
+            return MotionFacts("too few frames with the gyro around them")
+        found = solve(turns, gyro, reach=0.2, centre=self._mounted.time_offset_s)
+        return MotionFacts("", agreement, found)
+
+
+def _asked_hz(source: str) -> float | None:
+    for key, value in parse_address(source).query:
+        if key == "fps":
+            with contextlib.suppress(ValueError):
+                return float(value)
+    return None
+
+
+def _rate(times: list[float]) -> float | None:
+    """Hz over the last RATE_OVER s; None before there are two."""
+    recent = [t for t in times if t > times[-1] - RATE_OVER]
+    if len(recent) < 2:
+        return None
+    span = recent[-1] - recent[0]
+    return (len(recent) - 1) / span if span > 0.0 else None
+
+
+def _shade(frame: Frame) -> tuple[float, float]:
+    mean, spread = cv2.meanStdDev(frame.image)
+    return float(np.mean(mean)), float(np.mean(spread))

@@ -1,0 +1,181 @@
+"""The switch behind `Air`: a process that carries Ethernet frames between TAP devices, and loses, delays and cuts.
+
+Theory of operation. A drone's radio is a TAP device in its namespace; what it sends is read here, what it hears is
+written here. Launcher and switch share one page of memory, `Ether`: faults go one way, counters the other, so a fault
+holds from the next frame on and nobody waits for anybody. The switch is a process of its own because a frame must not
+wait until the launcher has drawn its table. It ends when its standard input does, so it cannot outlive the launcher.
+
+A frame is on the air once and heard by each receiver or not: that is decided for each ordered pair of drones by a
+generator of its own, so the pattern of losses between two drones does not depend on what others send. There is no
+retransmission as in 802.11: a loss here is one that remains after it. Delay is uniform in latency ± jitter, and the
+frames of one ordered pair stay in order, as one radio's do; those of different pairs overtake each other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import itertools
+import mmap
+import os
+import random
+import select
+import signal
+import sys
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from swarmtrack.clock import SystemClock
+
+MTU: Final = 1500  # bytes
+MAX_FRAME: Final = MTU + 64  # bytes, with the Ethernet header and whatever tags
+BATCH: Final = 32  # frames of one radio before the others get their turn
+MAX_WAITING: Final = 8192  # delayed frames: 12 MB, a second of 100 Mbit/s; the air holds no more
+NUMBER: Final = 8  # bytes of a double, exact for counts up to 2^53
+
+
+class Ether:
+    """What the air does to frames, of each ordered pair of ports, and what it carried, of each port.
+
+    A page of doubles in memory that two processes share; pairs are indexed `source * ports + receiver`. `blocked` is
+    0 for a pair that can hear each other.
+    """
+
+    def __init__(self, fd: int, ports: int) -> None:
+        pairs = ports * ports
+        self.ports = ports
+        self._memory = mmap.mmap(fd, self.size(ports))
+        numbers = memoryview(self._memory).cast("d")
+        columns = [numbers[i * pairs : (i + 1) * pairs] for i in range(4)]
+        self.loss, self.latency_s, self.jitter_s, self.blocked = columns
+        counts = numbers[4 * pairs :]
+        rows = [counts[i * ports : (i + 1) * ports] for i in range(4)]
+        self.sent_frames, self.sent_bytes, self.lost_frames, self.blocked_frames = rows
+
+    @staticmethod
+    def size(ports: int) -> int:
+        """Bytes."""
+        return NUMBER * (4 * ports * ports + 4 * ports)
+
+
+class Delivery(NamedTuple):
+    """A frame on its way; sorted by when it is due."""
+
+    due: float
+    serial: int
+    port: int
+    frame: bytes
+
+
+class Switch:
+    """Decides who hears a frame, and when. Told the time; reads and writes nothing."""
+
+    def __init__(self, ether: Ether, addresses: Sequence[bytes], seed: int) -> None:
+        """addresses: of each port, 6 bytes."""
+        self._ether = ether
+        self._ports = {address: port for port, address in enumerate(addresses)}
+        self._others = [[p for p in range(ether.ports) if p != port] for port in range(ether.ports)]
+        pairs = itertools.product(range(ether.ports), repeat=2)
+        self._chance = [random.Random(f"{seed}/{source}/{receiver}") for source, receiver in pairs]
+        self._last_due = [0.0] * ether.ports**2
+        self._serial = itertools.count()
+        self._waiting: list[Delivery] = []
+
+    def send(self, source: int, frame: bytes, now: float) -> list[int]:
+        """A frame left the radio of `source`: the ports that hear it at once. Delayed ones wait for `deliver`."""
+        ether = self._ether
+        ether.sent_frames[source] += 1
+        ether.sent_bytes[source] += len(frame)
+        if frame[0] & 1:  # broadcast and multicast
+            receivers = self._others[source]
+        else:
+            port = self._ports.get(frame[:6])
+            if port is None or port == source:
+                return []
+            receivers = [port]
+        return [port for port in receivers if self._arrives_at_once(source, port, frame, now)]
+
+    def _arrives_at_once(self, source: int, port: int, frame: bytes, now: float) -> bool:
+        ether, pair = self._ether, source * self._ether.ports + port
+        if ether.blocked[pair]:
+            ether.blocked_frames[source] += 1
+            return False
+        loss, latency, jitter = ether.loss[pair], ether.latency_s[pair], ether.jitter_s[pair]
+        # Drawn for each frame that could be lost, and only then: what is delayed does not change what is lost.
+        if loss and self._chance[pair].random() < loss:
+            ether.lost_frames[source] += 1
+            return False
+        due = max(self._last_due[pair], now + latency)
+        if jitter:
+            due = max(self._last_due[pair], now + latency + jitter * random.uniform(-1.0, 1.0))
+        if due <= now:
+            return True
+        self._delay(pair, Delivery(due, next(self._serial), port, frame), source)
+        return False
+
+    def _delay(self, pair: int, delivery: Delivery, source: int) -> None:
+        if len(self._waiting) >= MAX_WAITING:
+            self._ether.lost_frames[source] += 1
+            return
+        self._last_due[pair] = delivery.due
+        heapq.heappush(self._waiting, delivery)
+
+    def deliver(self, now: float) -> list[Delivery]:
+        """The delayed frames that are due, in order."""
+        due = []
+        while self._waiting and self._waiting[0].due <= now:
+            due.append(heapq.heappop(self._waiting))
+        return due
+
+    @property
+    def next_due(self) -> float | None:
+        return self._waiting[0].due if self._waiting else None
+
+
+def run(switch: Switch, taps: Sequence[int], lifeline: int) -> None:
+    """Carry frames until the lifeline's other end is closed. taps: non-blocking, by port."""
+    clock = SystemClock()
+    poll = select.epoll()
+    ports = {fd: port for port, fd in enumerate(taps)}
+    for fd in (*taps, lifeline):
+        poll.register(fd, select.EPOLLIN)
+    while True:
+        due = switch.next_due
+        for fd, _ in poll.poll(None if due is None else max(0.0, due - clock.now())):
+            if fd == lifeline:
+                return
+            now = clock.now()
+            for frame in _read(fd):
+                for port in switch.send(ports[fd], frame, now):
+                    os.write(taps[port], frame)
+        for delivery in switch.deliver(clock.now()) if switch.next_due is not None else ():
+            os.write(taps[delivery.port], delivery.frame)
+
+
+def _read(tap: int) -> list[bytes]:
+    """At most BATCH frames that the radio wants to send."""
+    frames: list[bytes] = []
+    try:
+        while len(frames) < BATCH:
+            frames.append(os.read(tap, MAX_FRAME))
+    except BlockingIOError:
+        pass
+    return frames
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="The switch of swarmtrack's simulated air; Air starts it.")
+    parser.add_argument("--ether", type=int, required=True, metavar="FD")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("radios", nargs="+", metavar="FD=MAC", help="a TAP device and its radio's address")
+    arguments = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the launcher says when
+    taps, addresses = zip(*(radio.split("=") for radio in arguments.radios), strict=True)
+    ether = Ether(arguments.ether, len(taps))
+    switch = Switch(ether, [bytes.fromhex(address) for address in addresses], arguments.seed)
+    print("ready", flush=True)
+    run(switch, [int(tap) for tap in taps], sys.stdin.fileno())
+
+
+if __name__ == "__main__":
+    main()

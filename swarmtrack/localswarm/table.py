@@ -1,0 +1,252 @@
+"""What somebody who watches a local swarm is shown: a live table, or a line a second; and the tables at the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Protocol
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from swarmtrack.evaluation.swarm_score import Seen, SwarmScore
+from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.localswarm.watch import AgentView, Watch
+from swarmtrack.messages import FOREIGN, Identity
+from swarmtrack.simulation.scenarios import Fault
+from swarmtrack.wire.codec import HealthMessage
+
+LARGE_TEAM = 8  # from here on a line has no room for everybody
+LAG_WORTH_A_WORD = 2.0  # s by which judging may be behind
+
+
+class Spectator(Protocol):
+    """Is told how it goes."""
+
+    def note(self, text: str) -> None:
+        """What is being done, before and after the flight."""
+
+    def show(self, watch: Watch) -> None:
+        """A few times a second."""
+
+    def close(self) -> None: ...
+
+
+class LiveTable:
+    """Redraws one table in a terminal."""
+
+    def __init__(self, console: Console, title: str) -> None:
+        self._title = title
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._live.start()
+
+    def note(self, text: str) -> None:
+        self._live.update(Text(text, style="dim"), refresh=True)
+
+    def show(self, watch: Watch) -> None:
+        self._live.update(Group(flight_table(watch, self._title), team_line(watch)), refresh=True)
+
+    def close(self) -> None:
+        self._live.stop()
+
+
+class PlainLines:
+    """A line a second, where the output is no terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._shown_second: int | None = None
+
+    def note(self, text: str) -> None:
+        self._console.print(text, highlight=False, soft_wrap=True)
+
+    def show(self, watch: Watch) -> None:
+        second = math.floor(watch.t)
+        if second == self._shown_second or watch.t < 0.0:
+            return
+        self._shown_second = second
+        line = team_line(watch)
+        if len(watch.agents) < LARGE_TEAM:
+            for drone_id, agent in watch.agents.items():
+                line.append(f" | {drone_id} sees ").append_text(sightings(agent.seen, watch.team))
+        self._console.print(line, highlight=False, soft_wrap=True)
+
+    def close(self) -> None: ...
+
+
+class Silent:
+    """For programs."""
+
+    def note(self, text: str) -> None: ...
+    def show(self, watch: Watch) -> None: ...
+    def close(self) -> None: ...
+
+
+# --- in flight ------------------------------------------------------------------------------------
+
+
+def flight_table(watch: Watch, title: str) -> Table:
+    table = _table(title)
+    table.add_column("drone", justify="right")
+    table.add_column("sees whom as whom, how surely")
+    for heading in ("error px", "tracks Hz", "IMU Hz", "camera Hz", "CPU %", "RSS MB"):
+        table.add_column(heading, justify="right")
+    for drone_id, agent in watch.agents.items():
+        table.add_row(
+            str(drone_id),
+            _state(agent, watch.team),
+            _error(agent.seen),
+            *_health_cells(agent.health[-1][1] if agent.health else None),
+        )
+    return table
+
+
+def _state(agent: AgentView, team: Collection[int]) -> Text:
+    if agent.boot is None:
+        return Text("no agent yet" if agent.health == [] else "no agent now", style="dim")
+    if math.isnan(agent.first_tracks_t):
+        return Text("starting", style="dim")
+    return sightings(agent.seen, team)
+
+
+def sightings(seen: Sequence[Seen], team: Collection[int]) -> Text:
+    """Every track: who it is in truth, and as whom it is known."""
+    text = Text()
+    for one in sorted(seen, key=lambda s: (s.drone_id is None, s.drone_id or 0)):
+        text.append("  " if text else "").append_text(_sighting(one, team))
+    return text or Text("nobody", style="dim")
+
+
+def _sighting(seen: Seen, team: Collection[int]) -> Text:
+    truth, said = seen.drone_id, seen.track.identity
+    if said is None:
+        return Text(f"{_who(truth)} unknown", style="yellow")
+    if said == truth:
+        return Text(f"{said} ({seen.track.identity_probability:.3f})", style="green")
+    if truth is None:
+        return Text(f"nobody as {_who(said)}", style="yellow")
+    right = said == FOREIGN and truth not in team
+    return Text(f"{truth} as {_who(said)}", style="green" if right else "bold red")
+
+
+def _who(identity: Identity) -> str:
+    return "nobody" if identity is None else str(identity)
+
+
+def _error(seen: Sequence[Seen]) -> str:
+    """Root mean square of the tracks that are somebody."""
+    squares = [one.error_px**2 for one in seen if one.drone_id is not None]
+    return f"{math.sqrt(sum(squares) / len(squares)):.1f}" if squares else "–"
+
+
+def _health_cells(health: HealthMessage | None) -> list[str]:
+    if health is None:
+        return ["–"] * 5
+    rates = [
+        health.rates[name].got_hz if name in health.rates else math.nan
+        for name in ("tracks", "imu", "detections")
+    ]
+    return [*(f"{rate:.0f}" for rate in rates), f"{health.cpu_percent:.0f}", f"{health.rss_mb:.0f}"]
+
+
+def team_line(watch: Watch) -> Text:
+    if watch.t < 0.0:
+        return Text(f"hovering until everybody is there; the flight begins in {-watch.t:.0f} s", style="dim")
+    score = watch.scorer.score()
+    text = Text(f"{watch.t:6.1f} s  {_identity_figures(score)}")
+    judged = [agent.judged_t for agent in watch.agents.values() if agent.boot is not None]
+    for fault in watch.faults:
+        text.append(f"   {describe_fault(fault)}", style="bold yellow")
+    behind = watch.t - min((t for t in judged if not math.isnan(t)), default=watch.t)
+    if behind > LAG_WORTH_A_WORD and watch.waiting:
+        text.append(f"   (as of {behind:.0f} s ago: the rest is judged after landing)", style="dim")
+    return text
+
+
+def describe_fault(fault: Fault) -> str:
+    """Kind, whose, how much."""
+    whose = f" of {', '.join(map(str, fault.drones))}" if fault.drones else ""
+    return f"{fault.kind}{whose}{f' {fault.value:g}' if fault.value else ''}"
+
+
+def _identity_figures(score: SwarmScore) -> str:
+    if not score.samples:
+        return "nothing to judge yet"
+    return (
+        f"correct {share(score.correct)}  wrong {share(score.wrong)}  unknown {share(score.unknown)}  "
+        f"agreement {share(score.agreement)}"
+    )
+
+
+# --- after landing --------------------------------------------------------------------------------
+
+
+def agents_table(report: SwarmReport) -> Table:
+    table = _table("agents")
+    table.caption = (
+        "named: until it named everyone it saw; delay: from a frame's exposure to its tracks on the network, "
+        "median…95th percentile; bytes: of its announcement"
+    )
+    table.caption_justify = "left"
+    for heading in (
+        "drone", "named s", "RMSE px", "tracks Hz", "IMU Hz", "camera Hz",
+        "delay ms", "CPU %", "RSS MB", "bytes",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for agent in report.agents:
+        table.add_row(
+            str(agent.drone_id),
+            number(report.score.time_to_identify_s.get(agent.drone_id, math.nan), 1),
+            number(report.score.rmse_px.get(agent.drone_id, math.nan), 2),
+            number(agent.track_rate_hz, 1),
+            number(agent.imu_rate_hz, 1),
+            number(agent.detection_rate_hz, 1),
+            f"{number(1e3 * agent.latency_p50_s, 0)}…{number(1e3 * agent.latency_p95_s, 0)}",
+            number(agent.cpu_percent, 0),
+            number(agent.rss_mb, 0),
+            "–" if agent.announcement_bytes is None else str(agent.announcement_bytes),
+        )
+    return table
+
+
+def team_table(report: SwarmReport) -> Table:
+    """Found beside expected."""
+    score, limits = report.score, report.limits
+    table = _table("team")
+    for heading in ("", "found", "expected"):
+        table.add_column(heading, justify="left" if not heading else "right")
+    table.add_row("right names", share(score.correct), f"≥ {limits.correct:g}")
+    table.add_row("wrong names", share(score.wrong), f"≤ {limits.wrong:g}")
+    table.add_row("unknown", share(score.unknown), "")
+    table.add_row("agreement", share(score.agreement), f"≥ {limits.agreement:g}")
+    slowest = max(score.time_to_identify_s.values(), default=math.nan)
+    table.add_row("slowest to identify, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:g}")
+    table.add_row("all announcements known, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:g}")
+    worst = max(score.rmse_px.values(), default=math.nan)
+    table.add_row("worst RMSE, px", number(worst, 2), f"≤ {limits.rmse_px:g}")
+    table.add_row("recall", share(score.recall), "")
+    table.add_row("false tracks a second", number(score.false_tracks_per_s, 3), "")
+    table.add_row("switches", str(score.switches), "")
+    return table
+
+
+def _table(title: str) -> Table:
+    return Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+
+
+def share(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.4f}"
+
+
+def number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "–"

@@ -1,0 +1,1 @@
+"""The web page of a running swarm or of a recording."""

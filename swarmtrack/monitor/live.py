@@ -1,0 +1,91 @@
+"""The page of a running swarm: what the listener hears, as it comes."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from typing import Any, Protocol
+
+from swarmtrack.errors import TransportError
+from swarmtrack.monitor.server import STATE_HZ, Audience
+from swarmtrack.monitor.team import Team
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+
+log = logging.getLogger(__name__)
+
+
+class Listener(Protocol):
+    """What we ask of a `ZenohListener`."""
+
+    def samples(self) -> AsyncIterator[Sample]: ...
+    async def listen_to(self, key_expression: str) -> None: ...
+    async def leave(self, key_expression: str) -> None: ...
+
+
+class LiveFeed:
+    """A drone's video is subscribed to while at least one viewer watches it."""
+
+    def __init__(self, team: Team, listener: Listener) -> None:
+        self._team = team
+        self._listener = listener
+        self._subscribed: set[int] = set()
+        self._wishes = asyncio.Event()
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        return self._team.drones
+
+    async def run(self, audience: Audience) -> None:
+        """Until cancelled, or until the listener is closed."""
+        async with asyncio.TaskGroup() as tasks:
+            others = [
+                tasks.create_task(self._tell_state(audience), name="state"),
+                tasks.create_task(self._follow_wishes(audience), name="wishes"),
+            ]
+            await self._hear(audience)
+            for task in others:
+                task.cancel()
+
+    def on_watched(self) -> None:
+        self._wishes.set()
+
+    def on_wish(self, wish: dict[str, Any]) -> bool:
+        return False  # what is live is neither paused nor wound back
+
+    async def _hear(self, audience: Audience) -> None:
+        async for sample in self._listener.samples():
+            view = self._team.on_sample(sample)
+            if view is not None:
+                address = keys.parse(sample.key)
+                assert address is not None
+                drone_id = address.drone_id
+                if drone_id in audience.watched:  # else it is a last one, after the last viewer went
+                    audience.show(drone_id, view, self._team.tracks_at(drone_id, view.t_utc_s))
+
+    async def _tell_state(self, audience: Audience) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            self._team.look()  # unwatched, too: events have their times, and the gone their age
+            if audience.is_there:
+                audience.tell(self._team.state())
+            due = max(due + 1.0 / STATE_HZ, loop.time())
+            await asyncio.sleep(due - loop.time())
+
+    async def _follow_wishes(self, audience: Audience) -> None:
+        """Subscribe to the video that somebody watches, and to no other."""
+        while True:
+            await self._wishes.wait()
+            self._wishes.clear()
+            wanted = audience.watched
+            try:
+                for drone_id in wanted - self._subscribed:
+                    await self._listener.listen_to(keys.key(self._team.name, Kind.VIDEO, drone_id))
+                    self._subscribed.add(drone_id)
+                for drone_id in self._subscribed - wanted:
+                    self._subscribed.discard(drone_id)
+                    await self._listener.leave(keys.key(self._team.name, Kind.VIDEO, drone_id))
+            except TransportError as error:
+                log.warning("video: %s", error)

@@ -1,0 +1,50 @@
+"""Tracks as boxes in the picture of a view: from the tracker's undistorted pixels to those of the JPEG."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.wire import codec
+
+AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
+SIGMAS = 3.0  # of an ellipse
+
+
+def boxes(view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> list[dict[str, Any]]:
+    """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad)."""
+    if tracks is None or not tracks.tracks:
+        return []
+    try:
+        camera = codec.lens(view.lens)
+    except codec.DecodeError:
+        return []
+    shown = [track for track in tracks.tracks if track.status != "tentative"]
+    ideal = np.array([(track.u_px, track.v_px) for track in shown]).reshape(-1, 2)
+    velocity = np.array([(track.vu_px_s, track.vv_px_s) for track in shown]).reshape(-1, 2)
+    centre = camera.distort(ideal)
+    undo = camera.undistort_jacobian(centre)
+    share = view.width / view.lens.width
+    found = []
+    for track, uv, J, v in zip(shown, centre, undo, velocity, strict=True):
+        if not (np.isfinite(uv).all() and np.isfinite(J).all()):
+            continue  # outside what the lens can show
+        by_ideal = np.linalg.inv(J)
+        cov = by_ideal @ codec.track_cov(track)[::2, ::2] @ by_ideal.T
+        variances, axes = np.linalg.eigh(cov)
+        minor, major = share * SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+        u, v_px = share * uv
+        tip = share * (uv + AHEAD_S * (by_ideal @ v))
+        found.append(
+            {
+                "track": track.id,
+                "identity": track.identity,
+                "probability": round(track.identity_probability, 3),
+                "lost": track.status == "lost",
+                "box": [round(float(x), 1) for x in (u, v_px, share * track.w_px, share * track.h_px)],
+                "tip": [round(float(x), 1) for x in tip],
+                "ellipse": [round(float(x), 2) for x in (major, minor, np.arctan2(axes[1, 1], axes[0, 1]))],
+            }
+        )
+    return found

@@ -1,0 +1,273 @@
+"""One drone's own recording, as the words that the monitor would have heard of it, and of those it heard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+
+from swarmtrack.clock import UTC_SIGMA
+from swarmtrack.errors import RecordingError
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.messages import (
+    Announcement,
+    AutopilotRebooted,
+    EgoPose,
+    IdClash,
+    Input,
+    PeerArrived,
+    PeerDeparted,
+    Sighting,
+    SightingReport,
+    TrackList,
+)
+from swarmtrack.monitor.timeline import Blob, Shelf, Tracked, Word
+from swarmtrack.motion.ego import TeamPose
+from swarmtrack.recording import inputs, outputs
+from swarmtrack.recording.merge import Hearsay, utc_offset
+from swarmtrack.recording.reader import Message, Recording
+from swarmtrack.recording.settings import read_settings
+from swarmtrack.replay.replayer import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
+from swarmtrack.runtime.perception import make_ego_history
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.wire import codec
+
+HEALTH_TOPIC = "/health"
+HEEDED_INPUTS = frozenset(
+    inputs.FORM_OF_KIND[kind].topic
+    for kind in (EgoPose, AutopilotRebooted, Announcement, SightingReport, PeerArrived, PeerDeparted, IdClash)
+)
+EGO_HISTORY_S = 2.0
+VIEWS_HZ = 10.0  # as live video at most
+SPOKE_S = 0.2  # s between two signs of life that are kept: silence counts from 2 s on
+REPORT_S = 1.0  # s between two reports of whom it sees, as in flight
+JITTER_S = 0.01
+
+Heard = Announcement | SightingReport | PeerArrived | PeerDeparted | IdClash
+
+
+class OwnWords:
+    """To be read once, then asked; times of what is kept are UTC by its own clock until they are shifted."""
+
+    def __init__(self, recording: Recording, shelf: Shelf) -> None:
+        self.drone_id = recording.drone_id
+        self.hearsay = Hearsay()
+        self.refused = 0
+        self.observers: set[int] = set()
+        """Whose reports it heard."""
+        self._recording = recording
+        self._shelf = shelf
+        self._team = recording.preface["team"]
+        self.boot = recording.preface["boot"]
+        self._offset = utc_offset(recording)
+        settings, _ = read_settings(recording)
+        self._camera = settings.mounted.camera
+        self._body_from_camera = settings.mounted.body_from_camera
+        self._lens = codec.lens_message(self._camera)
+        self._ego = make_ego_history(settings.config, settings.start, history_s=EGO_HISTORY_S)
+        self.tracked = Tracked(self._tracks)
+        self._first = self._last = math.nan
+        self._spoke: list[float] = []
+        self._heard: list[tuple[float, Heard]] = []
+        self._health: list[tuple[float, bytes]] = []
+        self._reports: list[tuple[float, SightingReport]] = []
+        self._scans: list[tuple[float, codec.VideoMessage, Blob | None]] = []
+        self._pictures: list[tuple[float, codec.VideoMessage, Blob | None]] = []
+        self._frame_t = math.nan
+
+    def read(self) -> None:
+        for message in self._recording.messages():
+            t = message.log_time_ns * 1e-9
+            if math.isnan(self._first):
+                self._first = t
+            self._last = t
+            try:
+                self.hearsay.note(message)
+                self._take(message, t)
+            except (RecordingError, codec.DecodeError, msgspec.MsgspecError, ValueError, KeyError, TypeError):
+                self.refused += 1
+
+    # --- reading ------------------------------------------------------------------------
+
+    def _take(self, message: Message, t: float) -> None:
+        topic = message.topic
+        if topic in HEEDED_INPUTS:
+            self._on_input(inputs.decode(topic, message.data)[1], t)
+        elif topic == outputs.ASKED_TOPIC:
+            self._on_sign_of_life(t)
+        elif topic == outputs.TRACKS_TOPIC:
+            self._on_sign_of_life(t)
+            self._on_scan(message.data, t)
+        elif topic == HEALTH_TOPIC:
+            health = codec.from_record(codec.HealthMessage, msgspec.json.decode(message.data))
+            self._on_sign_of_life(t)
+            self._health.append((t, codec.encode_health(health)))
+        elif topic == FRAMES_TOPIC:
+            self._frame_t = float(msgspec.json.decode(message.data)["t_s"])
+        elif topic == IMAGES_TOPIC:
+            jpeg = jpeg_of(message.data)
+            if jpeg is not None and math.isfinite(self._frame_t) and _is_due(self._pictures, t):
+                self._pictures.append((t, self._view(self._frame_t), self._shelf.put(jpeg)))
+
+    def _on_input(self, event: Input, t: float) -> None:
+        match event:
+            case EgoPose():
+                self._ego.append(event)
+            case AutopilotRebooted():
+                self._ego.restart()
+            case SightingReport():
+                self.observers.add(event.observer)
+                self._heard.append((t, event))
+            case Announcement() | PeerArrived() | PeerDeparted() | IdClash():
+                self._heard.append((t, event))
+
+    def _on_sign_of_life(self, t: float) -> None:
+        if not self._spoke or t - self._spoke[-1] >= SPOKE_S:
+            self._spoke.append(t)
+
+    def _on_scan(self, data: bytes, t: float) -> None:
+        exposed = _DECODE_TIME(data).t_s
+        self.tracked.add(exposed + self._offset, self._shelf.put(data))
+        if _is_due(self._scans, t):
+            self._scans.append((t, self._view(exposed), None))
+        if not self._reports or exposed - self._reports[-1][1].t >= REPORT_S - JITTER_S:
+            observer = self._ego.at(exposed)
+            if observer is not None:
+                tracks = outputs.decode_report(data)[1].tracks
+                self._reports.append((t, self._report(tracks, observer)))
+
+    def _view(self, exposed: float) -> codec.VideoMessage:
+        """Without its picture. exposed: on our own clock."""
+        ego = self._ego.at(exposed)
+        pose = None if ego is None else Pose(ego.world_from_body, ego.position) @ self._body_from_camera
+        return codec.VideoMessage(
+            version=codec.VERSION,
+            t_utc_s=exposed + self._offset,
+            t_sigma_s=UTC_SIGMA,
+            frame=0,
+            width=self._camera.width,
+            height=self._camera.height,
+            jpeg=b"",
+            lens=self._lens,
+            position_m=None if pose is None else tuple(pose.position.tolist()),
+            quaternion_wxyz=None if pose is None else tuple(to_quaternion(pose.rotation).tolist()),
+        )
+
+    def _report(self, tracks: TrackList, observer: TeamPose) -> SightingReport:
+        """Whom it sees by its tracks, as `Onboard` tells it; its sigma is that of the track."""
+        camera = Pose(observer.world_from_body, observer.position) @ self._body_from_camera
+        sightings: dict[int, Sighting] = {}
+        for entry in tracks.tracks:
+            if not isinstance(entry.identity, int):
+                continue
+            u, v = entry.track.mean[::2]
+            ray = camera.rotation @ self._camera.K_inverse @ np.array([u, v, 1.0])
+            sigma = math.sqrt(max(0.0, 0.5 * float(np.trace(entry.track.cov[::2, ::2])))) / self._camera.fx
+            sightings[entry.identity] = Sighting(
+                entry.identity,
+                entry.identity_probability,
+                ray / np.linalg.norm(ray),
+                min(math.pi, math.hypot(sigma, observer.attitude_sigma)),
+            )
+        return SightingReport(
+            observer=self.drone_id,
+            boot=self.boot,
+            sequence=len(self._reports) + 1,
+            t=tracks.t,
+            t_sigma=0.0,
+            position=camera.position,
+            position_sigma=observer.position_sigma,
+            known=(),
+            sightings=tuple(sightings.values()),
+        )
+
+    def _tracks(self, data: bytes) -> codec.TracksMessage:
+        tracks = outputs.decode_report(data)[1].tracks
+        return codec.tracks_message(tracks, 0, self._offset, UTC_SIGMA)
+
+    # --- telling ------------------------------------------------------------------------
+
+    def views(self, shift: float) -> Iterator[Word]:
+        """Where its camera looked, with pictures where it recorded any."""
+        for t, view, picture in self._pictures or self._scans:
+            try:
+                payload = codec.encode_video(view)
+            except ValueError:
+                self.refused += 1
+                continue
+            yield self._word(Kind.VIDEO, self.drone_id, t + shift, payload)._replace(picture=picture)
+
+    def words(self, shift: float, *, lives: set[tuple[int, str]], says_itself: bool) -> Iterator[Word]:
+        """lives: drone and boot of those that recorded themselves; says_itself: whom it sees, since nobody recorded
+        hearing it."""
+        if math.isnan(self._first):
+            return
+        yield self._token(self.drone_id, self.boot, self._first + shift)
+        for t in self._spoke:
+            yield Word(t + shift, self.drone_id, None)
+        for t, payload in self._health:
+            yield self._word(Kind.HEALTH, self.drone_id, t + shift, payload)
+        for t, event in [*self._heard, *(self._reports if says_itself else ())]:
+            try:
+                yield from self._of_event(event, t + shift, self._offset + shift, lives)
+            except ValueError:
+                self.refused += 1
+        yield from self._silent_teammates(shift, lives)
+
+    def departure(self, shift: float) -> Word | None:
+        """When it ended; None where it holds nothing."""
+        if math.isnan(self._last):
+            return None
+        return self._token(self.drone_id, self.boot, self._last + shift, alive=False)
+
+    def _of_event(self, event: Heard, t: float, offset: float, lives: set[tuple[int, str]]) -> Iterator[Word]:
+        drone_id = event.observer if isinstance(event, SightingReport) else event.drone_id
+        match event:
+            case Announcement():
+                yield self._word(Kind.POSE, drone_id, t, codec.encode_announcement(event, offset, t - offset))
+            case SightingReport():
+                payload = codec.encode_sightings(event, offset, t - offset)
+                yield self._word(Kind.IDENTITIES, drone_id, t, payload)
+            case PeerArrived(boot=boot) | PeerDeparted(boot=boot) if (drone_id, boot) not in lives:
+                yield self._token(drone_id, boot, t, alive=isinstance(event, PeerArrived))
+            case IdClash(boots=boots):
+                for boot in boots:
+                    if (drone_id, boot) not in lives:
+                        yield self._token(drone_id, boot, t)
+
+    def _silent_teammates(self, shift: float, lives: set[tuple[int, str]]) -> Iterator[Word]:
+        """Of those who did not record themselves it is known that they lived while their token stood."""
+        since: dict[int, float] = {}
+        spans: list[tuple[int, float, float]] = []
+        for t, event in self._heard:
+            if isinstance(event, PeerArrived) and (event.drone_id, event.boot) not in lives:
+                since.setdefault(event.drone_id, t)
+            elif isinstance(event, PeerDeparted) and event.drone_id in since:
+                spans.append((event.drone_id, since.pop(event.drone_id), t))
+        spans += [(drone_id, t, self._last) for drone_id, t in since.items()]
+        for drone_id, begin, end in spans:
+            for k in range(int((end - begin) / REPORT_S) + 1):
+                yield Word(begin + k * REPORT_S + shift, drone_id, None)
+
+    def _word(self, kind: Kind, drone_id: int, t: float, payload: bytes) -> Word:
+        return Word(t, drone_id, Sample(keys.key(self._team, kind, drone_id), payload, True, t))
+
+    def _token(self, drone_id: int, boot: str, t: float, *, alive: bool = True) -> Word:
+        return Word(t, drone_id, Sample(keys.key(self._team, Kind.ALIVE, drone_id, boot), b"", alive, t))
+
+
+class _Time(msgspec.Struct):
+    """As much of a record as tells its time."""
+
+    t_s: float
+
+
+_DECODE_TIME = msgspec.json.Decoder(_Time).decode
+
+
+def _is_due(views: list[tuple[float, codec.VideoMessage, Blob | None]], t: float) -> bool:
+    return not views or t - views[-1][0] >= 1.0 / VIEWS_HZ - JITTER_S

@@ -1,0 +1,225 @@
+"""The page of a recording: the same `Team` as of a running swarm, told again what was said.
+
+Theory of operation. Playing goes in steps of STEP_S of the recording. In a step the team is told all words up to its
+end and then looks around once, so the state is a function of the step, however it was reached. To seek back, the
+nearest checkpoint (the team, pickled every CHECKPOINT_S) is taken and told the rest. All viewers share one position,
+as before one screen: whoever moves the slider moves it for everybody.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import pickle
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from swarmtrack.monitor.server import Audience
+from swarmtrack.monitor.team import VIEW_S, Team
+from swarmtrack.monitor.timeline import Blob, Timeline
+from swarmtrack.wire import codec
+
+STEP_S = 0.1
+STEPS_PER_CHECKPOINT = 100
+MAX_SEEK_S = 1e9  # beyond it a page talks nonsense
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+
+
+class PlayedClock:
+    """Both clocks, as they stood in the recording."""
+
+    def __init__(self, t: float) -> None:
+        self.t = t
+
+    def now(self) -> float:
+        return self.t
+
+    def utc(self) -> float:
+        return self.t
+
+
+@dataclass(slots=True)
+class View:
+    """The newest of one drone. picture: where it lies."""
+
+    t: float
+    message: codec.VideoMessage
+    picture: Blob | None
+
+
+@dataclass(slots=True)
+class _Scene:
+    """All that changes while it is played. told: how many words."""
+
+    clock: PlayedClock
+    team: Team
+    told: int
+    views: dict[int, View]
+
+
+class Playback:
+    """A recording at one of its steps, 0 … `steps`. Reads no clock."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self.timeline = timeline
+        self.steps = math.ceil(timeline.seconds / STEP_S)
+        self.step = 0
+        clock = PlayedClock(timeline.begin)
+        self._scene = _Scene(clock, Team(timeline.team, clock), 0, {})
+        self._checkpoints: list[bytes] = []
+        self._take_step(0)
+        while self.step < self.steps:  # so that all checkpoints are there: seconds for ten minutes, once
+            self._take_step(self.step + 1)
+        self.seek(0)
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        return self._scene.team.drones
+
+    @property
+    def views(self) -> dict[int, View]:
+        """The newest of each drone that is not too old to be looked at."""
+        return {i: view for i, view in self._scene.views.items() if self._scene.clock.t - view.t < VIEW_S}
+
+    def state(self) -> dict[str, Any]:
+        """As of a running swarm."""
+        return self._scene.team.state()
+
+    def seek(self, step: int) -> None:
+        """Forward or back; beyond the ends is at the ends."""
+        step = max(0, min(step, self.steps))
+        checkpoint = step // STEPS_PER_CHECKPOINT
+        if step < self.step or checkpoint > self.step // STEPS_PER_CHECKPOINT:
+            # Pickled by us a moment ago, in memory.
+            self._scene = pickle.loads(self._checkpoints[checkpoint])
+            self.step = checkpoint * STEPS_PER_CHECKPOINT
+        while self.step < step:
+            self._take_step(self.step + 1)
+
+    def seen(self, drone_id: int) -> tuple[codec.VideoMessage, codec.TracksMessage | None] | None:
+        """What a drone's camera shows now, with its picture, and what it tracked then."""
+        view = self.views.get(drone_id)
+        if view is None:
+            return None
+        message = view.message
+        if view.picture is not None:
+            message = msgspec.structs.replace(message, jpeg=self.timeline.shelf.get(view.picture))
+        return message, self.timeline.tracks_at(drone_id, message.t_utc_s)
+
+    def _take_step(self, step: int) -> None:
+        scene, words = self._scene, self.timeline.words
+        end = self.timeline.begin + step * STEP_S
+        while scene.told < len(words) and words[scene.told].t <= end:
+            word = words[scene.told]
+            scene.told += 1
+            scene.clock.t = word.t
+            if word.sample is None:
+                scene.team.on_sign_of_life(word.drone_id, word.t)
+                continue
+            view = scene.team.on_sample(word.sample)
+            if view is not None:
+                scene.views[word.drone_id] = View(word.t, view, word.picture)
+        scene.clock.t = end
+        scene.team.look()
+        self.step = step
+        if step == len(self._checkpoints) * STEPS_PER_CHECKPOINT:
+            self._checkpoints.append(pickle.dumps(scene))
+
+
+class Player:
+    """Plays it to the viewers, at the speed they ask for."""
+
+    def __init__(self, playback: Playback, name: str) -> None:
+        """name: of the recording, for people."""
+        self._playback = playback
+        self._name = name
+        self._playing = True
+        self._speed = 1.0
+        self._sought: float | None = None
+        self._owed = 0.0
+        """Part of a step that is due but not taken."""
+        self._shown: dict[int, float] = {}
+        """Whose view of which time the viewers have."""
+        self._news = asyncio.Event()
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        return self._playback.drones
+
+    async def run(self, audience: Audience) -> None:
+        """Until cancelled. Nobody's absence stops it: it is paused by hand, or stops at its end."""
+        loop = asyncio.get_running_loop()
+        before = loop.time()
+        while True:
+            try:
+                async with asyncio.timeout(STEP_S):
+                    await self._news.wait()
+            except TimeoutError:
+                pass
+            news, now = self._news.is_set(), loop.time()
+            self._news.clear()
+            moved = self._play(now - before) if audience.is_there else False
+            before = now
+            if moved or news:
+                self._tell(audience)
+
+    def on_watched(self) -> None:
+        self._shown.clear()  # who just came has seen nothing yet
+        self._news.set()
+
+    def on_wish(self, wish: dict[str, Any]) -> bool:
+        """`{"seek": s}`, `{"play": true}`, `{"speed": 2}`."""
+        match wish:
+            case {"seek": int() | float() as t} if -MAX_SEEK_S < t < MAX_SEEK_S:
+                bounded = max(0.0, min(float(t), self._playback.steps * STEP_S))
+                self._playback.seek(round(bounded / STEP_S))
+                self._sought, self._owed = float(t), 0.0
+                self._shown.clear()
+            case {"play": bool() as play}:
+                if play and self._playback.step == self._playback.steps:
+                    self._playback.seek(0)
+                self._playing = play
+            case {"speed": int() | float() as speed} if speed in SPEEDS:
+                self._speed = float(speed)
+            case _:
+                return False
+        self._news.set()
+        return True
+
+    def _play(self, seconds: float) -> bool:
+        """Whether it moved on."""
+        if not self._playing:
+            return False
+        # A machine that was asleep does not skip the flight.
+        self._owed += min(seconds, 1.0) * self._speed / STEP_S
+        steps = int(self._owed)
+        self._owed -= steps
+        if steps:
+            self._playback.seek(self._playback.step + steps)
+        if self._playback.step == self._playback.steps:
+            self._playing = False
+            return True
+        return steps > 0
+
+    def _tell(self, audience: Audience) -> None:
+        playback = self._playback
+        state = playback.state()
+        state["playback"] = {
+            "name": self._name,
+            "t_s": round(playback.step * STEP_S, 1),
+            "seconds": round(playback.steps * STEP_S, 1),
+            "begin_utc_s": round(playback.timeline.begin, 1),
+            "playing": self._playing,
+            "speed": self._speed,
+            "sought_s": self._sought,
+            "views": sorted(playback.views),
+        }
+        audience.tell(state)
+        for drone_id, view in playback.views.items():
+            if drone_id in audience.watched and self._shown.get(drone_id) != view.t:
+                self._shown[drone_id] = view.t
+                seen = playback.seen(drone_id)
+                if seen is not None:
+                    audience.show(drone_id, *seen)

@@ -1,0 +1,149 @@
+"""Recordings into what the monitor plays.
+
+Theory of operation. What was heard of a swarm is played as it was heard. Where there is only what drones recorded
+themselves, what they said is made again of it: their health as it is, whom they see as their teammates heard it (or,
+where no teammate recorded, from their tracks and poses), and announcements as they heard them. Pictures, lenses and
+tracks come from the drones' own recordings where there are any, else from what was heard. Each drone's clock is laid on
+the first recording's as `swarmtrack log merge` does, by the numbers of what was said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+
+from swarmtrack.errors import RecordingError
+from swarmtrack.monitor.own_recording import OwnWords
+from swarmtrack.monitor.team import SILENT_S
+from swarmtrack.monitor.timeline import Shelf, Timeline, Tracked, Word
+from swarmtrack.recording.merge import Hearsay, shifts_by, utc_offset
+from swarmtrack.recording.reader import Recording, recordings_below
+from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, Heard, read_heard
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.wire import codec
+
+FLIGHTS_APART_S = 60.0  # s without a word of anybody: what comes after it is another flight
+
+
+class _TracksHead(msgspec.Struct, array_like=True):
+    """As much of `codec.TracksMessage` as tells its time."""
+
+    version: int
+    t_utc_s: float
+
+
+def read_timeline(paths: Sequence[Path]) -> Timeline:
+    """Raises RecordingError where nothing of it can be played, and ConfigError for the config of another version."""
+    recordings = recordings_below(*paths)
+    recordings.sort(key=lambda recording: recording.kind == "drone")  # a swarm's clock is everybody's
+    where = ", ".join(map(str, paths))
+    teams = sorted({recording.preface.get("team", "") for recording in recordings})
+    if len(teams) > 1:
+        raise RecordingError(
+            f"{where}: holds recordings of the teams {', '.join(teams)}, expected those of one"
+        )
+    shelf = Shelf()
+    swarms = [_HeardWords(r, shelf) for r in recordings if r.kind == "swarm"]
+    drones = [OwnWords(r, shelf) for r in recordings if r.kind == "drone"]
+    sources: list[_HeardWords | OwnWords] = [*swarms, *drones]
+    try:
+        offsets = [utc_offset(recording) for recording in recordings]
+    except (KeyError, ValueError):
+        raise RecordingError(f"{where}: a recording does not say when it began, expected utc_s") from None
+    for source in sources:
+        source.read()
+    moved = [shift.seconds for shift in shifts_by([source.hearsay for source in sources], offsets)]
+    words: list[Word] = []
+    tracked: dict[int, list[Tracked]] = {}
+    ends: list[Word] = []
+    recorded = {own.drone_id for own in drones}
+    lives = {(own.drone_id, own.boot) for own in drones}
+    for heard, shift in zip(swarms, moved, strict=False):
+        words += heard.words(shift, recorded)
+        for drone_id, told in heard.tracked.items():
+            if drone_id not in recorded:
+                tracked.setdefault(drone_id, []).append(told)
+    heard_of = set().union(*(own.observers for own in drones))
+    for own, shift in zip(drones, moved[len(swarms) :], strict=True):
+        words += own.views(shift)
+        tracked.setdefault(own.drone_id, []).append(own.tracked)
+        if not swarms:
+            words += own.words(shift, lives=lives, says_itself=own.drone_id not in heard_of)
+            ends += filter(None, [own.departure(shift)])
+    end = max((word.t for word in words), default=0.0)
+    words += [word for word in ends if word.t < end - SILENT_S]  # later ones ended with the recording
+    words.sort(key=lambda word: word.t)
+    notes = [sentence for recording in recordings for sentence in recording.damage]
+    if refused := sum(source.refused for source in sources):
+        notes.append(f"{where}: {refused} records cannot be read and are left out")
+    if not words:
+        raise RecordingError(
+            "; ".join([f"{where}: holds no word of any drone, expected the recording of a flight", *notes])
+        )
+    flights = [
+        k for k, (one, next_one) in enumerate(pairwise(words), 1) if next_one.t - one.t > FLIGHTS_APART_S
+    ]
+    if flights:
+        notes.append(
+            f"{where}: holds {len(flights) + 1} flights, plays the last; name the folder of another for it"
+        )
+        del words[: flights[-1]]
+    return Timeline(teams[0], words, tracked, shelf, notes)
+
+
+class _HeardWords:
+    """What `swarmtrack record` and `sim --record` heard."""
+
+    def __init__(self, recording: Recording, shelf: Shelf) -> None:
+        self.hearsay = Hearsay()
+        self.refused = 0
+        self.tracked: dict[int, Tracked] = {}
+        self._recording = recording
+        self._shelf = shelf
+        self._words: list[tuple[keys.Address, Word]] = []
+
+    def read(self) -> None:
+        offset = utc_offset(self._recording)
+        for message in self._recording.messages({HEARD_TOPIC}):
+            try:
+                heard = read_heard(message)
+                address = keys.parse(heard.key)
+                if address is not None:
+                    self._words.append((address, self._word(heard, address, heard.t + offset)))
+            except (RecordingError, codec.DecodeError, msgspec.MsgspecError):
+                self.refused += 1
+
+    def words(self, shift: float, seen_by_themselves: set[int]) -> Iterator[Word]:
+        """But the views of those who recorded them themselves."""
+        for address, word in self._words:
+            if address.kind is not Kind.VIDEO or address.drone_id not in seen_by_themselves:
+                yield _shifted(word, shift)
+
+    def _word(self, heard: Heard, address: keys.Address, t: float) -> Word:
+        drone_id, sample = address.drone_id, Sample(heard.key, heard.payload, heard.alive, t)
+        match address.kind:
+            case Kind.IDENTITIES:
+                said = codec.decode_sightings(heard.payload)
+                self.hearsay.heard[said.drone_id, said.boot, said.sequence] = heard.t - said.age_s
+            case Kind.TRACKS:
+                head = msgspec.msgpack.decode(heard.payload, type=_TracksHead)
+                tracked = self.tracked.setdefault(drone_id, Tracked(codec.decode_tracks))
+                tracked.add(head.t_utc_s, self._shelf.put(heard.payload))
+                return Word(t, drone_id, None)
+            case Kind.VIDEO:
+                view = codec.decode_video(heard.payload)
+                payload = codec.encode_video(msgspec.structs.replace(view, jpeg=b""))
+                picture = self._shelf.put(view.jpeg) if view.jpeg else None
+                return Word(t, drone_id, sample._replace(payload=payload), picture)
+        return Word(t, drone_id, sample)
+
+
+def _shifted(word: Word, shift: float) -> Word:
+    """On another clock."""
+    t = word.t + shift
+    sample = word.sample and word.sample._replace(arrived=t)
+    return word._replace(t=t, sample=sample)

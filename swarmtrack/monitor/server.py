@@ -1,0 +1,213 @@
+"""The monitor's web side: one page, and one WebSocket to each viewer.
+
+Theory of operation. A viewer is sent the state STATE_HZ times a second, and the pictures of the drones it watches as
+they come. Each has one slot for the state and one for each picture: what is newer takes the place of what still waits.
+The page acknowledges each message once it is drawn, and gets the next handful only then, so that a slow phone sees
+fewer pictures and never older ones; no buffer on the way can fill. A drone's video is subscribed to while at least one
+viewer watches it.
+
+To the page: text, the state (`Team.state`); binary, a header's length (uint32, little endian), the header in JSON
+(`drone`, `width`, `height`, `boxes`) and the JPEG. From the page: `{"watch": [IDs]}`, `"+"` for each message drawn,
+and of a recording `{"seek": s}`, `{"play": true}` and `{"speed": 2}`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import struct
+from pathlib import Path
+from typing import Any, Protocol
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from swarmtrack.monitor.access import Door
+from swarmtrack.monitor.overlay import boxes
+from swarmtrack.wire import codec
+
+PAGE = Path(__file__).parent / "page" / "index.html"
+STATE_HZ = 5.0
+MAX_VIEWERS = 32
+MAX_WATCHED = 32  # drones, by one viewer
+MAX_WORD = 2048  # bytes that a page may say at a time
+HEARTBEAT_S = 5.0
+
+
+class Audience(Protocol):
+    """Those who look, for a feed."""
+
+    @property
+    def is_there(self) -> bool:
+        """Whether anybody looks."""
+
+    @property
+    def watched(self) -> frozenset[int]:
+        """Whose pictures somebody has on the screen."""
+
+    def tell(self, state: dict[str, Any]) -> None: ...
+    def show(self, drone_id: int, view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> None: ...
+
+
+class Feed(Protocol):
+    """Where all comes from: a swarm that runs, or a recording."""
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        """Who can be watched."""
+
+    async def run(self, audience: Audience) -> None:
+        """Until cancelled, or at its end."""
+
+    def on_watched(self) -> None:
+        """Viewers, or what they watch, may be others."""
+
+    def on_wish(self, wish: dict[str, Any]) -> bool:
+        """Something else that a page wants; whether that is known here."""
+
+
+class Viewer:
+    """One open page."""
+
+    def __init__(self, socket: web.WebSocketResponse) -> None:
+        self.watched: frozenset[int] = frozenset()
+        self.replaced = 0
+        """Messages that a newer one overtook."""
+        self._socket = socket
+        self._waiting: dict[str | int, str | bytes] = {}
+        self._news = asyncio.Event()
+        self._drawn = asyncio.Event()
+        self._unacknowledged = 0
+
+    def give(self, slot: str | int, message: str | bytes) -> None:
+        """The newest of its kind; it is sent once the viewer has drawn what it has."""
+        self.replaced += slot in self._waiting
+        self._waiting[slot] = message
+        self._news.set()
+
+    async def close(self) -> None:
+        await self._socket.close(code=WSCloseCode.GOING_AWAY)
+
+    def on_drawn(self) -> None:
+        self._unacknowledged = max(0, self._unacknowledged - 1)
+        if not self._unacknowledged:
+            self._drawn.set()
+
+    async def send(self) -> None:
+        """Until the socket closes."""
+        while not self._socket.closed:
+            await self._news.wait()
+            self._news.clear()
+            waiting, self._waiting = self._waiting, {}
+            self._drawn.clear()
+            self._unacknowledged = len(waiting)
+            for message in waiting.values():
+                if isinstance(message, str):
+                    await self._socket.send_str(message)
+                else:
+                    await self._socket.send_bytes(message)
+            if waiting:
+                await self._drawn.wait()
+
+
+class MonitorServer:
+    """Passes to every viewer what the feed tells and shows."""
+
+    def __init__(self, feed: Feed, door: Door) -> None:
+        self._feed = feed
+        self._door = door
+        self._viewers: set[Viewer] = set()
+
+    def application(self) -> web.Application:
+        application = web.Application(client_max_size=4096)
+        application.router.add_get("/", self._serve_page)
+        application.router.add_get("/ws", self._serve_viewer)
+        application.on_shutdown.append(self._close_viewers)
+        return application
+
+    async def run(self) -> None:
+        """Until cancelled, or until the feed ends."""
+        await self._feed.run(self)
+
+    # --- for the feed -------------------------------------------------------------------
+
+    @property
+    def is_there(self) -> bool:
+        return bool(self._viewers)
+
+    @property
+    def watched(self) -> frozenset[int]:
+        return frozenset().union(*(viewer.watched for viewer in self._viewers))
+
+    def tell(self, state: dict[str, Any]) -> None:
+        text = json.dumps(state, allow_nan=False, separators=(",", ":"))
+        for viewer in self._viewers:
+            viewer.give("state", text)
+
+    def show(self, drone_id: int, view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> None:
+        header = {
+            "drone": drone_id,
+            "width": view.width,
+            "height": view.height,
+            "boxes": boxes(view, tracks),
+        }
+        text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
+        message = struct.pack("<I", len(text)) + text + view.jpeg
+        for viewer in self._viewers:
+            if drone_id in viewer.watched:
+                viewer.give(drone_id, message)
+
+    # --- serving ------------------------------------------------------------------------
+
+    async def _serve_page(self, request: web.Request) -> web.Response:
+        reason = self._door.refuse(request)
+        if reason is not None:
+            return web.Response(status=403, text=f"403: {reason}\n")
+        return web.Response(
+            text=self._door.page, content_type="text/html", headers=self._door.headers(request)
+        )
+
+    async def _serve_viewer(self, request: web.Request) -> web.StreamResponse:
+        reason = self._door.refuse(request)
+        if reason is not None:
+            return web.Response(status=403, text=f"403: {reason}\n")
+        if len(self._viewers) >= MAX_VIEWERS:
+            return web.Response(status=503, text=f"503: {MAX_VIEWERS} pages look already\n")
+        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_WORD, compress=False)
+        await socket.prepare(request)
+        viewer = Viewer(socket)
+        self._viewers.add(viewer)
+        self._feed.on_watched()
+        sending = asyncio.create_task(viewer.send(), name="viewer")
+        try:
+            async for word in socket:
+                if word.type is not WSMsgType.TEXT or not self._on_word(viewer, word.data):
+                    break
+        finally:
+            sending.cancel()
+            with contextlib.suppress(asyncio.CancelledError, ConnectionError):
+                await sending
+            self._viewers.discard(viewer)
+            self._feed.on_watched()
+        return socket
+
+    def _on_word(self, viewer: Viewer, word: str) -> bool:
+        """Whether it was one that our page says."""
+        if word == "+":
+            viewer.on_drawn()
+            return True
+        try:
+            wish: Any = json.loads(word)
+            if not isinstance(wish, dict) or "watch" not in wish:
+                return isinstance(wish, dict) and self._feed.on_wish(wish)
+            ids = wish["watch"]
+            wished = frozenset(drone_id for drone_id in ids if type(drone_id) is int and 0 < drone_id < 65536)
+        except (ValueError, TypeError, RecursionError):
+            return False
+        # Only of those that are there: nobody makes us subscribe to a thousand drones that are not.
+        viewer.watched = frozenset(sorted(wished.intersection(self._feed.drones))[:MAX_WATCHED])
+        self._feed.on_watched()
+        return True
+
+    async def _close_viewers(self, application: web.Application) -> None:
+        await asyncio.gather(*(viewer.close() for viewer in list(self._viewers)))

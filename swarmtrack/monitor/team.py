@@ -1,0 +1,358 @@
+"""A team as it is heard: who lives, how each is doing, what happened; and the state that the page shows."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.clock import Clock
+from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.monitor.verdict import Reports, Verdict
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.sender_clock import REPORTED_CLOCKS_AGREE_S, SenderClock
+from swarmtrack.wire import codec
+
+MAX_DRONES = 1024  # beyond it is an attack or a mistake
+SILENT_S = 2.0  # s without a word: gone, whatever its token says
+FORGOTTEN_S = 600.0  # s after which a drone that went is listed no more
+VIEW_S = 2.0  # s that a view says where a camera looks
+HISTORY = 60  # health messages, for the lines: a minute
+TRACKS_KEPT = 64  # messages, to find those of a frame's instant among: a second and more
+EVENTS_KEPT = 200
+EVENTS_SHOWN = 60
+JUDGING_S = 0.5  # s: reports come once a second, and thirty drones' cost 20 ms to judge
+SLOW = 0.7  # of the rate that was asked for
+SETTLED_S = 5.0  # s of an agent's life, after which it is judged by its rates
+
+
+@dataclass(slots=True)
+class Drone:
+    """One drone, as heard. Times are on our monotonic clock."""
+
+    boots: set[str] = field(default_factory=set)
+    boot: str = ""
+    heard: float = -math.inf
+    gone_since: float | None = None
+    clock: SenderClock = field(default_factory=SenderClock)
+    announcement: codec.AnnouncementMessage | None = None
+    tracks: deque[codec.TracksMessage] = field(default_factory=lambda: deque(maxlen=TRACKS_KEPT))
+    health: codec.HealthMessage | None = None
+    history: deque[tuple[float, ...]] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    view: codec.VideoMessage | None = None
+    view_at: float = -math.inf
+    told_events: tuple[str, ...] = ()
+
+
+class Team:
+    """Told of samples; answers with the state. Only the event loop may call."""
+
+    def __init__(self, name: str, clock: Clock) -> None:
+        self.name = name
+        self.unreadable = 0
+        self._clock = clock
+        self._drones: dict[int, Drone] = {}
+        self._reports = Reports()
+        self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_KEPT)
+        self._event_count = 0
+        self._light = ""
+        self._verdict = Verdict((), ())
+        self._judged_at = -math.inf
+
+    def on_sample(self, sample: Sample) -> codec.VideoMessage | None:
+        """Take it in; a view is also handed back."""
+        address = keys.parse(sample.key)
+        if address is None or address.team != self.name:
+            return None
+        drone = self._drones.get(address.drone_id)
+        if drone is None:
+            if len(self._drones) >= MAX_DRONES or (address.kind is Kind.ALIVE and not sample.alive):
+                return None
+            drone = self._drones[address.drone_id] = Drone()
+        if address.kind is Kind.ALIVE:
+            self._on_token(address.drone_id, drone, address.rest, sample)
+            return None
+        if address.kind is Kind.TRACKS and sample.arrived - drone.view_at > VIEW_S:
+            self._on_word(
+                address.drone_id, drone, sample.arrived
+            )  # nobody looks at its pictures: thirty drones' tracks are dear to read
+            return None
+        try:
+            message = keys.DECODERS[address.kind](sample.payload)
+        except codec.DecodeError:
+            self.unreadable += 1
+            return None
+        self._on_word(address.drone_id, drone, sample.arrived)
+        return self._on_message(address.drone_id, drone, message, sample.arrived)
+
+    def on_sign_of_life(self, drone_id: int, arrived: float) -> None:
+        """It said something that need not be read."""
+        drone = self._drones.get(drone_id)
+        if drone is not None:
+            self._on_word(drone_id, drone, arrived)
+
+    def tracks_at(self, drone_id: int, t_utc_s: float) -> codec.TracksMessage | None:
+        """What a drone tracked at the instant of a frame, by its own clock, or nearest to it."""
+        drone = self._drones.get(drone_id)
+        if drone is None:
+            return None
+        return min(drone.tracks, key=lambda message: abs(message.t_utc_s - t_utc_s), default=None)
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        return tuple(self._drones)
+
+    def is_alive(self, drone_id: int) -> bool:
+        drone = self._drones.get(drone_id)
+        return drone is not None and drone.gone_since is None
+
+    def state(self) -> dict[str, Any]:
+        """Everything the page shows but pictures; JSON, units in the names where they are not plain."""
+        self.look()
+        now = self._clock.now()
+        kind, text, also = self._sentence(self._verdict)
+        return {
+            "team": self.name,
+            "light": {"kind": kind, "text": text, "also": also},
+            "drones": [self._drone_state(drone_id, now) for drone_id in sorted(self._drones)],
+            "looks": [
+                [look.observer, look.called, look.whom, look.right, round(look.probability, 3)]
+                for look in self._verdict.looks
+            ],
+            "events": list(self._events)[-EVENTS_SHOWN:],
+            "unreadable": self.unreadable,
+        }
+
+    def look(self) -> None:
+        """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
+        now = self._clock.now()
+        self._find_the_gone(now)
+        if now - self._judged_at >= JUDGING_S:
+            self._judged_at = now
+            self._verdict = self._reports.judge(filter(self.is_alive, self._drones), now)
+        kind, text, _ = self._sentence(self._verdict)
+        if text != self._light:
+            self._light = text
+            self._note(None, text, kind)
+
+    # --- hearing ------------------------------------------------------------------------
+
+    def _on_token(self, drone_id: int, drone: Drone, rest: tuple[str, ...], sample: Sample) -> None:
+        if len(rest) != 1 or not keys.is_boot(rest[0]):
+            return
+        if sample.alive:
+            drone.boots.add(rest[0])
+            drone.heard = sample.arrived
+            if drone.gone_since is not None or len(drone.boots) == 1:
+                self._note(drone_id, "is back" if drone.gone_since is not None else "is here", "ok")
+            drone.gone_since = None
+        else:
+            drone.boots.discard(rest[0])
+            if not drone.boots:
+                self._gone(drone_id, drone, sample.arrived)
+
+    def _on_word(self, drone_id: int, drone: Drone, arrived: float) -> None:
+        drone.heard = arrived
+        if drone.gone_since is not None and drone.boots:  # it was silent for a while
+            drone.gone_since = None
+            self._note(drone_id, "is back", "ok")
+
+    def _on_message(
+        self, drone_id: int, drone: Drone, message: codec.Message, arrived: float
+    ) -> codec.VideoMessage | None:
+        match message:
+            case codec.AnnouncementMessage() if message.drone_id == drone_id:
+                drone.announcement = message
+            case codec.SightingsMessage() if message.drone_id == drone_id:
+                self._on_sightings(drone, message, arrived)
+            case codec.TracksMessage():
+                drone.tracks.append(message)
+            case codec.HealthMessage():
+                self._on_health(drone_id, drone, message)
+            case codec.VideoMessage():
+                drone.view, drone.view_at = message, arrived
+                return message
+        return None
+
+    def _on_sightings(self, drone: Drone, message: codec.SightingsMessage, arrived: float) -> None:
+        if message.boot != drone.boot:
+            drone.boot, drone.clock = message.boot, SenderClock()
+        offset = self._clock.utc() - self._clock.now()
+        t, t_sigma = drone.clock.time_of(
+            message, arrived=arrived, utc_offset=offset, tolerance=REPORTED_CLOCKS_AGREE_S
+        )
+        self._reports.add(codec.sighting_report(message, t, t_sigma))
+
+    def _on_health(self, drone_id: int, drone: Drone, message: codec.HealthMessage) -> None:
+        old = drone.told_events if drone.health and drone.health.boot == message.boot else ()
+        for line in _new_lines(old, message.events):
+            self._note(drone_id, line, "note")
+        drone.told_events = message.events
+        drone.health = message
+        detector = message.latencies.get("detector")
+        drone.history.append(
+            (
+                round(message.cpu_percent, 1),
+                round(1e3 * detector.p50_s, 1) if detector else math.nan,
+                *(round(rate.got_hz, 1) for rate in _rates(message)),
+            )
+        )
+
+    def _find_the_gone(self, now: float) -> None:
+        for drone_id, drone in list(self._drones.items()):
+            if (
+                drone.gone_since is None and now - drone.heard > SILENT_S
+            ):  # a token outlives the radio by the lease
+                self._gone(drone_id, drone, drone.heard)
+            elif drone.gone_since is not None and now - drone.gone_since > FORGOTTEN_S:
+                del self._drones[drone_id]
+
+    def _gone(self, drone_id: int, drone: Drone, since: float) -> None:
+        if drone.gone_since is None:
+            drone.gone_since = since
+            self._reports.forget(drone_id)
+            self._note(drone_id, "is gone", "warn")
+
+    def _note(self, drone_id: int | None, text: str, kind: str) -> None:
+        self._event_count += 1
+        self._events.append(
+            {
+                "n": self._event_count,
+                "t_utc_s": round(self._clock.utc(), 1),
+                "drone": drone_id,
+                "text": text,
+                "kind": kind,
+            }
+        )
+
+    # --- the one sentence ---------------------------------------------------------------
+
+    def _sentence(self, verdict: Verdict) -> tuple[str, str, list[str]]:
+        """Its kind (bad, warn, ok, idle), itself, and what else there would be to say."""
+        bad = [
+            f"{len(drone.boots)} processes speak as drone {drone_id}"
+            for drone_id, drone in self._drones.items()
+            if len(drone.boots) > 1
+        ]
+        bad += verdict.disagreements
+        warn = []
+        for drone_id, drone in sorted(self._drones.items()):
+            if drone.gone_since is not None:
+                warn.append(f"drone {drone_id} is gone")
+            else:
+                warn += [f"drone {drone_id} {trouble}" for trouble in troubles(drone.health)]
+        said = bad + warn
+        if said:
+            return "bad" if bad else "warn", said[0], said[1:]
+        here = len(self._drones)
+        if not here:
+            return "idle", f"no drone of team {self.name} is heard", []
+        drones = "1 drone" if here == 1 else f"{here} drones"
+        if not any(look.right for look in verdict.looks):
+            return "idle", f"{drones} here, no names to compare yet", []
+        return "ok", f"{drones} agree", []
+
+    # --- one drone ----------------------------------------------------------------------
+
+    def _drone_state(self, drone_id: int, now: float) -> dict[str, Any]:
+        drone = self._drones[drone_id]
+        report = self._reports.newest(drone_id)
+        position: tuple[float, ...] | None = None
+        axis: list[float] | None = None
+        fov: float | None = None
+        if report is not None:
+            position = tuple(report.position.tolist())
+        elif drone.announcement is not None:
+            position = drone.announcement.position_m
+        view = drone.view
+        if view is not None and now - drone.view_at < VIEW_S:
+            position = view.position_m or position
+            fov = 2.0 * math.atan2(view.lens.width / 2.0, view.lens.fx)
+            if view.quaternion_wxyz is not None:
+                forward = from_quaternion(view.quaternion_wxyz)[:, 2]
+                axis = [round(float(forward[0]), 4), round(float(forward[1]), 4)]
+        return {
+            "id": drone_id,
+            "gone_s": None if drone.gone_since is None else round(now - drone.gone_since, 1),
+            "position_m": None if position is None else [round(p, 2) for p in position],
+            "axis": axis,
+            "fov_rad": fov and round(fov, 3),
+            "rays": []
+            if report is None
+            else [[s.drone_id, *np.round(s.direction, 3).tolist()] for s in report.sightings],
+            "link_age_s": round(max(0.0, now - drone.heard), 2) if math.isfinite(drone.heard) else None,
+            "troubles": troubles(drone.health),
+            "health": None if drone.health is None else _health_state(drone.health),
+            "history": [[None if math.isnan(v) else v for v in row] for row in drone.history],
+        }
+
+
+def troubles(health: codec.HealthMessage | None) -> list[str]:
+    """What is wrong with a drone by its own word, in words that follow its name."""
+    if health is None:
+        return []
+    names = {"autopilot": "lost its autopilot", "camera": "lost its camera", "zenoh": "lost the network"}
+    found = [
+        names.get(link.name, f"has trouble with its {link.name}") for link in health.links if not link.ok
+    ]
+    autopilot_is_up = any(link.name == "autopilot" and link.ok for link in health.links)
+    if health.uptime_s < SETTLED_S:
+        return found
+    imu = health.rates.get("imu")
+    if imu is not None and imu.asked_hz and autopilot_is_up:
+        if imu.got_hz == 0.0:
+            found.insert(0, "lost its IMU")
+        elif imu.got_hz < SLOW * imu.asked_hz:
+            found.append(
+                "gets too few IMU samples"
+            )  # how many is in the table: a line of events for each number would be too much
+    detections = health.rates.get("detections")
+    if detections is not None and detections.got_hz == 0.0 and "lost its camera" not in found:
+        found.append("gets no frames")
+    return found
+
+
+def _rates(health: codec.HealthMessage) -> list[codec.RateHealth]:
+    none = codec.RateHealth(None, 0.0)
+    return [health.rates.get(name, none) for name in ("imu", "detections", "tracks")]
+
+
+def _health_state(health: codec.HealthMessage) -> dict[str, Any]:
+    latency = health.latencies.get("exposure_to_detector")
+    detector = health.latencies.get("detector")
+    published = health.latencies.get("detections_to_published")
+    return {
+        "rates": [[rate.asked_hz, round(rate.got_hz, 1)] for rate in _rates(health)],
+        "latency_ms": _ms(latency, detector, published),
+        "detector_ms": _ms(detector),
+        "clock_offset_s": health.clock_offset_s,
+        "clock_sigma_s": health.clock_offset_sigma_s,
+        "cpu_percent": round(health.cpu_percent, 1),
+        "rss_mb": round(health.rss_mb),
+        "uptime_s": round(health.uptime_s),
+        "drops": {name: count for name, count in health.drops.items() if count and _is_loss(name)},
+        "links": [[link.name, link.ok, link.text] for link in health.links],
+    }
+
+
+def _ms(*spreads: codec.LatencyHealth | None) -> float | None:
+    """The 95th percentiles, one after the other."""
+    known = [spread.p95_s for spread in spreads if spread is not None]
+    return round(1e3 * sum(known), 1) if known else None
+
+
+def _is_loss(name: str) -> bool:
+    """Health counts under `drops` also what simply happened."""
+    return name not in ("scans", "detections", "sightings_agreed", "sightings_disagreed")
+
+
+def _new_lines(old: tuple[str, ...], new: tuple[str, ...]) -> tuple[str, ...]:
+    """What a list that loses its oldest lines has gained."""
+    for kept in range(min(len(old), len(new)), 0, -1):
+        if old[-kept:] == new[:kept]:
+            return new[kept:]
+    return new

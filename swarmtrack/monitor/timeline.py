@@ -1,0 +1,108 @@
+"""What the monitor plays: everything a recording holds for its page, in the order in which it was heard.
+
+All times are UTC [s] of the first recording's clock. Pictures and tracks wait in a temporary file, since ten minutes of
+them are too much to hold; they are read when they are shown.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from bisect import bisect_left
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from swarmtrack.errors import RecordingError
+from swarmtrack.transport.base import Sample
+from swarmtrack.wire import codec
+
+
+class Blob(NamedTuple):
+    """Where bytes lie in the shelf."""
+
+    offset: int
+    length: int
+
+
+class Shelf:
+    """A temporary file that nobody else sees, and that goes with us."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile(prefix="swarmtrack-")  # noqa: SIM115 - it lives as long as we do
+        self._size = 0
+
+    def put(self, data: bytes) -> Blob:
+        """Raises RecordingError where the disk takes no more."""
+        try:
+            self._file.write(data)
+        except OSError as error:
+            raise RecordingError(
+                f"{tempfile.gettempdir()}: {error.strerror}, expected room for the recording's pictures (TMPDIR)"
+            ) from error
+        blob = Blob(self._size, len(data))
+        self._size += len(data)
+        return blob
+
+    def get(self, blob: Blob) -> bytes:
+        self._file.flush()
+        return os.pread(self._file.fileno(), blob.length, blob.offset)
+
+
+class Word(NamedTuple):
+    """Something a drone said. sample None: no more than that it spoke; picture: of a view, whose own is empty."""
+
+    t: float
+    drone_id: int
+    sample: Sample | None
+    picture: Blob | None = None
+
+
+@dataclass(slots=True)
+class Tracked:
+    """What one life of a drone tracked. times: by its own UTC, ascending [s]; read: what a blob says."""
+
+    read: Callable[[bytes], codec.TracksMessage]
+    times: list[float] = field(default_factory=list)
+    blobs: list[Blob] = field(default_factory=list)
+
+    def add(self, t_utc_s: float, blob: Blob) -> None:
+        if not self.times or t_utc_s > self.times[-1]:  # what comes out of order is nobody's newest
+            self.times.append(t_utc_s)
+            self.blobs.append(blob)
+
+    def nearest(self, t_utc_s: float) -> tuple[float, Blob] | None:
+        """To the instant of a frame: how far off it is, and what was tracked."""
+        k = bisect_left(self.times, t_utc_s)
+        near = range(max(0, k - 1), min(len(self.times), k + 1))
+        return min(((abs(self.times[i] - t_utc_s), self.blobs[i]) for i in near), default=None)
+
+
+@dataclass(slots=True)
+class Timeline:
+    """words: in order, never empty. notes: what people should know of the recording, a sentence each."""
+
+    team: str
+    words: list[Word]
+    tracked: dict[int, list[Tracked]]
+    shelf: Shelf
+    notes: list[str]
+
+    @property
+    def begin(self) -> float:
+        return self.words[0].t
+
+    @property
+    def seconds(self) -> float:
+        return self.words[-1].t - self.words[0].t
+
+    def tracks_at(self, drone_id: int, t_utc_s: float) -> codec.TracksMessage | None:
+        """What a drone tracked at the instant of a frame, or nearest to it; None also where it cannot be read."""
+        found = [(*near, life) for life in self.tracked.get(drone_id, ()) if (near := life.nearest(t_utc_s))]
+        if not found:
+            return None
+        _, blob, life = min(found, key=lambda one: one[0])
+        try:
+            return life.read(self.shelf.get(blob))
+        except (codec.DecodeError, RecordingError):
+            return None

@@ -1,0 +1,52 @@
+"""What `--check` says: what an agent would do with a config, without doing it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from swarmtrack.config import load_config
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.outputs import check_outputs
+from swarmtrack.sensors.camera_address import parse_address as camera_address
+from swarmtrack.sensors.mavlink.address import parse_address as link_address
+
+# What --check says of `autopilot.tell` beyond the harmless (docs/telling.md).
+DANGERS = {
+    "camera_tracking": "one box for all teammates; QGroundControl draws it only beside a MAVLink camera that tracks, "
+    "which the agent is not",
+    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it hears of; places are the teammates' own "
+    "word, checked by the camera's direction only",
+}
+
+
+def check(path: Path) -> None:
+    """`--check`: print what an agent would do with this config. Raises SwarmtrackError where it could not."""
+    config = load_config(path)
+    parts = assemble(config)
+    with config.blamed("output"):
+        check_outputs(config.output.jsonl, config.output.video)
+    lens = parts.lens
+    camera, link = camera_address(config.camera.source), config.autopilot.link
+    print(f"drone      {config.drone.id} of team {config.network.team}")
+    print(f"camera     {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
+    print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
+    if link in ("none", "sim"):
+        print(f"autopilot  {'simulated' if parts.autopilot else 'none: the camera is taken to be still'}")
+    else:
+        autopilot = link_address(link)
+        print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
+        print(f"telling    {', '.join(config.autopilot.tell) or 'nothing but our heartbeat'}")
+    detector = (
+        "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
+    )
+    print(f"detector   {detector}")
+    print(f"tracker    {config.tracker.name}")
+    for word in config.autopilot.tell:
+        if word in DANGERS:
+            print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")
+    print(f"{path}: ok")
+
+
+def _absence(device: str) -> str:
+    """A device that may be plugged in later is no mistake, but worth a word."""
+    return "" if Path(device).exists() else "   (not there now: it is waited for)"

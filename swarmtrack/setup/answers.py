@@ -1,0 +1,118 @@
+"""How the answers to `swarmtrack config new` are read: each raises ValueError or SwarmtrackError with a sentence."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+from swarmtrack.errors import SourceError
+
+
+class Wiring(NamedTuple):
+    """How an autopilot is usually connected: its address, and what is to know of it, as lines of a comment."""
+
+    link: str
+    notes: tuple[str, ...] = ()
+
+
+UART = "serial:/dev/ttyAMA0:921600"
+USB = "serial:/dev/ttyACM0:921600"
+PX4_UART = "PX4, once: MAV_1_CONFIG = TELEM 2, MAV_1_MODE = Onboard, SER_TEL2_BAUD = 921600"
+ARDUPILOT_UART = "ArduPilot, once: SERIAL2_PROTOCOL = 2, SERIAL2_BAUD = 921; SR2_* stay as they are"
+DEVICES = "/dev/ttyAMA0 is the UART of a Raspberry Pi; a Jetson has /dev/ttyTHS1"
+BY_ID = "Its name in /dev/serial/by-id survives replugging."
+WIRINGS = {
+    "px4-uart": Wiring(UART, (PX4_UART, DEVICES)),
+    "px4-usb": Wiring(USB, (BY_ID,)),
+    "px4-udp": Wiring("udpin:0.0.0.0:14540", ("Where PX4 sends to companions by default.",)),
+    "ardupilot-uart": Wiring(UART, (ARDUPILOT_UART, DEVICES)),
+    "ardupilot-usb": Wiring(USB, (BY_ID,)),
+    "ardupilot-udp": Wiring("udpin:0.0.0.0:14550", ("Let ArduPilot, or the router beside it, send here.",)),
+    "none": Wiring("none", ("No autopilot: the camera is taken to be still.",)),
+}
+
+
+class Calibration(NamedTuple):
+    """A file that could be read, and the image size it is for."""
+
+    file: Path
+    size: tuple[int, int]
+
+
+def drone_id(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 65535):
+        raise ValueError(f"found {text}, expected a whole number, 1 … 65535")
+    return int(text)
+
+
+def peer(text: str) -> tuple[int, str]:
+    number, _, host = text.partition("=")
+    if not host:
+        raise ValueError(f"found {text}, expected ID=HOST or ID=HOST:PORT")
+    return drone_id(number), host
+
+
+def size(text: str) -> tuple[int, int]:
+    """(width, height) px."""
+    width, _, height = text.lower().partition("x")
+    if not all(side.isascii() and side.isdigit() and 0 < int(side) < 100_000 for side in (width, height)):
+        raise ValueError(f"found {text}, expected WIDTHxHEIGHT such as 640x480")
+    return int(width), int(height)
+
+
+def angle(text: str) -> float:
+    """Degrees."""
+    try:
+        degrees = float(text)
+    except ValueError:
+        degrees = math.nan
+    if not 1.0 <= degrees <= 170.0:
+        raise ValueError(f"found {text}, expected degrees, 1 … 170 (wider lenses need a calibration)")
+    return degrees
+
+
+def calibration(text: str) -> Calibration | None:
+    """None: there is none yet."""
+    from swarmtrack.camera_files import load_calibration
+
+    if text == "-":
+        return None
+    lens = load_calibration(Path(text), None).camera
+    return Calibration(Path(text), (lens.width, lens.height))
+
+
+def camera(text: str) -> str:
+    """`usb`, or an address that can be one."""
+    from swarmtrack.sensors.camera_address import parse_address
+
+    if text != "usb":
+        parse_address(text)
+    return text
+
+
+def wiring(text: str) -> Wiring:
+    from swarmtrack.sensors.mavlink.address import parse_address
+
+    if text in WIRINGS:
+        return WIRINGS[text]
+    if text == "sim":
+        return Wiring("sim", ("The same simulation.",))
+    try:
+        return Wiring(str(parse_address(text)))
+    except SourceError as error:
+        raise ValueError(f"{error}; or one of {', '.join(WIRINGS)}") from error
+
+
+def start(text: str) -> str:
+    """The value of drone.start."""
+    words = text.split()
+    if words in (["gps"], ["local"]):
+        return f'{{ from = "{words[0]}" }}'
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"found {text}, expected NORTH EAST DOWN YAW, gps or local")
+    return f"{{ position_m = [{', '.join(map(str, numbers[:3]))}], yaw_deg = {numbers[3]} }}"

@@ -1,0 +1,1 @@
+"""TOML files: layered by `extends`, read with the line of each key."""

@@ -1,0 +1,1 @@
+"""What drones say to each other, as bytes: `docs/wire.md`, in code."""

@@ -1,0 +1,38 @@
+"""Must hold 8 in small: random and hostile scans leave every number sound; the benchmark plays a million."""
+
+import numpy as np
+import pytest
+
+from swarmtrack.benchmarks.trackers import soak
+from swarmtrack.messages import Track, TrackStatus
+from swarmtrack.tracking import TRACKERS
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", TRACKERS)
+def test_hostile_scans_leave_every_number_sound(name):
+    found = soak.endure(name, 400, seed=3)
+    assert found.tracks_seen > 5_000
+    assert (found.not_finite, found.not_positive, found.not_a_probability) == (0, 0, 0)
+
+
+def test_what_is_unsound_is_noticed():
+    def track(mean=1.0, variance=1.0, probability=0.5):
+        return Track(
+            1,
+            0.0,
+            np.full(4, mean),
+            np.diag([variance, 1.0, 1.0, 1.0]),
+            TrackStatus.CONFIRMED,
+            probability,
+            np.ones(2),
+        )
+
+    tracks = [
+        track(),
+        track(mean=np.nan),
+        track(variance=-1.0),
+        track(probability=1.5),
+        track(probability=np.nan),
+    ]
+    assert soak._faults(tracks) == (1, 1, 2)

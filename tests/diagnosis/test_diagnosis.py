@@ -1,0 +1,328 @@
+"""Every sentence of doctor comes from facts that deserve it, and stands in docs/troubleshooting.md."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.places import ROOT
+from swarmtrack.config import MountedCamera, load_config
+from swarmtrack.diagnosis.findings import FAULTS, Finding, Level, markdown_table, worst
+from swarmtrack.diagnosis.mounting import (
+    MotionFacts,
+    MountFacts,
+    check_calibration,
+    check_motion,
+    check_mount,
+    looks,
+)
+from swarmtrack.diagnosis.readiness import judge
+from swarmtrack.diagnosis.sources import (
+    AutopilotFacts,
+    CameraFacts,
+    ImuFacts,
+    check_autopilot,
+    check_camera,
+    check_imu,
+)
+from swarmtrack.diagnosis.surroundings import (
+    DetectorFacts,
+    DiskFacts,
+    HeatFacts,
+    NetworkFacts,
+    check_detector,
+    check_disk,
+    check_heat,
+    check_network,
+    in_words,
+)
+from swarmtrack.doctor import machine
+from swarmtrack.doctor.team import _multicast
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera, RadTan
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.messages import IdClash, LinkStatus, PeerDeparted, StampKind
+from swarmtrack.motion.hand_eye import Agreement, HandEye
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.health import Health
+from swarmtrack.wire.codec import decode_health, encode_health
+
+DOCS = ROOT / "docs" / "troubleshooting.md"
+FORWARD = rotation.BODY_FROM_FORWARD_CAMERA
+GOOD = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
+FOLDING = RadTan((-0.8, 0.0, 0.0, 0.0))
+
+
+def camera(text="streaming; 30.0 fps", *, ok=True, **facts):
+    counters = facts.pop("counters", {"fps": 30.0, "frames": 100, "age_p50_ms": 20.0, "t_sigma_ms": 1.0})
+    status = LinkStatus("camera", ok, text, tuple(counters.items()))
+    told = {"frames": 100, "stamps": frozenset({StampKind.EXPOSURE}), "shade": (90.0, 40.0)} | facts
+    return check_camera(CameraFacts(8.0, 0.5, status, **told))
+
+
+def autopilot(text="udpin:0.0.0.0:1: streaming: IMU 200 Hz", *, ok=True, **changes):
+    counters = {
+        "imu_rate_asked_hz": 200.0,
+        "imu_rate_hz": 200.0,
+        "imu_samples": 1000,
+        "imu_lost": 0,
+    } | changes
+    return check_autopilot(
+        AutopilotFacts(8.0, status=LinkStatus("autopilot", ok, text, tuple(counters.items())))
+    )
+
+
+def imu(accel, *, gyro=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
+    attitudes = np.repeat(rotation.from_euler(*rpy)[None], 50, axis=0)
+    samples = [np.tile(np.array(each, dtype=float), (200, 1)) for each in (gyro, accel)]
+    return check_imu(ImuFacts(*samples, np.linspace(0.0, 5.0, 50), attitudes))
+
+
+def mounted(camera=GOOD, R=FORWARD, position=(0.1, 0.0, 0.0)):
+    return MountedCamera(camera, Pose(R, np.array(position)), 0.0)
+
+
+def motion(gain=(1.0, 1.0, 1.0), rpy=(0.0, 0.0, 0.0), offset=0.0):
+    C = (rotation.from_euler(*rpy) @ FORWARD).T
+    found = HandEye(
+        C, offset, np.zeros(3), np.full(3, 1e-3), 1e-3, np.ones(3), np.ones(3), 1e-3, 0.0, 100, False
+    )
+    return check_motion(MotionFacts("", Agreement(np.array(gain), np.ones(3), offset), found), mounted())
+
+
+def network(**facts):
+    return check_network(NetworkFacts(1, "red", **facts))
+
+
+def disk(refused="", free=1e10):
+    return check_disk((DiskFacts("output.jsonl", Path("/data/t.jsonl"), refused, free),))
+
+
+def late(age_ms):
+    return {"fps": 30.0, "frames": 100, "age_p50_ms": age_ms}
+
+
+PRODUCED = {
+    "camera.address": lambda: check_camera(CameraFacts(8.0, 0.5, refused="camera source x: unknown scheme")),
+    "camera.missing": lambda: camera("/dev/video7 is not there, and no other /dev/video*", ok=False, frames=0),
+    "camera.forbidden": lambda: camera("/dev/video0: permission denied; run `sudo …`", ok=False, frames=0),
+    "camera.busy": lambda: camera("/dev/video0: busy, held by cheese (pid 7)", ok=False, frames=0),
+    "camera.unreachable": lambda: camera("cannot connect to pi port 80: refused; trying again", ok=False),
+    "camera.silent": lambda: camera("UVC: YUYV 640x480; waiting for the first frame", ok=False, frames=0),
+    "camera.size": lambda: camera("frames are 64x48, the calibration is for 640x480: set", ok=False),
+    "camera.stale": lambda: camera(counters=late(900.0)),
+    "camera.broken": lambda: camera("the driver reports an error", ok=False),
+    "camera.late": lambda: camera(counters=late(300.0)),
+    "camera.slow": lambda: camera(counters={**late(20.0), "fps": 12.0}, asked_hz=30.0),
+    "camera.damaged": lambda: camera(counters={**late(20.0), "corrupt": 20}),
+    "camera.stamps": lambda: camera(stamps=frozenset({StampKind.ARRIVAL})),
+    "camera.blank": lambda: camera(shade=(3.0, 0.4)),
+    "autopilot.address": lambda: check_autopilot(AutopilotFacts(8.0, refused="autopilot link 'x'")),
+    "autopilot.missing": lambda: autopilot("serial:/dev/a:1: searching: no such device: /dev/a", ok=False),
+    "autopilot.forbidden": lambda: autopilot("serial:/dev/a:1: searching: permission: /dev/a is", ok=False),
+    "autopilot.busy": lambda: autopilot("udpin:h:1: searching: busy, port 1 is held by x (pid 1)", ok=False),
+    "autopilot.unreachable": lambda: autopilot("tcp:h:1: searching: nobody listens at h:1", ok=False),
+    "autopilot.silent": lambda: autopilot("udpin:h:1: searching: port open, 0 bytes", ok=False),
+    "autopilot.garbage": lambda: autopilot("serial:x: searching: bytes but no valid frame: wrong baud?", ok=False),
+    "autopilot.foreign": lambda: autopilot("x: searching: frames but no autopilot heartbeat (heard: 1/100)", ok=False),
+    "autopilot.signature": lambda: autopilot("x: searching: frames, but 1/1 signs with another key", ok=False),
+    "autopilot.lost": lambda: autopilot("udpin:h:1: lost: nothing from autopilot 1 for 4 s", ok=False),
+    "autopilot.no_imu": lambda: autopilot("x: requesting: heartbeat, no IMU (RAW_IMU asked for)", ok=False),
+    "autopilot.no_position": lambda: autopilot("x: streaming: IMU, but no position: no fix", ok=False),
+    "autopilot.broken": lambda: autopilot("x: searching: something else", ok=False),
+    "autopilot.none": lambda: check_autopilot(AutopilotFacts(8.0, wanted=False)),
+    "autopilot.slow": lambda: autopilot(imu_rate_hz=100.0),
+    "autopilot.too_slow": lambda: autopilot(imu_rate_hz=20.0),
+    "autopilot.losing": lambda: autopilot(imu_lost=100),
+    "autopilot.clock": lambda: autopilot(clock_sigma_s=0.05),
+    "imu.upside_down": lambda: imu((0.0, 0.0, 9.81)),
+    "imu.tilted": lambda: imu((3.0, 0.0, -9.3)),
+    "imu.gravity": lambda: imu((0.0, 0.0, -7.0)),
+    "imu.bias": lambda: imu((0.0, 0.0, -9.81), gyro=(0.1, 0.0, 0.0)),
+    "calibration.unreadable": lambda: check_calibration(MountFacts(None, "cam.yaml: det R = -1, a reflection")),
+    "calibration.aspect": lambda: check_calibration(
+        MountFacts(mounted(PinholeCamera(430, 300, 320, 240, 640, 480)))
+    ),
+    "calibration.centre": lambda: check_calibration(
+        MountFacts(mounted(PinholeCamera(430, 430, 100, 240, 640, 480)))
+    ),
+    "calibration.field": lambda: check_calibration(MountFacts(mounted(PinholeCamera(9e3, 9e3, 320, 240, 640, 480)))),
+    "calibration.distortion": lambda: check_calibration(
+        MountFacts(mounted(PinholeCamera(300, 300, 320, 240, 640, 480, FOLDING)))
+    ),
+    "mount.radians": lambda: check_mount(MountFacts(mounted(), rpy_deg=(0.0, 1.5708, 0.0))),
+    "mount.position": lambda: check_mount(MountFacts(mounted(position=(10.0, 0.0, 0.0)))),
+    "mount.backwards": lambda: check_mount(MountFacts(mounted(R=rotation.from_euler(0, 0, math.pi) @ FORWARD))),
+    "motion.sign": lambda: motion(gain=(1.0, -1.0, 1.0)),
+    "motion.rotation": lambda: motion(rpy=(0.0, 0.3, 0.0)),
+    "motion.offset": lambda: motion(offset=0.05),
+    "detector.model": lambda: check_detector(DetectorFacts(refused="x.onnx: not a model that ONNX Runtime can load")),
+    "detector.provider": lambda: check_detector(DetectorFacts(refused="detector providers: none of cuda is installed")),
+    "detector.fallback": lambda: check_detector(DetectorFacts(providers=("cuda", "cpu"), runs_on=("cpu",))),
+    "detector.slow": lambda: check_detector(DetectorFacts(ms=90.0, fps=30.0)),
+    "network.closed": lambda: network(refused="network: cannot listen on tcp/127.0.0.1:7447: Address already in use"),
+    "network.router": lambda: network(refused="network: no router answers at tcp/10.0.0.1:7447"),
+    "network.address": lambda: network(absent_hosts=("10.0.0.1",)),
+    "network.id_clash": lambda: network(alive={2: ("aaaaaaaa", "bbbbbbbb")}),
+    "network.running": lambda: network(alive={1: ("aaaaaaaa",)}),
+    "network.absent": lambda: network(missing=("drone-2",)),
+    "network.stranger": lambda: network(strangers=("drone-9",)),
+    "network.clock": lambda: network(alive={2: ("aaaaaaaa",)}, apart_s={2: -7200.0}),
+    "network.multicast": lambda: network(multicast=("wlan7", "there is no such interface")),
+    "keys.expired": lambda: network(keys_refused="drone-1.pem: expired on 2020-01-01 00:00 UTC, and"),
+    "keys.early": lambda: network(keys_refused="drone-1.pem: is not valid before 2030-01-01 00:00 UTC, and"),
+    "keys.mode": lambda: network(keys_refused="drone-1.key: mode 0644 lets others on this machine read the key"),
+    "keys.broken": lambda: network(keys_refused="keys: holds no keys, expected those of drone-1"),
+    "keys.soon": lambda: network(expires_days=3.0, expires="2030-01-01 00:00"),
+    "disk.unwritable": lambda: disk("/data/t.jsonl: no permission to write there"),
+    "disk.full": lambda: disk(free=1e6),
+    "disk.low": lambda: disk(free=3e8),
+    "heat.hot": lambda: check_heat(HeatFacts({"cpu-thermal": 86.0})),
+    "heat.throttled": lambda: check_heat(HeatFacts({}, 0x50005)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_sentence_comes_from_facts_that_deserve_it(name: str):
+    findings: list[Finding] = PRODUCED[name]()
+    assert [finding.fault for finding in findings] == [name]
+    (finding,) = findings
+    assert finding.level == FAULTS[name].level
+    assert finding.remedy
+    assert "{" not in finding.found + finding.remedy
+
+
+def test_the_page_lists_every_sentence_as_doctor_says_it():
+    assert markdown_table() in DOCS.read_text(encoding="utf-8"), "run python -m swarmtrack.diagnosis.findings"
+
+
+@pytest.mark.parametrize(
+    "findings",
+    [
+        camera(),
+        autopilot(),
+        imu((0.0, 0.0, -9.81)),
+        imu((9.81 * math.sin(0.3), 0.0, -9.81 * math.cos(0.3)), rpy=(0.0, 0.3, 0.0)),
+        check_calibration(MountFacts(mounted())),
+        check_mount(MountFacts(mounted(), rpy_deg=(0.0, 0.0, 0.0))),
+        motion(),
+        check_detector(
+            DetectorFacts(name="default.onnx", providers=("cpu",), runs_on=("cpu",), ms=9.0, fps=30.0)
+        ),
+        network(alive={2: ("aaaaaaaa",)}, apart_s={2: 0.1}, expires_days=300.0),
+        disk(),
+        check_heat(HeatFacts({"cpu-thermal": 50.0}, 0)),
+    ],
+)
+def test_what_is_well_is_one_line_that_says_so(findings: list[Finding]):
+    assert [finding.level for finding in findings] == [Level.OK]
+
+
+def test_a_still_drone_is_told_to_be_turned_and_not_judged():
+    still = MotionFacts("", Agreement(np.array([-1.0, 0.1, 9.0]), np.full(3, 0.01), 0.0), None)
+    (finding,) = check_motion(still, mounted())
+    assert finding.level == Level.SKIPPED
+    assert "turn the drone by hand" in finding.found
+
+
+@pytest.mark.parametrize(
+    ("rpy_deg", "words"),
+    [
+        ((0, 0, 0), "forward"),
+        ((0, -20, 0), "forward, 20° down"),
+        ((0, 0, 90), "right"),
+        ((0, 0, 180), "backward"),
+        ((0, -90, 0), "straight down"),
+        ((180, 0, 0), "forward, upside down"),
+    ],
+)
+def test_where_a_camera_looks_is_said_in_words(rpy_deg, words):
+    assert looks(rotation.from_euler(*np.radians(rpy_deg)) @ FORWARD) == words
+
+
+def test_heat_is_read_as_the_kernel_writes_it(tmp_path):
+    for name, millidegrees in (("cpu-thermal", "86500\n"), ("broken", "nonsense"), ("absent", "-274000")):
+        zone = tmp_path / f"thermal_zone_{name}"
+        zone.mkdir()
+        (zone / "type").write_text(f"{name}\n")
+        (zone / "temp").write_text(millidegrees)
+    assert machine.heat(tmp_path).celsius == {"cpu-thermal": 86.5}
+
+
+def test_an_interface_that_cannot_multicast_is_named(tmp_path):
+    for name, flags in (("eth0", "0x1003"), ("lo", "0x9"), ("wlan0", "0x1002")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "flags").write_text(f"{flags}\n")
+    assert _multicast("eth0", tmp_path) == ("eth0", "")
+    assert _multicast("auto", tmp_path) == ("auto", "")
+    assert _multicast("wlan0", tmp_path)[1] == "it is down"
+    assert "no such interface" in _multicast("wlan9", tmp_path)[1]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(4.2, "4.2 s"), (180.0, "3.0 min"), (5400.0, "1.5 h"), (864000.0, "10.0 days")]
+)
+def test_durations_are_for_people(seconds, words):
+    assert in_words(seconds) == words
+
+
+def test_the_worst_of_nothing_is_ok():
+    assert worst([]) is Level.OK
+
+
+# ── the readiness of a running agent ─────────────────────────────────────────────────────────────────────────────────
+
+FINE = LinkStatus("x", True, "fine", (("fps", 30.0), ("frames", 100.0), ("age_p50_ms", 20.0)))
+CUT_OFF = LinkStatus("zenoh", False, "no router answers")
+
+
+def readiness(camera=FINE, autopilot=FINE, network=FINE, clones=()):
+    return judge(
+        camera=CameraFacts(3.0, 0.5, camera, frames=100),
+        autopilot=AutopilotFacts(3.0, status=autopilot),
+        detector=None,
+        network=network,
+        clones=clones,
+    )
+
+
+def test_a_drone_is_ready_where_nothing_fails():
+    assert readiness() == (True, ())
+    late = LinkStatus("x", True, "fine", (("fps", 30.0), ("frames", 100.0), ("age_p50_ms", 300.0)))
+    assert readiness(camera=late).ready  # a warning keeps nobody on the ground
+
+
+def test_each_failure_is_a_reason_not_to_fly():
+    silent = LinkStatus("x", False, "udpin:h:1: searching: port open, 0 bytes")
+    unplugged = LinkStatus("x", False, "unplugged; waiting for it")
+    ready, reasons = readiness(unplugged, silent, CUT_OFF, ("aaaaaaaa",))
+    assert not ready
+    assert [reason.split(":")[0] for reason in reasons] == [
+        "no camera",
+        "not a byte from the autopilot in 3 s",
+        "network",
+        "another agent speaks as this drone (boots aaaaaaaa)",
+    ]
+
+
+def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
+    path = tmp_path / "drone.toml"
+    path.write_text(
+        '[drone]\nid = 1\n[camera]\nsource = "http://127.0.0.1:9/"\n'
+        "intrinsics = { fx = 160, fy = 160, cx = 79.5, cy = 59.5, width = 160, height = 120 }\n"
+        '[network]\ntransport = "memory"\n[detector]\nscore_threshold = 0.5\n'
+    )
+    parts = assemble(load_config(path))
+    health = Health(parts)
+    sent = decode_health(encode_health(health.message())).readiness
+    assert sent is not None
+    assert not sent.ready
+    assert sent.reasons[0].startswith("the camera is open but gave no frame")
+    for event in (IdClash(1, (parts.boot, "aaaaaaaa"), True), IdClash(2, ("bbbbbbbb", "cccccccc"), False)):
+        health.on_membership(event)
+    assert health.readiness().reasons[-1] == "another agent speaks as this drone (boots aaaaaaaa)"
+    health.on_membership(PeerDeparted(1, "aaaaaaaa"))
+    assert "another agent" not in health.readiness().reasons[-1]

@@ -1,0 +1,189 @@
+"""`swarmtrack judge`: a verdict on agents that others started, against a simulator that others started."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import secrets
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+from aiohttp import web
+from aiohttp.test_utils import TestServer
+from live.test_swarm_command import pair
+
+from support.places import ROOT
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.agents import simulator
+from swarmtrack.localswarm.configs import Sources, write_configs
+from swarmtrack.scenario_file import load_scenario
+
+PATIENCE = 120.0  # s: far beyond what it takes, for a machine that is busy
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def free_ports(count: int) -> int:
+    """The first of so many that follow each other, free for TCP and UDP a moment ago."""
+    while True:
+        first = 20000 + secrets.randbelow(10000)
+        try:
+            for port in range(first, first + count):
+                for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+                    with socket.socket(socket.AF_INET, kind) as probe:
+                        probe.bind(("127.0.0.1", port))
+        except OSError:
+            continue
+        return first
+
+
+@contextlib.contextmanager
+def running(*words: object):
+    process = subprocess.Popen(
+        [sys.executable, "-m", *map(str, words)],
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@contextlib.contextmanager
+def simulated(port: int, scenario: str):
+    options = ("--scenario", scenario, "--detector", "oracle", "--port", port)
+    with running("swarmtrack.agents.simulator", *options) as process:
+        told = json.loads(process.stdout.readline())
+        yield {int(drone_id): where for drone_id, where in told["drones"].items()}
+
+
+@contextlib.contextmanager
+def flying(folder: Path, scenario: str, port: int, team: str, *, leave_out: int | None = None):
+    """Agents whose addresses were known before the simulator was started."""
+    loaded = load_scenario(scenario)
+    sources = {
+        n: Sources(f"detections://127.0.0.1:{port}/{n}", f"udpout:127.0.0.1:{port + n}")
+        for n in loaded.members
+    }
+    files = write_configs(folder, loaded, team=team, tracker="kalman", sources=sources, simulator="…")
+    with contextlib.ExitStack() as agents:
+        for drone_id, file in files.items():
+            if drone_id != leave_out:
+                agents.enter_context(
+                    running("swarmtrack.agents.vehicle", "--quiet", "--seconds", 60, "--config", file)
+                )
+        yield
+
+
+@pytest.fixture
+def team() -> str:
+    return f"judged-{secrets.token_hex(4)}"
+
+
+def judge(port: int, team: str, *options: object) -> tuple[int, str, str]:
+    words = (f"http://127.0.0.1:{port}", "--team", team, "--seconds", 3, *options)
+    with running("swarmtrack.agents.main", "judge", *words) as process:
+        out, err = process.communicate(timeout=PATIENCE)
+        return process.returncode, out, err
+
+
+def test_a_simulator_with_a_port_listens_where_the_configs_expect_it_and_says_what_it_flies(tmp_path):
+    port = free_ports(3)
+    _, scenario = pair(tmp_path)
+    with simulated(port, scenario) as drones:
+        assert drones[2] == {
+            "camera": f"detections://127.0.0.1:{port}/2",
+            "autopilot": f"udpout:127.0.0.1:{port + 2}",
+        }
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE) as response:
+            told = json.load(response)
+    assert told.pop("world_time_s") < 60.0
+    assert told == {"scenario": scenario, "seed": 1, "drones": None, "detector": "oracle"}
+
+
+def test_a_port_that_is_taken_is_said(tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with running("swarmtrack.agents.simulator", *pair(tmp_path), "--port", port) as process:
+            _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert f"--port {port}" in err
+
+
+@pytest.mark.parametrize("port", ["-1", "65535", "eighty"])
+def test_a_port_that_is_none_is_refused(port, capsys):
+    with pytest.raises(SystemExit) as end:
+        simulator.parser().parse_args(["--port", port])
+    assert end.value.code == 2
+    assert f"found {port}, expected a port number" in capsys.readouterr().err
+
+
+def test_agents_that_name_each_other_right_pass_though_they_came_before_the_judge(tmp_path, team):
+    port = free_ports(3)
+    _, scenario = pair(tmp_path)
+    verdict = tmp_path / "verdict.json"
+    with simulated(port, scenario), flying(tmp_path, scenario, port, team):
+        code, out, err = judge(port, team, "--json", verdict)
+    assert code == 0, out + err
+    assert out.rstrip().endswith("PASSED")
+    report = json.loads(verdict.read_text(encoding="utf-8"))
+    assert report["passed"]
+    assert report["seconds"] == 3.0
+    assert [agent["id"] for agent in report["agents"]] == [1, 2]
+    assert report["identity"]["correct"] >= 0.5
+
+
+def test_what_falls_short_of_the_scenarios_limits_fails(tmp_path, team):
+    port = free_ports(3)
+    _, scenario = pair(tmp_path, announcement_bytes=10)
+    with simulated(port, scenario), flying(tmp_path, scenario, port, team):
+        code, out, _ = judge(port, team)
+    assert code == 1
+    assert "announcement_bytes of 2 drones" in out
+
+
+def test_who_is_missing_is_said(tmp_path, team):
+    port = free_ports(3)
+    _, scenario = pair(tmp_path)
+    with simulated(port, scenario), flying(tmp_path, scenario, port, team, leave_out=2):
+        code, out, err = judge(port, team, "--patience", 6)
+    assert code == 1
+    assert "drone 2 has not announced itself" in err
+    assert "FAILED" in out
+
+
+def test_without_a_simulator_there_is_no_verdict(team):
+    code, _, err = judge(free_ports(1), team, "--patience", 1)
+    assert code == 1
+    assert "is a simulator there" in err
+
+
+async def test_another_server_is_no_simulator(team):
+    async def hello(_: web.Request) -> web.Response:
+        return web.json_response({"hello": "world"})
+
+    application = web.Application()
+    application.router.add_get("/", hello)
+    async with TestServer(application) as server:
+        code, _, err = await asyncio.to_thread(judge, server.port, team)
+    assert code == 1
+    assert "is no simulator of ours" in err
+
+
+@pytest.mark.parametrize("url", ["simulator", "tcp/127.0.0.1:8100", ""])
+def test_what_is_no_url_is_wrong_usage(url, capsys):
+    assert swarmtrack.main(["judge", url]) == 2
+    assert "expected http://HOST:PORT" in capsys.readouterr().err

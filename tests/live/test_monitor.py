@@ -1,0 +1,311 @@
+"""The monitor as a user meets it: the command, its page in a real Chromium, a team over real Zenoh on loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import re
+import secrets
+import shutil
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import aiohttp
+import pytest
+
+from support.places import ROOT
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from swarmtrack.benchmarks.scripted_team import scripted_team
+
+PATIENCE = 30.0  # s: far beyond every promise, for a machine that is busy
+PAGE = ROOT / "swarmtrack" / "monitor" / "page" / "index.html"
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+class Monitor:
+    """A process of `swarmtrack monitor`."""
+
+    def __init__(self, process: asyncio.subprocess.Process, url: str) -> None:
+        self.process = process
+        self.url = url
+
+    async def end(self) -> int:
+        if self.process.returncode is None:
+            self.process.send_signal(signal.SIGTERM)
+        return await asyncio.wait_for(self.process.wait(), PATIENCE)
+
+
+async def start_monitor(team: str, *arguments: str) -> Monitor:
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "swarmtrack.agents.main", "monitor", "--team", team),
+        *(arguments if "--port" in arguments else ("--port", "0", *arguments)),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        cwd=ROOT,
+    )
+    assert process.stdout is not None
+    line = (await asyncio.wait_for(process.stdout.readline(), PATIENCE)).decode()
+    found = re.search(r"http\S+", line)
+    if found is None:
+        assert process.stderr is not None
+        raise AssertionError((await process.stderr.read()).decode())
+    return Monitor(process, found[0])
+
+
+@asynccontextmanager
+async def monitor(team: str, *arguments: str) -> AsyncIterator[Monitor]:
+    one = await start_monitor(team, *arguments)
+    try:
+        yield one
+    finally:
+        await one.end()
+
+
+@pytest.fixture
+def team() -> str:
+    return f"test-{secrets.token_hex(4)}"
+
+
+async def until(condition: Any, what: str) -> None:
+    async with asyncio.timeout(PATIENCE):
+        while not condition():  # noqa: ASYNC110 - of another process
+            await asyncio.sleep(0.05)
+    assert condition(), what
+
+
+# --- the page in a browser ------------------------------------------------------------------------
+
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed here")
+
+
+@asynccontextmanager
+async def browser_page(width: int = 1280, height: int = 800) -> AsyncIterator[tuple[Any, list[str]]]:
+    """A page, and what it should not do: lines on the console, and requests to elsewhere."""
+    playwright_of = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
+    async with playwright_of.async_playwright() as playwright:
+        browser = await playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = await browser.new_page(viewport={"width": width, "height": height})
+        page.set_default_timeout(1e3 * PATIENCE)
+        misdeeds: list[str] = []
+        page.on("console", lambda message: misdeeds.append(f"console: {message.text}"))
+        page.on("pageerror", lambda error: misdeeds.append(f"error: {error}"))
+        page.on(
+            "request",
+            lambda request: (
+                None
+                if request.url.startswith(("http://127.0.0.1", "data:", "blob:"))
+                else misdeeds.append(f"request: {request.url}")
+            ),
+        )
+        try:
+            yield page, misdeeds
+        finally:
+            await browser.close()
+
+
+async def until_said(page: Any, text: str, kind: str) -> None:
+    await page.wait_for_function(
+        "([text, kind]) => document.querySelector('#sentence').textContent.includes(text)"
+        " && document.querySelector('#light').dataset.kind === kind",
+        arg=[text, kind],
+    )
+
+
+@needs_chromium
+async def test_three_drones_agree_then_one_errs_one_has_no_imu_and_one_is_gone(team: str) -> None:
+    async with scripted_team(team, 3) as drones, monitor(team) as served, browser_page() as (page, misdeeds):
+        await page.goto(served.url)
+        await until_said(page, "3 drones agree", "ok")
+        await page.wait_for_function("() => stats.pictures > 6")
+        assert await page.locator(".camera").count() == 3
+        assert await page.locator("#matrix .seen").count() == 6
+
+        drones[1].calls = {3: 1, 1: 3}
+        await until_said(page, "drone 2 calls drone ", "bad")
+        assert await page.locator("#matrix .wrong").count() == 2
+        drones[1].calls = {}
+        await until_said(page, "3 drones agree", "ok")
+
+        drones[1].imu_hz = 0.0
+        await until_said(page, "drone 2 lost its IMU", "warn")
+        drones[1].imu_hz = 200.0
+        await until_said(page, "3 drones agree", "ok")
+
+        drones[2].die()
+        await page.wait_for_selector(".camera.gone", timeout=3000)
+        await until_said(page, "drone 3 is gone", "warn")
+        assert await page.locator("#health tr.gone").count() == 1
+        assert misdeeds == []
+
+
+@needs_chromium
+async def test_one_whose_radio_died_is_grey_within_three_seconds_though_its_token_stays(team: str) -> None:
+    async with scripted_team(team, 3) as drones, monitor(team) as served, browser_page() as (page, _):
+        await page.goto(served.url)
+        await until_said(page, "3 drones agree", "ok")
+        drones[0].fall_silent()
+        await page.wait_for_selector(".camera.gone", timeout=3000)
+        await until_said(page, "drone 1 is gone", "warn")
+
+
+@needs_chromium
+async def test_the_page_comes_back_by_itself_when_the_monitor_does(team: str) -> None:
+    async with scripted_team(team, 2), browser_page() as (page, _):
+        first = await start_monitor(team)
+        await page.goto(first.url)
+        await until_said(page, "2 drones agree", "ok")
+        assert await first.end() == 0
+        await until_said(page, "no link to the monitor", "idle")
+        async with monitor(team, "--port", first.url.rsplit(":", 1)[1].strip("/")):
+            await until_said(page, "2 drones agree", "ok")
+            before = await page.evaluate("stats.pictures")
+            await page.wait_for_function("n => stats.pictures > n + 2", arg=before)
+
+
+@needs_chromium
+@pytest.mark.parametrize(("n", "width", "height"), [(12, 1280, 800), (3, 390, 844)])
+async def test_it_fits_its_screen(team: str, n: int, width: int, height: int) -> None:
+    async with (
+        scripted_team(team, n),
+        monitor(team) as served,
+        browser_page(width, height) as (page, misdeeds),
+    ):
+        await page.goto(served.url)
+        await until_said(page, f"{n} drones agree", "ok")
+        await page.wait_for_function("() => stats.pictures > 3")
+        assert await page.evaluate("document.documentElement.scrollWidth") <= width
+        # Whatever is drawn lies within the screen, but for the table that scrolls by itself.
+        beyond = await page.evaluate(
+            "[...document.querySelectorAll('.pane, .camera, #matrix div, #light')]"
+            ".filter(e => e.getBoundingClientRect().right > innerWidth + 1).length"
+        )
+        assert beyond == 0
+        assert misdeeds == []
+
+
+@needs_chromium
+async def test_thirty_drones_have_a_readable_matrix(team: str) -> None:
+    async with scripted_team(team, 30), monitor(team) as served, browser_page() as (page, misdeeds):
+        await page.goto(served.url)
+        await until_said(page, "30 drones agree", "ok")
+        assert await page.locator("#matrix div").count() == 31 * 31
+        cell = await page.locator("#matrix .seen").first.bounding_box()
+        assert cell is not None
+        assert cell["width"] >= 18
+        assert misdeeds == []
+
+
+def test_the_page_is_one_small_file_that_asks_for_nothing() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert len(text.encode()) < 150_000
+    assert not re.search(r"https?://|@import|url\(|src=|innerHTML", text)
+
+
+# --- video only while somebody looks --------------------------------------------------------------
+
+
+async def watch(socket: aiohttp.ClientWebSocketResponse, *drones: int) -> None:
+    await socket.send_str(json.dumps({"watch": drones}))
+
+
+async def until_listed(socket: aiohttp.ClientWebSocketResponse, n: int) -> None:
+    async with asyncio.timeout(PATIENCE):
+        while True:
+            message = await socket.receive()
+            await socket.send_str("+")
+            if message.type is aiohttp.WSMsgType.TEXT and len(json.loads(message.data)["drones"]) == n:
+                return
+
+
+async def test_a_drone_is_watched_only_while_a_page_shows_it(team: str) -> None:
+    async with scripted_team(team, 2) as (one, two), monitor(team) as served, aiohttp.ClientSession() as http:
+        async with http.ws_connect(f"{served.url}ws") as socket:
+            await until_listed(socket, 2)
+            assert (one.is_watched, two.is_watched) == (False, False)
+            await watch(socket, 2)
+            await until(lambda: two.is_watched, "drone 2 is watched")
+            assert not one.is_watched
+        await until(lambda: not two.is_watched, "nobody looks any more")
+
+
+async def test_a_page_that_draws_nothing_is_sent_nothing_more(team: str) -> None:
+    """A slow phone: without its word that it drew, there is no queue that could grow."""
+    async with (
+        scripted_team(team, 1) as (drone,),
+        monitor(team) as served,
+        aiohttp.ClientSession() as http,
+        http.ws_connect(f"{served.url}ws") as socket,
+    ):
+        await until_listed(socket, 1)
+        await watch(socket, 1)
+        await until(lambda: drone.pictures > 10, "pictures are sent")
+        heard = 0
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(1.5):
+                while True:
+                    await socket.receive()
+                    heard += 1
+        assert heard <= 2  # of a state and a picture each the newest
+
+
+# --- who may look ---------------------------------------------------------------------------------
+
+
+async def test_beyond_this_machine_it_takes_the_token(team: str) -> None:
+    async with monitor(team, "--bind", "0.0.0.0") as served, aiohttp.ClientSession() as http:
+        port, token = re.search(r":(\d+)/\?token=(\S+)", served.url).groups()  # type: ignore[union-attr]
+        base = f"http://127.0.0.1:{port}/"
+        for url in (base, f"{base}?token=wrong", f"{base}ws", f"{base}ws?token={token}x"):
+            async with http.get(url) as response:
+                assert response.status == 403, url
+        async with http.get(f"{base}?token={token}") as response:
+            assert response.status == 200
+            policy = response.headers["Content-Security-Policy"]
+            assert "default-src 'none'" in policy
+            assert "unsafe-inline" not in policy
+
+
+async def test_a_page_of_another_site_hears_nothing(team: str) -> None:
+    async with monitor(team) as served, aiohttp.ClientSession() as http:
+        for headers in ({"Origin": "http://evil.example"}, {"Host": "evil.example"}):
+            with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                await http.ws_connect(f"{served.url}ws", headers=headers)
+
+
+async def test_nonsense_from_a_page_ends_its_link_and_nothing_else(team: str) -> None:
+    async with monitor(team) as served, aiohttp.ClientSession() as http:
+        for word in ("[", "null", '{"watch": 3}', '{"watch": [[]]}', "[" * 2000, "x" * 5000):
+            async with http.ws_connect(f"{served.url}ws") as socket:
+                await socket.send_str(word)
+                async with asyncio.timeout(PATIENCE):
+                    while (await socket.receive()).type is aiohttp.WSMsgType.TEXT:
+                        if word == '{"watch": [[]]}':
+                            break  # no ID in it: nobody is watched
+        async with http.get(served.url) as response:
+            assert response.status == 200
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["--port", "99999"], 2, "expected a port"),
+        (["--token", "short"], 2, "--token: expected 8 to 128"),
+        (["--bind", "203.0.113.7", "--port", "0"], 1, "expected an address of this machine"),
+        (["--connect", "192.168.1.5"], 2, "insecure"),
+    ],
+)
+async def test_wrong_usage_is_a_sentence(arguments: list[str], code: int, says: str) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "swarmtrack.agents.main", "monitor", *arguments),
+        stderr=asyncio.subprocess.PIPE,
+        cwd=ROOT,
+    )
+    _, errors = await asyncio.wait_for(process.communicate(), PATIENCE)
+    assert (process.returncode, "Traceback" in errors.decode()) == (code, False), errors
+    assert says in errors.decode()

@@ -1,0 +1,393 @@
+"""The simulator as the agents meet it: a real process, real sockets, and their own camera and autopilot sources."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.places import ROOT
+from swarmtrack.clock import SystemClock
+from swarmtrack.messages import Detections, EgoPose, Frame, ImuSample
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.sensors.base import Camera, DetectionSource
+from swarmtrack.sensors.camera_address import parse_address
+from swarmtrack.sensors.cameras import open_camera
+from swarmtrack.sensors.detection_stream import DetectionStream
+from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.simulation.sensors import Imu, visible
+
+PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
+
+# Detections that are exactly the truth, from drones that turn and fly from the start.
+EXACT = """
+about = "a detector without errors"
+seconds = 60.0
+[camera]
+fps = 15.0
+[detector]
+p_detection = 1.0
+centre_sigma = 0.0
+size_sigma = 0.0
+clutter_per_frame = 0.0
+p_merged = 0.0
+[formation]
+drones = 3
+ring = { radius_m = 2.9, heights_m = [3.0, 3.5] }
+sway = { amplitude_m = [0.4, 0.4, 0.3], period_s = [2.0, 3.0] }
+"""
+
+
+class Simulator:
+    """A simulator process; `drones` are the addresses it told."""
+
+    def __init__(self, scenario: str | Path, *options: str, epoch: float | None = None) -> None:
+        self.scenario = str(scenario)
+        self.epoch = time.monotonic() if epoch is None else epoch
+        self.process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "swarmtrack.agents.simulator", "--scenario", self.scenario),
+                *("--epoch", str(self.epoch), *options),
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        first = self.process.stdout.readline()
+        assert first, self.process.communicate()[1]
+        told = json.loads(first)
+        assert told["ready"] is True
+        self.drones: dict[int, dict[str, str]] = {int(n): where for n, where in told["drones"].items()}
+
+    def world_time(self, t: float) -> float:
+        return t - self.epoch
+
+
+@contextmanager
+def simulator(scenario: str | Path, *options: str, epoch: float | None = None) -> Iterator[Simulator]:
+    simulated = Simulator(scenario, *options, epoch=epoch)
+    try:
+        yield simulated
+    finally:
+        simulated.process.kill()
+        simulated.process.communicate()
+
+
+@pytest.fixture
+def exact(tmp_path: Path) -> Path:
+    path = tmp_path / "exact.toml"
+    path.write_text(EXACT)
+    return path
+
+
+class Listener:
+    def __init__(self) -> None:
+        self.imu: list[ImuSample] = []
+        self.poses: list[EgoPose] = []
+        self.reboots = 0
+
+    def on_imu(self, sample: ImuSample) -> None:
+        self.imu.append(sample)
+
+    def on_pose(self, pose: EgoPose) -> None:
+        self.poses.append(pose)
+
+    def on_autopilot_reboot(self) -> None:
+        self.reboots += 1
+
+    def on_found_flying(self) -> None:
+        """It does."""
+
+
+class Pilot:
+    """The agent's own side of an autopilot."""
+
+    def __init__(self, link: str, imu_rate_hz: float = 200.0) -> None:
+        self.unit = MavlinkAutopilot(link, clock=SystemClock(), imu_rate_hz=imu_rate_hz)
+        self.heard = Listener()
+
+    async def __aenter__(self) -> Pilot:
+        self._task = asyncio.create_task(self.unit.run(self.heard))
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+    @property
+    def count(self) -> dict[str, float]:
+        return dict(self.unit.status().counters)
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(PATIENCE):
+        while not condition():  # noqa: ASYNC110 (what is waited for happens in another process)
+            await asyncio.sleep(0.02)
+
+
+@asynccontextmanager
+async def opened(address: str) -> Any:
+    source: Camera | DetectionSource
+    if address.startswith("detections:"):
+        source = DetectionStream(parse_address(address), clock=SystemClock())
+    else:
+        source = open_camera(address, clock=SystemClock())
+    yield source
+    await source.close()
+
+
+async def frames(camera: Camera, count: int) -> list[Frame]:
+    taken: list[Frame] = []
+    async with asyncio.timeout(PATIENCE):
+        async for frame in camera.frames():
+            taken.append(frame)
+            if len(taken) == count:
+                break
+    return taken
+
+
+async def scans(source: DetectionSource, enough: Callable[[list[Detections]], bool]) -> list[Detections]:
+    taken: list[Detections] = []
+    async with asyncio.timeout(PATIENCE):
+        async for detections in source.detections():
+            taken.append(detections)
+            if enough(taken):
+                break
+    return taken
+
+
+async def test_every_member_has_a_camera_and_an_autopilot_and_a_stranger_has_none() -> None:
+    with simulator("intruder", "--detector", "oracle") as simulated:
+        scenario = load_scenario("intruder")
+        assert scenario.strangers
+        assert set(simulated.drones) == set(scenario.members)
+        assert len({where["autopilot"] for where in simulated.drones.values()}) == len(scenario.members)
+
+
+async def test_detections_and_their_stamps_are_those_of_the_true_flight(exact: Path) -> None:
+    scenario = load_scenario(exact)
+    with simulator(exact, "--detector", "oracle", epoch=time.monotonic() - 20.0) as simulated:
+        async with opened(simulated.drones[2]["camera"]) as source:
+            taken = await scans(source, lambda taken: len(taken) == 20)
+        assert taken[-1].sequence > taken[0].sequence
+        seen = 0
+        for detections in taken:
+            t = simulated.world_time(detections.t)
+            truth = visible(scenario.world, 2, scenario.camera, scenario.body_from_camera, t)
+            boxes = np.array(sorted(truth[n].tolist() for n in truth)).reshape(-1, 4)
+            found = np.column_stack([detections.centre, detections.size])
+            np.testing.assert_allclose(found[np.lexsort(found.T[::-1])], boxes, atol=2e-3)
+            seen += len(boxes)
+        assert seen > 20
+
+
+async def test_an_image_shows_the_world_at_the_time_of_its_stamp(exact: Path) -> None:
+    scenario = load_scenario(exact)
+    with simulator(exact, epoch=time.monotonic() - 20.0) as simulated:
+        async with opened(simulated.drones[1]["camera"]) as camera:
+            frame = (await frames(camera, 3))[-1]
+    renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+
+    def difference(late: float) -> float:
+        drawn = renderer.image(1, simulated.world_time(frame.t) + late, 0)
+        return float(np.abs(drawn.astype(float) - frame.image).mean())
+
+    assert frame.stamp.value == "exposure"
+    assert difference(0.0) < min(difference(-0.1), difference(0.1))
+
+
+async def test_the_autopilot_streams_what_was_asked_on_its_own_clock_and_tells_the_true_flight(
+    exact: Path,
+) -> None:
+    scenario = load_scenario(exact)
+    with simulator(exact, "--detector", "oracle", epoch=time.monotonic() - 20.0) as simulated:
+        async with Pilot(simulated.drones[1]["autopilot"]) as pilot:
+            await until(lambda: len(pilot.heard.imu) > 1200 and len(pilot.heard.poses) > 200)
+            assert pilot.unit.status().ok
+            assert pilot.count["imu_rate_hz"] == pytest.approx(200.0, rel=0.1)
+            imu, poses = pilot.heard.imu[-200:], pilot.heard.poses[-50:]
+    drone = scenario.world.drones[1]
+    bias = Imu(scenario.world, 1).gyro_bias
+    true_rate = np.array([drone.body_rate(simulated.world_time(sample.t)) for sample in imu])
+    error = np.array([sample.gyro for sample in imu]) - true_rate - bias
+    assert np.abs(error).max() < 0.05  # its noise, and a millisecond or two of the mapped clock
+    assert np.abs(error.mean(axis=0)).max() < 0.005
+    origin = scenario.world.pose(1, 0.0).position
+    for pose in poses:
+        truth = scenario.world.pose(1, simulated.world_time(pose.t))
+        assert pose.position is not None
+        np.testing.assert_allclose(pose.position, truth.position - origin, atol=0.15)
+        np.testing.assert_allclose(pose.world_from_body, truth.rotation, atol=0.05)
+
+
+FAULTS = (
+    EXACT
+    + """
+[[fault]]
+kind = "autopilot-reboot"
+at_s = 7.0
+seconds = 1.5
+drones = [1]
+[[fault]]
+kind = "imu-gap"
+at_s = 12.0
+seconds = 1.0
+[[fault]]
+kind = "camera-stall"
+at_s = 7.0
+seconds = 2.0
+drones = [1]
+[[fault]]
+kind = "clutter"
+at_s = 12.0
+seconds = 2.0
+value = 20.0
+"""
+)
+
+
+async def test_faults_come_at_their_times_to_whom_they_concern_and_are_healed(tmp_path: Path) -> None:
+    path = tmp_path / "faults.toml"
+    path.write_text(FAULTS)
+    with simulator(path, "--detector", "oracle", epoch=time.monotonic() + 2.0) as simulated:
+        now = time.monotonic
+        async with (
+            Pilot(simulated.drones[1]["autopilot"]) as first,
+            Pilot(simulated.drones[2]["autopilot"]) as second,
+            opened(simulated.drones[1]["camera"]) as stalled,
+            opened(simulated.drones[2]["camera"]) as fine,
+        ):
+            over = lambda taken: simulated.world_time(taken[-1].t) > 15.0  # noqa: E731
+            seen, seen_by_second = await asyncio.gather(scans(stalled, over), scans(fine, over))
+            await until(lambda: simulated.world_time(now()) > 16.0 and first.unit.status().ok)
+            assert (first.heard.reboots, second.heard.reboots) == (1, 0)
+            assert second.count["gaps"] >= 1
+            imu = np.array([simulated.world_time(sample.t) for sample in second.heard.imu])
+            assert not ((imu > 12.1) & (imu < 12.9)).any()
+            assert imu.max() > 14.0
+    stall, no_stall = (
+        np.array([simulated.world_time(detections.t) for detections in taken])
+        for taken in (seen, seen_by_second)
+    )
+    assert not ((stall > 7.0) & (stall < 9.0)).any()
+    assert ((no_stall > 7.0) & (no_stall < 9.0)).any()
+    counts = [(simulated.world_time(detections.t), len(detections)) for detections in seen]
+    assert max(count for t, count in counts if not 12.0 <= t < 14.0) <= 2
+    assert max(count for t, count in counts if 12.0 <= t < 14.0) > 5
+
+
+async def test_garbage_and_strangers_on_the_port_change_nothing_and_a_restarted_agent_is_answered(
+    exact: Path,
+) -> None:
+    with simulator(exact, "--detector", "oracle") as simulated:
+        link = simulated.drones[1]["autopilot"]
+        host, port = link.removeprefix("udpout:").split(":")
+        async with Pilot(link) as pilot:
+            await until(lambda: len(pilot.heard.imu) > 20)
+            noise = random.Random(11)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                for _ in range(500):
+                    stranger.sendto(noise.randbytes(noise.randrange(300)), (host, int(port)))
+                seen = len(pilot.heard.imu)
+                await until(lambda: len(pilot.heard.imu) > seen + 100)
+                with pytest.raises(BlockingIOError):
+                    stranger.recv(1, socket.MSG_DONTWAIT)
+        async with Pilot(link) as restarted:
+            await until(lambda: len(restarted.heard.imu) > 100)
+        assert simulated.process.poll() is None
+
+
+async def test_a_client_that_leaves_in_mid_frame_harms_nobody_and_a_second_one_sees_the_same(
+    exact: Path,
+) -> None:
+    with simulator(exact) as simulated:
+        address = simulated.drones[1]["camera"]
+        host, port = address.removeprefix("http://").removesuffix("/1").split(":")
+        async with opened(address) as first, opened(address) as second:
+            watching = asyncio.create_task(frames(first, 25))
+            also = asyncio.create_task(frames(second, 25))
+            for _ in range(5):
+                _, writer = await asyncio.open_connection(host, int(port))
+                writer.write(b"GET /1 HTTP/1.1\r\nHost: simulator\r\n\r\n")
+                await writer.drain()
+                await asyncio.sleep(0.1)
+                writer.transport.abort()
+            ours, theirs = await asyncio.gather(watching, also)
+        assert {frame.t for frame in ours} & {frame.t for frame in theirs}
+        async with opened(f"http://{host}:{port}/77") as nobody:
+            watching = asyncio.create_task(frames(nobody, 1))
+            await until(lambda: "HTTP 404" in nobody.status().text)
+            await nobody.close()
+            assert await watching == []
+        assert simulated.process.poll() is None
+
+
+async def test_a_client_that_does_not_read_finds_no_backlog_of_old_frames(exact: Path) -> None:
+    with simulator(exact) as simulated:
+        host, port = simulated.drones[1]["camera"].removeprefix("http://").removesuffix("/1").split(":")
+        slow = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)
+        slow.setblocking(False)
+        loop = asyncio.get_running_loop()
+        await loop.sock_connect(slow, (host, int(port)))
+        await loop.sock_sendall(slow, b"GET /1 HTTP/1.1\r\nHost: simulator\r\n\r\n")
+        async with opened(simulated.drones[1]["camera"]) as other:
+            await frames(other, 60)  # four seconds, in which the slow client reads nothing
+        resumed, old, text = time.monotonic(), 0, b""
+        async with asyncio.timeout(PATIENCE):
+            while True:
+                text += await loop.sock_recv(slow, 1 << 16)
+                *heads, text = text.split(b"X-Timestamp: ")
+                stamps = [float(head[: head.index(b"\r")]) for head in heads[1:] if b"\r" in head]
+                old += sum(t < resumed - 1.0 for t in stamps)
+                if any(t > resumed for t in stamps):
+                    break
+                text = b"X-Timestamp: " + text if heads else text
+        assert old < 20  # of sixty
+        slow.close()
+
+
+@pytest.mark.parametrize("how", ["stdin", "SIGTERM", "SIGINT"])
+def test_it_ends_in_silence_when_its_parent_dies_or_it_is_told_to(how: str) -> None:
+    with simulator("hover-triangle", "--detector", "oracle") as simulated:
+        assert simulated.process.stdin is not None
+        if how == "stdin":
+            simulated.process.stdin.close()
+            simulated.process.stdin = None
+        else:
+            simulated.process.send_signal(getattr(signal, how))
+        out, err = simulated.process.communicate(timeout=PATIENCE)
+        assert (simulated.process.returncode, out, err) == (0, "", "")
+
+
+def test_what_it_cannot_fly_or_open_is_said_in_a_sentence() -> None:
+    def run(*options: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "swarmtrack.agents.simulator", "--detector", "oracle", *options]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT, check=False
+        )
+
+    unknown = run("--scenario", "loop-the-loop")
+    assert (unknown.returncode, unknown.stdout) == (2, "")
+    assert "loop-the-loop" in unknown.stderr
+    elsewhere = run("--host", "203.0.113.7")
+    assert (elsewhere.returncode, elsewhere.stdout) == (1, "")
+    assert elsewhere.stderr.startswith("--host 203.0.113.7: ")
+    assert len(elsewhere.stderr.splitlines()) == 1
+    assert "Example:" in run("--help").stdout

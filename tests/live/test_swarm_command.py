@@ -1,0 +1,311 @@
+"""`swarmtrack sim`: what it starts, what it says of it, and that it leaves nothing behind."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+
+from support.pair_scenario import PAIR
+from support.places import ROOT
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.config import load_config, mount_camera
+from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
+from swarmtrack.localswarm.processes import Children
+from swarmtrack.scenario_file import load_scenario
+
+PATIENCE = 120.0  # s: far beyond what it takes, for a machine that is busy
+SMALL = ("--detector", "oracle", "--seconds", "4")
+
+
+def pair(folder: Path, **expected: float) -> tuple[str, str]:
+    """A scenario file of two drones, as arguments of the command; expected: of its limits others than stated."""
+    path = folder / "pair.toml"
+    lines = [line for line in PAIR.splitlines() if line.partition(" =")[0] not in expected]
+    lines += [f"{name} = {value}" for name, value in expected.items()]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return "--scenario", str(path)
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Temporary files go into `folder`, where a test can look for what is left."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder)}
+
+
+def start(folder: Path, *arguments: str, program: str = "swarmtrack.agents.main") -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", program, "sim", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(folder),
+        cwd=ROOT,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    out, err = process.communicate(timeout=PATIENCE)
+    return process.returncode, out, err
+
+
+def living(folder: Path) -> list[str]:
+    """Command lines of all processes that were started with temporary files in `folder`."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit() or int(entry.name) == os.getpid():
+            continue
+        try:
+            if f"TMPDIR={folder}".encode() in (entry / "environ").read_bytes():
+                found.append((entry / "cmdline").read_bytes().replace(b"\0", b" ").decode())
+        except OSError:  # it ended just now, or is somebody else's
+            continue
+    return found
+
+
+def until(condition, what: str):
+    """What `condition` says once it is true."""
+    deadline = time.monotonic() + PATIENCE
+    while not (value := condition()):
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
+    return value
+
+
+# --- the parts ------------------------------------------------------------------------------------
+
+
+def test_the_configs_say_what_the_scenario_says(tmp_path):
+    scenario = load_scenario("thirty")
+    sources = {
+        d: Sources(f"detections://127.0.0.1:9/{d}", f"udpout:127.0.0.1:{5000 + d}") for d in scenario.members
+    }
+    files = write_configs(tmp_path, scenario, team="blue", tracker="kalman", sources=sources, simulator="…")
+    assert set(files) == set(scenario.members)
+    config = load_config(files[17])
+    mounted = mount_camera(config.camera)
+    assert (config.drone.id, config.network.team, config.tracker.name) == (17, "blue", "kalman")
+    assert (config.camera.source, config.autopilot.link) == (sources[17].camera, sources[17].autopilot)
+    assert (config.autopilot.imu_rate_hz, config.output.tracks_hz) == (
+        scenario.imu_rate_hz,
+        scenario.tracks_hz,
+    )
+    assert config.camera.max_age_s == 0.15
+    assert config.drone.start.source == "local"
+    assert config.drone.start.offset_m == pytest.approx(scenario.announced[17].position_m, abs=1e-3)
+    assert mounted.camera == scenario.camera
+    assert mounted.body_from_camera.rotation == pytest.approx(scenario.body_from_camera.rotation)
+    assert mounted.body_from_camera.position == pytest.approx(scenario.body_from_camera.position)
+
+
+def test_with_a_radio_the_configs_name_its_ends(tmp_path):
+    scenario = load_scenario("hover-triangle", drones=2)
+    ends = {d: RadioEnds((f"tcp/198.18.0.{d}:7447",), ("tcp/198.18.0.1:7447",)[: d - 1]) for d in (1, 2)}
+    sources = dict.fromkeys((1, 2), Sources("http://127.0.0.1:9/1", "udpout:127.0.0.1:5000"))
+    files = write_configs(
+        tmp_path, scenario, team="blue", tracker="kalman", sources=sources, simulator="…", radio=ends
+    )
+    network = load_config(files[2]).network
+    assert (network.listen, network.connect) == (ends[2].listen, ends[2].connect)
+
+
+async def test_a_child_that_ends_by_itself_is_told_of_and_one_that_we_end_is_not(tmp_path):
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    async with Children(folder, keep=False) as children:
+        ended = await children.start("quiet one", [sys.executable, "-c", "import time; time.sleep(600)"])
+        await children.end(ended)
+        words = "import sys; print('no camera', file=sys.stderr); sys.exit(3)"
+        died = await children.start("sad one", [sys.executable, "-c", words])
+        assert await asyncio.wait_for(children.died, PATIENCE) is died
+        assert died.describe_end() == "sad one ended by itself, exit code 3. Its last lines:\n  | no camera"
+    assert not folder.exists()
+
+
+async def test_a_child_that_does_not_listen_is_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr("swarmtrack.localswarm.processes.STOP_S", 0.2)
+    async with Children(tmp_path, keep=True) as children:
+        deaf = "import signal, time; signal.signal(15, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)"
+        child = await children.start("deaf one", [sys.executable, "-c", deaf], talks=True)
+        assert child.process.stdout is not None
+        await asyncio.wait_for(child.process.stdout.readline(), PATIENCE)
+    assert child.process.returncode == -signal.SIGKILL
+    assert tmp_path.exists()
+
+
+def test_a_module_runs_on_a_clock_that_is_wrong(tmp_path):
+    (tmp_path / "tells.py").write_text(
+        "import sys, time\nfrom swarmtrack.clock import SystemClock\n"
+        "print(SystemClock().utc(), SystemClock().now() - time.monotonic(), sys.argv[1:], __name__)\n"
+    )
+    said = subprocess.run(
+        [sys.executable, "-m", "swarmtrack.localswarm.skewed_clock", "-7200", "tells", "--config", "x"],
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}"},
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    utc, monotonic, *rest = said.split(maxsplit=2)
+    assert -7200 - PATIENCE < float(utc) - time.time() < -7100
+    assert float(monotonic) == pytest.approx(0.0, abs=1.0)
+    assert rest == ["['--config', 'x'] __main__\n"]
+
+
+def test_the_monitor_serves_the_flights_page_and_ends_with_it(tmp_path):
+    flight = start(tmp_path, *pair(tmp_path), *SMALL, "--monitor")
+    assert flight.stdout is not None
+    found = None
+    while found is None:
+        line = flight.stdout.readline()
+        assert line, "the flight ended without naming a page"
+        found = re.search(r"http://127\.0\.0\.1:\d+/", line)
+    with urlopen(found[0], timeout=20.0) as page:
+        assert b"swarmtrack" in page.read()
+    finish(flight)
+    with pytest.raises(OSError, match="refused"):
+        urlopen(found[0], timeout=20.0)
+
+
+# --- a whole flight -------------------------------------------------------------------------------
+
+
+def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
+    out = tmp_path / "out.json"
+    code, said, complained = finish(start(tmp_path, *pair(tmp_path), *SMALL, "--json", str(out)))
+    assert (code, complained) == (0, ""), said + complained
+    assert said.splitlines()[-1] == "PASSED"
+    result = json.loads(out.read_text())
+    agent_keys = {
+        "id", "track_rate_hz", "imu_rate_hz", "detection_rate_hz", "latency_ms", "cpu_percent", "rss_mb",
+        "announcement_bytes",
+    }  # fmt: skip
+    assert list(result) == [
+        "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "agents", "passed",
+    ]  # fmt: skip
+    assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, 4.0)
+    assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
+    assert list(result["identity"]) == ["time_to_identify_s", "correct", "wrong", "unknown", "agreement"]
+    assert set(result["identity"]["time_to_identify_s"]) == {"1", "2"}
+    assert list(result["tracking"]) == ["rmse_px", "recall", "false_tracks_per_s", "switches"]
+    assert set(result["tracking"]["rmse_px"]) == {"1", "2"}
+    assert [agent["id"] for agent in result["agents"]] == [1, 2]
+    for agent in result["agents"]:
+        assert set(agent) == agent_keys
+        assert set(agent["latency_ms"]) == {"p50", "p95"}
+        assert 0 < agent["announcement_bytes"] < 300
+        assert agent["cpu_percent"] > 0
+        assert agent["rss_mb"] > 10
+    assert result["passed"] is True
+    assert {path.name for path in tmp_path.iterdir()} == {"out.json", "pair.toml"}
+    assert not living(tmp_path)
+
+
+def test_a_number_that_is_not_as_expected_fails_the_flight_and_is_named(tmp_path):
+    out = tmp_path / "out.json"
+    impossible = pair(tmp_path, rmse_px=0.001)
+    code, said, _ = finish(start(tmp_path, *impossible, *SMALL, "--json", str(out)))
+    assert code == 1
+    assert json.loads(out.read_text())["passed"] is False
+    verdict = said[said.index("FAILED") :].splitlines()
+    assert len(verdict) == 2, said
+    assert "tracking.rmse_px of 2 drones, worst of drone" in verdict[1]
+    assert ", expected 0.001 at most" in verdict[1]
+
+
+def test_kept_configs_are_those_of_real_agents(tmp_path):
+    code, said, _ = finish(start(tmp_path, *pair(tmp_path), *SMALL, "--keep"))
+    assert code == 0, said
+    (folder,) = tmp_path.glob("swarmtrack-sim-*")
+    assert str(folder) in said
+    names = {path.name for path in folder.iterdir()}
+    assert {"team.toml", "drone-1.toml", "drone-2.toml", "drone-1.log", "simulator.log"} <= names
+    assert load_config(folder / "drone-2.toml").drone.id == 2
+
+
+# --- what goes wrong ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--scenario", "hover-triangel"), 'did you mean "hover-triangle"'),
+        (("--scenario", "no/such/file.toml"), "no/such/file.toml"),
+        (("--drones", "1"), "expected a whole number, 2 or more"),
+        (("--seconds", "-3"), "expected a number of seconds above 0"),
+        (("--json", "no/such/folder/out.json"), "expected a file in a folder that exists"),
+        (("--detector", "eyes"), "onnx"),
+    ],
+)
+def test_wrong_usage_says_what_was_expected_and_starts_nothing(tmp_path, arguments, named):
+    code, said, complained = finish(start(tmp_path, *arguments))
+    assert code == 2
+    assert named in complained
+    assert said == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scripted_radio_that_cannot_be_made_here_is_said_before_anything_starts(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("swarmtrack.localswarm.radio.PROGRAMS", ("no-such-program",))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert swarmtrack.main(["sim", "--scenario", "lossy-radio", "--detector", "oracle"]) == 1
+    said = capsys.readouterr()
+    assert "no no-such-program here" in said.err
+    assert said.out.splitlines()[-1] == "FAILED"
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_agent_that_dies_is_reported_with_its_last_words_also_while_another_is_still_to_start(tmp_path):
+    scenario = tmp_path / "waiting.toml"
+    text = PAIR.replace("drones = 2", "drones = 3").replace(
+        "[agents]", "[agents]\nlate = 1\nlate_by_s = 50.0"
+    )
+    scenario.write_text(text, encoding="utf-8")
+    process = start(tmp_path, "--scenario", str(scenario), "--detector", "oracle", "--seconds", "60")
+    agent = until(lambda: pid_of(tmp_path, "drone-2.toml"), "drone 2 is started")
+    os.kill(agent, signal.SIGABRT)
+    code, said, complained = finish(process)
+    assert code == 1
+    assert "drone 2 ended by itself, signal SIGABRT. Its last lines:" in complained
+    assert "Traceback" not in complained
+    assert said.splitlines()[-1] == "FAILED"
+    assert list(tmp_path.iterdir()) == [scenario]
+    assert not living(tmp_path)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_whatever_ends_the_launcher_nothing_is_left(tmp_path, number):
+    process = start(tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "60")
+    until(lambda: pid_of(tmp_path, "drone-2.toml"), "drone 2 is started")
+    process.send_signal(number)
+    code, _, complained = finish(process)
+    assert code == (-number if number == signal.SIGKILL else 1)
+    assert ("interrupted" in complained) == (number != signal.SIGKILL)
+    until(lambda: not living(tmp_path), "all processes have ended")
+    until(lambda: not list(tmp_path.iterdir()), "the folder is removed")
+
+
+def pid_of(folder: Path, argument: str) -> int | None:
+    """The process with temporary files in `folder` whose command line ends with a path to `argument`."""
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            ours = f"TMPDIR={folder}".encode() in (entry / "environ").read_bytes()
+            words = (entry / "cmdline").read_bytes().decode().split("\0")
+        except OSError:
+            continue
+        if ours and any(word.endswith(f"/{argument}") for word in words):
+            return int(entry.name)
+    return None

@@ -1,0 +1,295 @@
+"""The monitor plays recordings: what was heard of a swarm, and what drones recorded themselves."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import re
+import secrets
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from live.test_monitor import PATIENCE, ROOT, browser_page, needs_chromium, until_said
+
+from support.recorded_flight import fly
+from support.recorded_swarm import TEAM, UTC, record_swarm
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.benchmarks.scripted_team import scripted_team
+from swarmtrack.clock import ManualClock
+from swarmtrack.errors import RecordingError
+from swarmtrack.monitor.player import STEP_S, Playback, Player
+from swarmtrack.monitor.recorded import read_timeline
+from swarmtrack.runtime.swarm_recorder import SwarmRecorder
+
+
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("heard")
+    record_swarm(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> Path:
+    """What three drones recorded themselves, with pictures, by wall clocks that are seconds apart."""
+    folder = tmp_path_factory.mktemp("flown")
+    fly(folder, 6.0, extra='\n[recording]\nframes = "jpeg"\n', faults=False)
+    return folder / "rec"
+
+
+def at(playback: Playback, t: float) -> dict:
+    playback.seek(round(t / STEP_S))
+    return playback.state()
+
+
+# --- what was heard -------------------------------------------------------------------------------
+
+
+def test_the_sentence_is_that_of_its_time(heard):
+    playback = Playback(read_timeline([heard]))
+    assert playback.timeline.begin == pytest.approx(UTC)
+    assert playback.timeline.seconds == pytest.approx(40.0)
+    expected = {
+        0.0: ("idle", "3 drones here, no names to compare yet"),
+        8.0: ("ok", "3 drones agree"),
+        15.0: ("bad", "drone 2 calls drone 1 drone 3"),
+        25.0: ("ok", "3 drones agree"),
+        35.0: ("warn", "drone 3 is gone"),
+    }
+    for t in (8.0, 35.0, 15.0, 0.0, 25.0):
+        light = at(playback, t)["light"]
+        assert (light["kind"], light["text"]) == expected[t], t
+
+
+def test_a_state_does_not_depend_on_how_it_was_reached(heard):
+    timeline = read_timeline([heard])
+    straight, jumping = Playback(timeline), Playback(timeline)
+    states = [straight.state()]
+    for step in range(1, straight.steps + 1):
+        straight.seek(step)
+        states.append(straight.state())
+    for step in (399, 1, 100, 99, 101, 250, 249, 400, 0, 37, 350, 349):
+        jumping.seek(step)
+        assert jumping.state() == states[step], step
+
+
+def test_events_have_the_times_of_the_flight(heard):
+    playback = Playback(read_timeline([heard]))
+    events = {
+        event["text"]: event["t_utc_s"] - UTC for event in at(playback, 40.0)["events"] if event["drone"] == 3
+    }
+    assert events["is here"] == pytest.approx(0.0, abs=0.11)
+    assert events["is gone"] == pytest.approx(30.0, abs=0.3)
+    assert all(event["text"] != "is gone" for event in at(playback, 29.0)["events"])
+
+
+def test_a_picture_is_shown_with_the_boxes_of_its_instant(heard):
+    playback = Playback(read_timeline([heard]))
+    for t in (20.0, 5.0):
+        at(playback, t)
+        view, tracks = playback.seen(1)
+        assert view.jpeg.startswith(b"\xff\xd8")
+        assert view.t_utc_s == pytest.approx(UTC + t)
+        assert tracks.tracks[0].u_px == pytest.approx(100.0 + 5.0 * t)
+    at(playback, 39.0)
+    assert playback.seen(3) is None  # it has been gone for long
+
+
+async def test_recording_a_swarm_switches_no_camera_on_unless_asked_to(tmp_path):
+    team = f"test-{secrets.token_hex(4)}"
+    async with scripted_team(team, 2) as drones:
+        for arguments, watched in ((), False), (("--video",), True):
+            folder = tmp_path / str(watched)
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "swarmtrack.agents.main", "record", str(folder)),
+                *("--team", team, "--seconds", "2.5", *arguments),
+                cwd=ROOT,
+            )
+            was_watched = False
+            while process.returncode is None:
+                was_watched |= any(drone.is_watched for drone in drones)
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(process.wait(), 0.05)
+            assert (process.returncode, was_watched) == (0, watched)
+            playback = Playback(read_timeline([folder]))
+            assert at(playback, playback.timeline.seconds)["light"]["text"] == "2 drones agree"
+            assert (playback.seen(1) is not None) == watched
+
+
+# --- what drones recorded themselves --------------------------------------------------------------
+
+
+def test_drones_own_recordings_make_one_picture_of_the_team(flown):
+    timeline = read_timeline([flown])
+    assert timeline.notes == []
+    assert timeline.seconds == pytest.approx(6.0, abs=0.3)  # though their wall clocks are 2 s apart
+    playback = Playback(timeline)
+    state = at(playback, 5.0)
+    assert [drone["id"] for drone in state["drones"]] == [1, 2, 3]
+    assert state["light"] == {"kind": "ok", "text": "3 drones agree", "also": []}
+    assert {(look[0], look[1]) for look in state["looks"] if look[3]} == {
+        (a, b) for a in (1, 2, 3) for b in (1, 2, 3) if a != b
+    }
+    for drone in (1, 2, 3):
+        view, tracks = playback.seen(drone)
+        assert view.jpeg.startswith(b"\xff\xd8")
+        assert {track.identity for track in tracks.tracks} == {1, 2, 3} - {drone}
+    assert at(playback, 5.9)["light"]["kind"] == "ok"  # nobody is gone just because the recording ends
+
+
+def test_of_a_lone_drone_there_is_what_it_saw_and_heard(flown):
+    timeline = read_timeline([flown / "drone-2"])
+    assert timeline.notes == []
+    state = at(Playback(timeline), 5.0)
+    assert [drone["id"] for drone in state["drones"]] == [1, 2, 3]
+    assert {look[1] for look in state["looks"] if look[0] == 2} == {1, 3}
+    assert all(look[3] for look in state["looks"])
+    assert all(drone["gone_s"] is None and drone["position_m"] for drone in state["drones"])
+
+
+# --- what cannot be played ------------------------------------------------------------------------
+
+
+def test_two_processes_that_speak_as_one_drone_are_played(tmp_path):
+    fly(tmp_path, 3.0, faults=True)
+    playback = Playback(read_timeline([tmp_path / "rec"]))
+    light = at(playback, 1.4)["light"]
+    assert (light["kind"], light["text"]) == ("bad", "2 processes speak as drone 99")
+    assert "processes" not in json.dumps(at(playback, 2.0)["light"])
+
+
+def test_what_is_cut_off_is_played_as_far_as_it_goes_and_told(heard, tmp_path):
+    (whole,) = heard.rglob("*.mcap")
+    cut = tmp_path / "0001.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    timeline = read_timeline([cut])
+    assert 5.0 < timeline.seconds < 35.0
+    assert "is cut off after" in timeline.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [(None, "holds no .mcap file"), (b"", "is no MCAP file"), (b"\x89MCAP0\r\n", "is no recording of ours")],
+)
+def test_what_is_no_recording_is_refused_with_a_sentence(content, says, tmp_path, capsys):
+    if content is not None:
+        (tmp_path / "0001.mcap").write_bytes(content)
+    assert swarmtrack.main(["monitor", "--port", "0", "--recording", str(tmp_path)]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_recording_without_a_word_is_refused(tmp_path):
+    recorder = SwarmRecorder(ManualClock(), TEAM)
+    recorder.open(tmp_path)
+    recorder.flown("started", 1)
+    recorder.close()
+    with pytest.raises(
+        RecordingError, match="holds no word of any drone, expected the recording of a flight"
+    ):
+        read_timeline([tmp_path])
+
+
+def test_two_teams_are_not_one(heard, flown):
+    with pytest.raises(RecordingError, match=f"teams {TEAM}, t, expected those of one"):
+        read_timeline([heard, flown])
+
+
+def test_a_recording_beside_a_swarm_is_a_mistake(heard, capsys):
+    assert swarmtrack.main(["monitor", "--recording", str(heard), "--team", "x"]) == 2
+    assert "expected a recording or a swarm" in capsys.readouterr().err
+
+
+# --- the page -------------------------------------------------------------------------------------
+
+
+@asynccontextmanager
+async def playing(folder: Path) -> AsyncIterator[str]:
+    """The address of `swarmtrack monitor --recording`."""
+    process = await asyncio.create_subprocess_exec(
+        *(
+            sys.executable,
+            "-m",
+            "swarmtrack.agents.main",
+            "monitor",
+            "--port",
+            "0",
+            "--recording",
+            str(folder),
+        ),
+        stdout=asyncio.subprocess.PIPE,
+        cwd=ROOT,
+    )
+    assert process.stdout is not None
+    try:
+        line = (await asyncio.wait_for(process.stdout.readline(), PATIENCE)).decode()
+        yield re.search(r"http\S+", line)[0]  # type: ignore[index]
+    finally:
+        process.send_signal(signal.SIGTERM)
+        assert await asyncio.wait_for(process.wait(), PATIENCE) == 0
+
+
+def test_only_wishes_that_a_page_has_are_granted(heard):
+    player = Player(Playback(read_timeline([heard])), "x")
+    for wish in ({"seek": 3}, {"seek": -1.0}, {"seek": 1e6}, {"play": False}, {"speed": 0.25}):
+        assert player.on_wish(wish), wish
+    nonsense = ["NaN", "1e999", "9" * 400, '"3"', "null", "[1]"]
+    for text in nonsense:
+        assert not player.on_wish({"seek": json.loads(text)}), text
+        assert not player.on_wish({"speed": json.loads(text)}), text
+    assert not player.on_wish({"speed": 3})
+    assert not player.on_wish({"fly": True})
+
+
+async def test_two_viewers_share_one_position(heard):
+    async with (
+        playing(heard) as url,
+        aiohttp.ClientSession() as http,
+        http.ws_connect(f"{url}ws") as one,
+        http.ws_connect(f"{url}ws") as two,
+        asyncio.timeout(PATIENCE),
+    ):
+        await one.send_str('{"play": false}')
+        await one.send_str('{"seek": 15}')
+        state = {"playback": {"t_s": None}}
+        while state["playback"]["t_s"] != 15.0:
+            state = json.loads((await two.receive()).data)
+            await two.send_str("+")
+        assert state["light"]["text"] == "drone 2 calls drone 1 drone 3"
+        assert state["playback"]["playing"] is False
+
+
+@needs_chromium
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+async def test_the_slider_moves_the_time_and_the_sentence(heard, width, height):
+    async with playing(heard) as url, browser_page(width, height) as (page, misdeeds):
+        await page.goto(url)
+        await page.wait_for_selector("#player:not([hidden])")
+        await page.click("#play")
+        await page.wait_for_function("() => state.playback.playing === false")
+        slide = "t => {const s = document.querySelector('#time'); s.value = t; s.dispatchEvent(new Event('input'))}"
+        for t, kind, text in (
+            (15.0, "bad", "drone 2 calls drone 1 drone 3"),
+            (8.0, "ok", "3 drones agree"),
+            (35.0, "warn", "drone 3 is gone"),
+        ):
+            await page.evaluate(slide, t)
+            await until_said(page, text, kind)
+            assert (await page.inner_text("#clock")).startswith(f"0:{t:04.1f} / 0:40.0")
+        await page.wait_for_selector(".camera.gone")
+        await page.keyboard.press("Shift+ArrowLeft")
+        await until_said(page, "3 drones agree", "ok")
+        before = await page.evaluate("stats.pictures")
+        await page.keyboard.press("Space")
+        await page.wait_for_function("n => stats.pictures > n + 3 && state.playback.t_s > 25.5", arg=before)
+        assert await page.evaluate("document.documentElement.scrollWidth") <= width
+        assert misdeeds == []

@@ -1,0 +1,197 @@
+"""Imports go one way, and the core touches nothing outside itself (STYLE.md, "One direction of imports")."""
+
+import ast
+import sys
+from collections.abc import Set
+from functools import cache
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+from support.places import ROOT
+
+# From the bottom up: a module may import from its own layer and from those before it.
+LAYERS: list[set[str]] = [
+    {"errors", "messages", "clock"},
+    {"geometry"},
+    {"motion", "tracking", "identity"},
+    {"onboard"},
+    {"simulation", "evaluation"},
+    {"toml", "wire", "security", "camera_files"},
+    {"config", "scenario_file"},
+    {"detection", "sensors", "transport", "recording", "calibration"},
+    {"diagnosis"},
+    {"training", "runtime"},
+    {"localswarm", "doctor", "setup"},
+    {"replay"},
+    {"monitor"},
+    {"benchmarks"},
+    {"agents"},
+]
+LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
+CORE = {"errors", "messages", "geometry", "motion", "tracking", "identity", "onboard"}
+# What judges and says, and touches nothing: facts in, sentences out.
+JUDGES = {"diagnosis", "evaluation", "monitor.verdict", "monitor.team", "monitor.timeline"}
+TOUCHES_THE_WORLD = {
+    "asyncio",
+    "threading",
+    "socket",
+    "subprocess",
+    "aiohttp",
+    "zenoh",
+    "cv2",
+    "serial",
+    "onnxruntime",
+}
+# Of the standard library: no I/O, no clock, no concurrency.
+PURE = {
+    "__future__", "abc", "bisect", "collections", "copy", "dataclasses", "difflib", "enum", "fractions", "functools",
+    "heapq", "itertools", "math", "operator", "random", "re", "statistics", "string", "struct", "types", "typing",
+    "zlib",
+}  # fmt: skip
+STOPWATCHES = {"perf_counter", "process_time", "thread_time"}
+CLOCKS = STOPWATCHES | {"time", "monotonic", "time_ns", "monotonic_ns", "clock_gettime"}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the project by its name under `swarmtrack`: `geometry.camera`, `agents.vehicle`."""
+    found = {}
+    for root in (ROOT / "swarmtrack", ROOT / "agents", ROOT / "benchmarks"):
+        for path in root.rglob("*.py"):
+            relative = path.relative_to(root if root.name == "swarmtrack" else ROOT)
+            if root.name == "swarmtrack" and relative.parts[0] in ("agents", "benchmarks", "configs"):
+                continue  # symbolic links to the folders of the same names
+            name = ".".join(relative.with_suffix("").parts).removesuffix("__init__").rstrip(".")
+            if name:
+                found[name] = path
+    return found
+
+
+MODULES = modules()
+
+
+@cache
+def imports(name: str) -> frozenset[str]:
+    """The modules that a module imports, at its head or later; ours without `swarmtrack.`, others whole.
+
+    Imports for types only count too: they tell which way the thoughts go.
+    """
+    tree = ast.parse(MODULES[name].read_text())
+    package = name.split(".") if MODULES[name].name == "__init__.py" else name.split(".")[:-1]
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                base = ".".join(
+                    ["swarmtrack", *package[: len(package) - node.level + 1], *filter(None, [base])]
+                )
+            # `from package import module` imports the module; `from module import name` the module itself.
+            for alias in node.names:
+                inner = f"{base}.{alias.name}".removeprefix("swarmtrack.")
+                found.add(f"swarmtrack.{inner}" if inner in MODULES else base)
+    return frozenset(module.removeprefix("swarmtrack.") for module in found if module != "swarmtrack")
+
+
+def package(name: str) -> str:
+    """The room: `monitor` of `monitor.team`; a module that stands alone is one by itself."""
+    return name.split(".", maxsplit=1)[0]
+
+
+def layer(name: str) -> int:
+    return LAYER[package(name)]
+
+
+def ours(names: Set[str]) -> set[str]:
+    return {name for name in names if name in MODULES}
+
+
+def test_every_module_has_its_layer():
+    assert {name.split(".")[0] for name in MODULES} <= set(LAYER)
+    assert {"errors", "messages", "geometry.camera", "clock"} <= set(MODULES)  # the search finds modules
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_nothing_imports_from_a_layer_above(name):
+    above = {other for other in ours(imports(name)) if layer(other) > layer(name)}
+    assert not above, f"{name} imports {', '.join(sorted(above))}, which stand above it"
+
+
+def test_no_module_imports_itself_in_a_circle():
+    tuple(TopologicalSorter({name: ours(imports(name)) - {name} for name in MODULES}).static_order())
+
+
+def test_packages_of_one_layer_do_not_import_each_other_both_ways():
+    used = {(package(name), package(other)) for name in MODULES for other in ours(imports(name))}
+    both = sorted({tuple(sorted(pair)) for pair in used if pair[0] != pair[1] and pair[::-1] in used})
+    assert not both, f"import each other: {both}"
+
+
+def test_packages_stand_in_no_circle():
+    graph = {package(name): set() for name in MODULES}
+    for name in MODULES:
+        graph[package(name)] |= {package(other) for other in ours(imports(name))} - {package(name)}
+    tuple(TopologicalSorter(graph).static_order())
+
+
+def test_agents_holds_programs_only_one_file_each():
+    assert len([name for name in MODULES if name.startswith("agents.")]) <= 28
+
+
+@pytest.mark.parametrize(
+    "name", sorted(name for name in MODULES if name in JUDGES or package(name) in JUDGES)
+)
+def test_a_judge_imports_nothing_that_touches_the_world(name):
+    reached, waiting = set(), [name]
+    while waiting:
+        for other in imports(waiting.pop()) - reached:
+            reached.add(other)
+            if other in MODULES:
+                waiting.append(other)
+    touched = {other.split(".")[0] for other in reached - set(MODULES)} & TOUCHES_THE_WORLD
+    assert not touched, f"{name} imports, by itself or by what it imports, {', '.join(sorted(touched))}"
+
+
+@pytest.mark.parametrize("name", sorted(name for name in MODULES if name.split(".")[0] in CORE))
+def test_the_core_imports_only_numpy_scipy_and_what_is_pure(name):
+    outside = {module.split(".")[0] for module in imports(name) - set(MODULES)} - {""}
+    impure = outside - {"numpy", "scipy"} - PURE
+    assert not impure, f"{name} imports {', '.join(sorted(impure))}"
+
+
+# Benchmarks are no part of an agent: from outside they hold a stopwatch to it. Training may say how long it took.
+@pytest.mark.parametrize("name", sorted(name for name in MODULES if not name.startswith("benchmarks")))
+def test_only_one_module_reads_a_clock(name):
+    if name in ("clock", "localswarm.skewed_clock"):  # the second sets wrong what the first reads
+        return
+    clocks = CLOCKS - STOPWATCHES if name.startswith("training") else CLOCKS
+    reads = set()
+    for node in ast.walk(ast.parse(MODULES[name].read_text())):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            if node.value.id == "time" and node.attr in clocks:
+                reads.add(f"time.{node.attr} in line {node.lineno}")
+            if node.value.id in ("datetime", "date") and node.attr in ("now", "utcnow", "today"):
+                reads.add(f"{node.value.id}.{node.attr} in line {node.lineno}")
+        if isinstance(node, ast.ImportFrom) and node.module == "time":
+            reads |= {
+                f"time.{alias.name} in line {node.lineno}" for alias in node.names if alias.name in clocks
+            }
+    assert not reads, f"{name} reads a clock: {', '.join(sorted(reads))}"
+
+
+def test_what_counts_as_pure_is_in_the_standard_library():
+    assert PURE - {"__future__"} <= sys.stdlib_module_names
+    assert not PURE & {
+        "asyncio",
+        "time",
+        "socket",
+        "threading",
+        "logging",
+        "os",
+        "pathlib",
+        "subprocess",
+        "sys",
+    }

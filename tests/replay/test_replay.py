@@ -1,0 +1,450 @@
+"""Replays: a recorded flight again, bit for bit; what if; and recordings by real processes, whatever befalls them."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from support.pair_scenario import PAIR
+from support.places import ROOT
+
+pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
+
+from support.recorded_flight import fly
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.config import load_config
+from swarmtrack.evaluation.replay_diff import SeenScan, SeenTrack, compare
+from swarmtrack.evaluation.swarm_verdict import Limits
+from swarmtrack.recording import inputs
+from swarmtrack.recording.reader import recordings_below
+from swarmtrack.recording.repair import repair
+from swarmtrack.recording.settings import read_settings
+from swarmtrack.replay.replayer import Replayer
+
+DATA = ROOT.parent / "shared" / "data"
+REPLAY = [sys.executable, "-m", "swarmtrack.agents.main", "replay"]
+PATIENCE = 120.0  # s: far beyond what it takes, for a machine that is busy
+LOST_S = 1.0  # what kill -9 may cost
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flight")
+    return folder / "rec", fly(folder, 5.0)
+
+
+def replay(path: Path, *arguments: str) -> int:
+    return swarmtrack.main(["replay", str(path), *arguments])
+
+
+def replayed(path: Path, **changes):
+    recording = recordings_below(path)[0]
+    return Replayer(recording, read_settings(recording, **changes)[0]).run()
+
+
+# --- as it was ------------------------------------------------------------------------------------
+
+
+def same(one, other) -> bool:
+    """Whether two lists of tracks are the same, without a digest."""
+    pairs = zip(one.tracks, other.tracks, strict=True)
+    return one.t == other.t and all(
+        (a.track.id, a.identity, a.track.status, a.identity_probability, a.track.probability)
+        == (b.track.id, b.identity, b.track.status, b.identity_probability, b.track.probability)
+        and a.track.mean.tobytes() == b.track.mean.tobytes()
+        and a.track.cov.tobytes() == b.track.cov.tobytes()
+        for a, b in pairs
+    )
+
+
+def test_a_recorded_flight_comes_out_bit_for_bit(flown):
+    folder, flights = flown
+    for flight in flights:
+        recording = recordings_below(folder / f"drone-{flight.drone_id}")[0]
+        answers = []
+        result = Replayer(recording, read_settings(recording)[0], watcher=answers.append).run()
+        sampled = replayed(recording.folder)
+        assert result.exact
+        assert sampled.exact
+        assert sampled.digest == result.digest
+        assert 0 < sampled.answers_compared.recorded < result.answers_compared.recorded
+        assert (result.scans_compared.recorded, result.answers_compared.recorded) == (
+            len(flight.scans),
+            len(flight.answers),
+        )
+        assert all(same(a.tracks, b.tracks) for a, b in zip(result.scans, flight.scans, strict=True))
+        assert all(same(a.tracks, b.tracks) for a, b in zip(result.recorded_scans, flight.scans, strict=True))
+        assert all(same(a, b) for a, b in zip(answers, flight.answers, strict=True))
+        assert {2, 3} - {flight.drone_id} <= {entry.identity for entry in answers[-1].tracks}
+
+
+def test_it_is_the_same_in_every_process(flown, tmp_path, capsys):
+    """Hashes of strings differ between processes; nothing may depend on them."""
+    digests = set()
+    for seed in ("1", "2"):
+        out = tmp_path / f"{seed}.json"
+        subprocess.run(
+            [*REPLAY, str(flown[0] / "drone-1"), "--exact", "--json", str(out)],
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed},
+            check=True,
+            timeout=PATIENCE,
+            stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+        digests.add(tuple(drone["digest"] for drone in json.loads(out.read_text())["drones"]))
+    assert len(digests) == 1
+
+
+def test_a_change_of_one_bit_in_the_inputs_is_noticed(flown, monkeypatch):
+    decode = inputs.decode
+
+    def flipped(topic, data):
+        n, event = decode(topic, data)
+        if topic == "/detections" and event.sequence == 20:
+            event = replace(event, centre=np.nextafter(event.centre, np.inf))
+        return n, event
+
+    monkeypatch.setattr(inputs, "decode", flipped)
+    result = replayed(flown[0] / "drone-1")
+    assert not result.exact
+    assert 0 < result.scans_compared.same < result.scans_compared.recorded
+    assert 1.0 < result.scans_compared.parted_s < 5.0
+
+
+def test_where_inputs_are_missing_it_says_so(tmp_path):
+    source = tmp_path / "f"
+    source.mkdir()
+    (flight,) = fly(source, 3.5, drones=(1,))
+    life = next((source / "rec" / "drone-1").iterdir())
+    recording = recordings_below(life)[0]
+    messages = list(recording.messages())
+    assert flight.scans
+    kept = [m for k, m in enumerate(messages) if not 500 <= k < 700]
+    result = Replayer(_Only(recording, kept), read_settings(recording)[0]).run()
+    assert result.inputs_lost > 0
+    assert not result.exact
+
+
+class _Only:
+    """A recording of which only some messages are left."""
+
+    def __init__(self, recording, messages):
+        self._recording, self._messages = recording, messages
+
+    def __getattr__(self, name):
+        return getattr(self._recording, name)
+
+    def messages(self, topics):
+        return (message for message in self._messages if message.topic in topics)
+
+
+# --- what if --------------------------------------------------------------------------------------
+
+
+def test_another_tracker_is_asked_and_compared(flown, tmp_path, capsys):
+    out, plot = tmp_path / "jpdaf.json", tmp_path / "diff.png"
+    assert replay(flown[0], "--tracker", "jpdaf", "--json", str(out), "--plot", str(plot)) == 0
+    said = capsys.readouterr().out
+    assert "jpdaf" in said
+    assert "tracks matched" in said
+    drones = json.loads(out.read_text())["drones"]
+    for drone in drones:
+        diff = drone["diff"]
+        assert not drone["exact"]
+        assert diff["tracks_matched"] > 0.8 * diff["tracks_other"]
+        assert 0.0 < diff["rmse_px"] < 5.0
+        assert diff["parted_s"] is not None
+    assert plot.stat().st_size > 10_000
+    # The same question again differs by nothing from its own answer.
+    assert replay(flown[0], "--tracker", "jpdaf", "--against", str(out), "--json", str(out)) == 0
+    for drone in json.loads(out.read_text())["drones"]:
+        assert (drone["diff"]["rmse_px"], drone["diff"]["parted_s"]) == (0.0, None)
+
+
+def test_a_changed_parameter_changes_the_tracks(flown, capsys):
+    drone = flown[0] / "drone-1"
+    assert replay(drone, "--set", "tracker.measurement_sigma=12.0", "--set", "identity.window_s=1.0") == 0
+    assert "they part at" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("tracker.p_detections=0.5", "--set:1: tracker.p_detections: unknown key, did you mean"),
+        ("tracker.p_detection=1.5", "--set:1: tracker.p_detection: 1.5, expected"),
+        ("tracker.name=particle", "tracker.name: \"particle\", expected one of"),
+        ("motion.history_s=true", "--set:1: motion.history_s: true, expected"),
+        ("network.team=blue", "has no say in a replay"),
+        ("p_detection=0.5", "expected TABLE.KEY=VALUE"),
+        ("tracker.p_detection", "expected TABLE.KEY=VALUE"),
+    ],
+)  # fmt: skip
+def test_a_wrong_question_gets_the_errors_of_the_config(flown, capsys, change, sentence):
+    assert replay(flown[0] / "drone-1", "--set", change) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [None, "", "[]", '{"drones": [{"drone_id": 1}]}'])
+def test_what_is_no_other_replay_is_said(flown, tmp_path, capsys, content):
+    other = tmp_path / "other.json"
+    if content is not None:
+        other.write_text(content)
+    assert replay(flown[0] / "drone-1", "--against", str(other)) == 2
+    assert "replay --json wrote" in capsys.readouterr().err
+
+
+def test_the_difference_of_two_replays_by_hand():
+    def scan(k, *tracks):
+        return SeenScan(k, k / 10, tuple(SeenTrack(*track) for track in tracks))
+
+    one = [scan(0, (1, 7, 10.0, 10.0)), scan(1, (1, 7, 20.0, 10.0), (2, None, 90.0, 90.0)), scan(2)]
+    other = [scan(0, (5, 7, 10.0, 10.0)), scan(1, (5, None, 23.0, 14.0)), scan(3)]
+    diff = compare(one, other)
+    assert (diff.scans, diff.only_one, diff.only_other) == (2, 1, 1)
+    assert (diff.one, diff.other, diff.matched) == (3, 2, 2)
+    assert diff.rmse_px == pytest.approx((25 / 2) ** 0.5)
+    assert (diff.other_names, diff.unknown_in_one, diff.parted_s) == (1, 1, 0.1)
+    assert compare(one, one).parted_s is None
+
+
+# --- real processes -------------------------------------------------------------------------------
+
+
+def agent(
+    folder: Path, *options: str, record: Path | None = None, recording: str = ""
+) -> subprocess.Popen[str]:
+    config = folder / "drone.toml"
+    config.write_text(
+        f'extends = "{ROOT}/configs/sim.toml"\n[recording]\ndir = "{record or folder / "rec"}"\n{recording}'
+    )
+    return subprocess.Popen(
+        [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(config), "--quiet", *options],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def until(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not (value := condition()):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return value
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_kill_9_costs_less_than_a_second_and_the_rest_is_repaired_and_replayed(tmp_path, seed):
+    chance = random.Random(seed)
+    with agent(tmp_path, recording="segment_s = 1.5\n") as process:
+        until(lambda: list(tmp_path.rglob("*.mcap*")))
+        time.sleep(chance.uniform(0.5, 3.5))
+        died = time.time()
+        process.kill()
+        process.wait()
+    files = sorted(tmp_path.rglob("*.mcap*"))
+    repaired = [repair(file) for file in files]
+    assert any(repaired) or not any(file.name.endswith(".active") for file in files)
+    assert not list(tmp_path.rglob("*.active"))
+    recording = recordings_below(tmp_path)[0]
+    last = max((message.log_time_ns for message in recording.messages()), default=0)
+    if last:  # killed before the first flush there is nothing to lose but that
+        assert died - last * 1e-9 < LOST_S + 1.0  # a second more: this machine may be busy with other tests
+        assert recording.damage == []
+        assert replayed(tmp_path).exact
+
+
+def scans_in(folder: Path) -> int:
+    """Of what is being recorded."""
+    if not list(folder.rglob("*.mcap*")):
+        return 0
+    return sum(message.topic == "/tracks" for r in recordings_below(folder) for message in r.messages())
+
+
+def test_an_agent_records_and_its_recording_is_replayed_and_its_pictures_detected_anew(tmp_path):
+    with agent(tmp_path, recording='frames = "jpeg"\nframes_hz = 1000.0\n') as process:
+        until(lambda: scans_in(tmp_path) >= 25)
+        process.terminate()
+        assert process.wait(PATIENCE) == 0, process.stderr.read()
+    recording = recordings_below(tmp_path / "rec" / "drone-1")[0]
+    assert recording.segments[-1].path.suffix == ".mcap"
+    topics = {message.topic for message in recording.messages()}
+    assert topics >= {
+        "/imu",
+        "/ego",
+        "/detections",
+        "/peers/announcement",
+        "/peers/arrived",
+        "/health",
+        "/said",
+    }
+    assert topics >= {
+        "/camera/image",
+        "/camera/frames",
+        "/camera/annotations",
+        "/pose",
+        "/log",
+        "/tracks",
+        "/asked",
+    }
+    assert recording.damage == []
+    result = replayed(tmp_path)
+    assert result.exact
+    assert result.scans
+    assert replay(tmp_path / "rec", "--exact") == 0
+    out = tmp_path / "out.json"
+    assert replay(tmp_path / "rec", "--detect", "--json", str(out)) == 0
+    (drone,) = json.loads(out.read_text())["drones"]
+    # The pictures went through JPEG once more, so nearly the same is found in them.
+    assert drone["diff"]["tracks_matched"] > 0.7 * drone["diff"]["tracks_other"] > 0
+    assert drone["diff"]["rmse_px"] < 3.0
+
+
+def full_disk(tmp_path: Path) -> Path:
+    place = tmp_path / "small"
+    place.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"no small disk can be made here: {mounted.stderr.decode().strip()}")
+    return place
+
+
+def test_on_a_full_disk_the_agent_flies_on_and_says_so(tmp_path):
+    place = full_disk(tmp_path)
+    try:
+        jsonl = tmp_path / "tracks.jsonl"
+        extra = f'[output]\njsonl = "{jsonl}"\n'
+        with agent(tmp_path, record=place, recording=extra) as process:
+            # Long after 64 KiB are full, which takes two seconds:
+            until(lambda: jsonl.exists() and jsonl.read_text().count("\n") >= 25)
+            time.sleep(3.0)
+            assert process.poll() is None
+            process.terminate()
+            said = process.stderr.read()
+            assert process.wait(PATIENCE) == 0
+        warnings = [line for line in said.splitlines() if "No space left on device" in line]
+        assert len(warnings) == 1, said
+        assert "recording: " in warnings[0]
+        assert "error logging message" not in said
+        lines = len(jsonl.read_text().splitlines())
+        result = replayed(place)  # what did fit is good
+        assert result.scans_compared.same == result.scans_compared.recorded < lines
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_folder_that_cannot_be_made_ends_the_start_with_its_entry(tmp_path):
+    (tmp_path / "file").write_text("")
+    with agent(tmp_path, "--seconds", "1", record=tmp_path / "file") as process:
+        said = process.stderr.read()
+        assert process.wait(PATIENCE) == 2
+    assert "drone.toml:3: recording.dir:" in said
+    assert "Not a directory" in said
+
+
+def test_recording_is_off_unless_a_folder_is_named():
+    assert load_config(ROOT / "configs" / "sim.toml").recording.dir is None
+
+
+def test_the_verdict_on_a_recorded_swarm_is_reproduced(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    scenario, folder, verdict = tmp_path / "pair.toml", tmp_path / "rec", tmp_path / "verdict.json"
+    scenario.write_text(PAIR)
+    flight = subprocess.run(
+        [sys.executable, "-m", "swarmtrack.agents.main", "sim", "--scenario", str(scenario), "--detector", "oracle",
+         "--record", str(folder), "--json", str(verdict)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert verdict.exists(), flight.stderr
+    scenario.unlink()  # the recording knows it
+    out = tmp_path / "again.json"
+    assert replay(folder, "--json", str(out)) == flight.returncode
+    said = capsys.readouterr().out
+    assert "the verdict is the recorded one" in said
+    assert "whose inputs are not recorded" not in said
+    again = json.loads(out.read_text())
+    assert again["verdict"] == json.loads(verdict.read_text())
+    assert all(drone["exact"] for drone in again["drones"])
+    # One drone named twice is one drone; without what was heard of the swarm there is nothing to judge.
+    assert replay(folder / "drone-1", str(folder / "drone-1")) == 0
+    said = capsys.readouterr().out
+    assert said.count("drone 1 (") == 1
+    assert "verdict" not in said
+    # Judged by a limit that nobody keeps, it fails, and so says the exit code.
+    monkeypatch.setattr("swarmtrack.replay.verdict.limits_of", lambda layers: Limits(rmse_px=1e-3))
+    assert replay(folder) == 1
+    assert "tracking.rmse_px" in capsys.readouterr().out
+    assert swarmtrack.main(["sim", "--record", str(folder), "--scenario", "hover-triangle"]) == 2
+    assert "holds recordings already" in capsys.readouterr().err
+
+
+def test_record_hears_the_swarm_until_ctrl_c(tmp_path):
+    pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    team = f"record-{os.getpid()}"
+    config = tmp_path / "drone.toml"
+    config.write_text(
+        f'extends = "{ROOT}/configs/sim.toml"\n[network]\ntransport = "zenoh"\nteam = "{team}"\n'
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    argv = [sys.executable, "-m", "swarmtrack.agents.main", "record", str(tmp_path / "rec"), "--team", team]
+    with subprocess.Popen(argv, env=environment, stdout=subprocess.PIPE, text=True) as recorder:
+        assert recorder.stdout.readline().startswith(f"recording team {team} into ")
+        flight = [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(config), "--quiet"]
+        subprocess.run([*flight, "--seconds", "4"], env=environment, check=True, timeout=PATIENCE)
+        recorder.send_signal(signal.SIGINT)
+        said = recorder.stdout.read()
+        assert recorder.wait(PATIENCE) == 0
+    assert " messages, " in said
+    (recording,) = recordings_below(tmp_path / "rec")
+    topics = {message.topic for message in recording.messages()}
+    assert topics >= {"/heard", "/drone-1/pose", "/drone-1/tracks", "/drone-1/health", "/drone-1/alive"}
+    assert (recording.kind, recording.damage) == ("swarm", [])
+    assert swarmtrack.main(["log", "info", str(tmp_path / "rec")]) == 0
+    assert swarmtrack.main(["replay", str(tmp_path / "rec")]) == 2  # nothing that a drone was told
+
+
+@pytest.mark.skipif(not (DATA / "mavlink").exists(), reason="../shared/data is not here: no real recording")
+def test_a_log_and_a_video_become_a_recording(tmp_path, capsys):
+    config = tmp_path / "drone.toml"
+    config.write_text(
+        'drone.id = 5\n[camera]\nsource = "file://none.mp4"\n'
+        "intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }\n"
+    )
+    tlog = DATA / "mavlink" / "ardupilot_sitl.tlog"
+    video = tmp_path / "short.avi"
+    shorten(DATA / "drones_real" / "tracks" / "V_DRONE_106.mp4", video, frames=40)
+    words = ["import", "--tlog", str(tlog), "--video", str(video), "--config", str(config)]
+    assert swarmtrack.main([*words, "--out", str(tmp_path / "rec"), "--offset", "20"]) == 0
+    assert "40 frames, " in capsys.readouterr().out
+    recording = recordings_below(tmp_path / "rec" / "drone-5")[0]
+    result = Replayer(recording, read_settings(recording)[0]).run()
+    assert result.exact
+    assert (len(result.scans), recording.damage) == (40, [])
+    assert recording.folder.name.startswith("20261120T2302")  # the log's own time
+    with pytest.raises(SystemExit):
+        swarmtrack.main(["import", "--tlog", str(tlog)])
+    words[2] = str(config)
+    assert swarmtrack.main([*words, "--out", str(tmp_path / "no")]) == 2
+    assert "is it a telemetry log" in capsys.readouterr().err
+
+
+def shorten(source: Path, target: Path, frames: int) -> None:
+    capture = cv2.VideoCapture(str(source))
+    writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (640, 512))
+    for _ in range(frames):
+        writer.write(capture.read()[1])
+    writer.release()

@@ -1,0 +1,85 @@
+"""What a camera sees, for people: only while somebody listens, and small enough for one message."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from swarmtrack.benchmarks.agent_budget import agent_process
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.runtime.live_video import PICTURE_WIDTH, with_picture
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_listener import ZenohListener
+from swarmtrack.wire import codec
+
+PATIENCE = 30.0  # s
+LENS = PinholeCamera(600.0, 600.0, 320.0, 256.0, 640, 512)
+VIEW = codec.VideoMessage(1, 1.7e9, 0.05, 1, 640, 512, b"", codec.lens_message(LENS), None, None)
+
+
+@pytest.mark.parametrize("size", [(480, 640, 3), (3000, 4000, 3), (100, 4000), (1, 1), (480, 100, 3)])
+def test_any_image_fits_into_one_message(size):
+    noise = np.random.default_rng(1).integers(0, 256, size, dtype=np.uint8)  # what JPEG shrinks least
+    sent = with_picture(VIEW, noise)
+    assert sent is not None
+    assert len(codec.encode_video(sent)) <= codec.MAX_BYTES
+    picture = cv2.imdecode(np.frombuffer(sent.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert picture is not None
+    assert picture.shape[:2] == (sent.height, sent.width)
+    assert sent.width <= PICTURE_WIDTH
+
+
+async def test_an_agent_says_video_only_while_somebody_listens() -> None:
+    team = f"test-{secrets.token_hex(4)}"
+    entries = {
+        "drone.id": 1,
+        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
+        "autopilot.link": "none",
+        "drone.start.position_m": [1.0, 2.0, -3.0],
+        "network.team": team,
+        **{
+            f"camera.intrinsics.{name}": getattr(LENS, name)
+            for name in ("fx", "fy", "cx", "cy", "width", "height")
+        },
+    }
+    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team))
+    await listener.open()
+    sent: list[float] = []
+    frames: list[int] = []
+
+    async def hear() -> None:
+        async for sample in listener.samples():
+            address = keys.parse(sample.key)
+            assert address is not None
+            if address.kind is Kind.VIDEO:
+                frames.append(codec.decode_video(sample.payload).frame)
+            elif address.kind is Kind.HEALTH:
+                counters = codec.decode_health(sample.payload).links[-1].counters
+                sent.append(counters.get("video_sent", 0.0))
+
+    async def until(what: object) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not what():  # type: ignore[operator]
+            assert time.monotonic() < deadline
+            await asyncio.sleep(0.05)
+
+    hearing = asyncio.create_task(hear())
+    with agent_process(["swarmtrack.benchmarks.scripted_agent", "--fps", "20"], entries):
+        await until(lambda: len(sent) >= 2)
+        assert sent[-1] == 0  # though somebody hears everything else
+        await listener.listen_to(keys.key(team, Kind.VIDEO, 1))
+        await until(lambda: len(frames) >= 5)
+        assert frames == sorted(set(frames))
+        await listener.leave(keys.key(team, Kind.VIDEO, 1))
+        await until(lambda: len(sent) >= 4 and sent[-1] == sent[-2] > 0)
+    await listener.close()
+    await hearing

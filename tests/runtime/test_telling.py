@@ -1,0 +1,571 @@
+"""What the ground station hears: the autopilot's side of the link, read with pymavlink."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import math
+import os
+import socket
+import subprocess
+import sys
+import time
+import tty
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
+
+from support.autopilot_flight import Flight, Listener, SimulatedLink
+from support.fake_autopilot import FakeAutopilot, serve_udp
+from swarmtrack.clock import ManualClock, SystemClock
+from swarmtrack.config import load_config
+from swarmtrack.errors import ConfigError
+from swarmtrack.identity.agreement import Disagreement
+from swarmtrack.messages import (
+    Announcement,
+    IdClash,
+    IdentifiedTrack,
+    LinkStatus,
+    PeerDeparted,
+    Sighting,
+    SightingReport,
+    Track,
+    TrackList,
+    TrackStatus,
+)
+from swarmtrack.onboard import ScanReport
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.status_lines import Lasting, StatusLines
+from swarmtrack.runtime.telling import Teller
+from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_value, status_text
+from swarmtrack.wire.codec import link_health
+
+TIMEOUT = 60.0  # s: a hang, not a speed
+CONFIG = """
+drone.id = 1
+network.transport = "memory"
+autopilot.link = "udpin:127.0.0.1:1"
+autopilot.tell = {tell}
+[camera]
+source = "http://127.0.0.1:9/"
+intrinsics = {{ fx = 600.0, fy = 600.0, cx = 319.5, cy = 255.5, width = 640, height = 512 }}
+"""
+ORIGIN = """
+[team]
+origin = { lat_deg = 47.4, lon_deg = 8.5, alt_m = 488.0 }
+"""
+
+
+class Ground(FakeAutopilot):
+    """An autopilot that keeps what its companion says, as it would hand it on to a ground station."""
+
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.heard = []
+
+    def understand(self, message, now):
+        self.heard.append(message)
+        super().understand(message, now)
+
+    def of(self, kind):
+        return [m for m in self.heard if m.get_type() == kind]
+
+    @property
+    def texts(self):
+        return [(m.severity, m.text) for m in self.of("STATUSTEXT")]
+
+
+# ── the agent, whole ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+async def test_the_ground_station_reads_who_we_are_that_we_are_ready_and_how_many_we_see(tmp_path):
+    port = free_port()
+    config = tmp_path / "drone.toml"
+    config.write_text(
+        f"""
+        drone.id = 1
+        network.transport = "memory"
+        camera.source = "sim://hover-triangle?seed=1"
+        autopilot.link = "udpin:127.0.0.1:{port}"
+        autopilot.tell = ["status", "camera_tracking"]
+        """,
+        encoding="utf-8",
+    )
+    ground = Ground(system=7, boot_at=time.monotonic() - 40.0)
+    ground.gyro = np.zeros(3)
+    agent = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(config), "--quiet")
+    )
+    try:
+        async with serve_udp(ground, "127.0.0.1", port), asyncio.timeout(TIMEOUT):
+            while not (  # noqa: ASYNC110 (what is waited for happens outside)
+                any("sees 2 of 2" in text for _, text in ground.texts)
+                and len(ground.of("NAMED_VALUE_FLOAT")) > 3
+            ):
+                await asyncio.sleep(0.05)
+    finally:
+        agent.terminate()
+        assert await asyncio.wait_for(agent.wait(), TIMEOUT) == 0
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in ground.heard[1:]} == {(7, 191)}
+    heartbeat = ground.of("HEARTBEAT")[-1]
+    assert heartbeat.type == common.MAV_TYPE_ONBOARD_CONTROLLER
+    assert heartbeat.autopilot == common.MAV_AUTOPILOT_INVALID
+    assert (common.MAV_SEVERITY_INFO, "swarmtrack: ready, drone 1") in ground.texts
+    assert (common.MAV_SEVERITY_INFO, "swarmtrack: sees 2 of 2") in ground.texts
+    assert (ground.of("NAMED_VALUE_FLOAT")[-1].name, ground.of("NAMED_VALUE_FLOAT")[-1].value) == (
+        "trk_n",
+        2.0,
+    )
+    box = next(m for m in ground.of("CAMERA_TRACKING_IMAGE_STATUS") if m.tracking_status)
+    assert box.tracking_mode == common.CAMERA_TRACKING_MODE_RECTANGLE
+    assert 0.0 <= box.rec_top_x < box.rec_bottom_x <= 1.0
+    assert 0.0 <= box.rec_top_y < box.rec_bottom_y <= 1.0
+    assert math.isnan(box.radius)
+    # Nothing else: what moves a vehicle is never among it.
+    assert {m.get_type() for m in ground.heard} <= {
+        *("HEARTBEAT", "TIMESYNC", "COMMAND_LONG"),
+        *("STATUSTEXT", "NAMED_VALUE_FLOAT", "CAMERA_TRACKING_IMAGE_STATUS"),
+    }
+
+
+# ── what is news, in our own time ────────────────────────────────────────────────────────────────────────────────────
+
+
+class Source:
+    """In place of a camera or a network: up or not."""
+
+    def __init__(self, name):
+        self.name, self.ok = name, True
+
+    def status(self):
+        return LinkStatus(self.name, self.ok, "")
+
+
+class Told:
+    """A teller and the autopilot that it tells, on a perfect link in simulated time."""
+
+    def __init__(self, tmp_path, tell='["status"]'):
+        path = tmp_path / "drone.toml"
+        path.write_text(CONFIG.format(tell=tell) + ORIGIN, encoding="utf-8")
+        self.ground = Ground(boot_at=60.0)
+        self.flight = Flight(self.ground)
+        self.camera, self.network = Source("camera"), Source("zenoh")
+        self.parts = dataclasses.replace(
+            assemble(load_config(path)),
+            autopilot=self.flight.unit,
+        )
+        self.teller = Teller(self.parts)
+        self.teller._wall = self.flight.clock
+        self.sequence = 0
+
+    def fly(self, seconds, identities=(), box=(20.0, 10.0)):
+        """identities: of the tracks in view, from left to right; None: unknown."""
+        for _ in range(round(seconds / 0.2)):
+            self.flight.fly(0.2)
+            now = self.flight.clock.now()
+            tracks = tuple(
+                IdentifiedTrack(
+                    Track(
+                        i,
+                        now,
+                        np.array((100.0 * i, 0.0, 200.0, 0.0)),
+                        np.eye(4),
+                        TrackStatus.CONFIRMED,
+                        1.0,
+                        size,
+                    ),
+                    identity,
+                    0.99,
+                )
+                for i, (identity, size) in enumerate(
+                    ((identity, (1.0 + i) * np.array(box)) for i, identity in enumerate(identities, 1)), 1
+                )
+            )
+            self.sequence += 1
+            self.teller.see_links(link_health(link) for link in (self.camera.status(), self.network.status()))
+            if self.camera.ok:
+                self.teller.see(ScanReport(self.sequence, TrackList(now, now, tracks)))
+            self.teller.tick(now)
+
+    @property
+    def texts(self):
+        return [text.removeprefix("swarmtrack: ") for _, text in self.ground.texts]
+
+
+async def test_what_is_lost_and_comes_back_is_told_once_it_lasts(tmp_path):
+    told = Told(tmp_path)
+    async with told.flight:
+        told.fly(8.0)
+        told.camera.ok = False
+        told.fly(2.0)
+        told.camera.ok = True  # too short to be news
+        told.fly(4.0)
+        assert told.texts == ["ready, drone 1"]
+        told.camera.ok = told.network.ok = False
+        told.fly(5.0)
+        told.camera.ok = told.network.ok = True
+        told.ground.imu_gap = True
+        told.ground.offered = ()
+        told.ground.reboot(told.flight.clock.now())
+        told.fly(12.0)
+        assert told.texts[1:] == ["no camera", "no network", "camera is there", "network is there", "no IMU"]
+        severities = {text: severity for severity, text in told.ground.texts}
+        assert severities["swarmtrack: no camera"] == common.MAV_SEVERITY_WARNING
+        assert severities["swarmtrack: camera is there"] == common.MAV_SEVERITY_INFO
+
+
+async def test_teammates_that_come_and_go_make_no_stream_of_lines(tmp_path):
+    told = Told(tmp_path)
+    for drone_id in (2, 3, 4):
+        told.parts.onboard.on_announcement(
+            Announcement(drone_id, "0000000a", 1, 0.0, 0.0, np.zeros(3), np.eye(3), np.eye(3))
+        )
+    async with told.flight:
+        told.fly(15.0, [2, 3])
+        assert told.texts == ["ready, drone 1", "sees 2 of 3"]
+        for _ in range(40):  # in and out of view for 40 s, as at the border of the image
+            told.fly(0.6, [2, 3])
+            told.fly(0.4, [2])
+        assert len(told.texts) <= 2 + 4
+        values = [m.value for m in told.ground.of("NAMED_VALUE_FLOAT")]
+        assert 50 <= len(values) <= 60
+        assert {2.0} <= set(values) <= {1.0, 2.0}
+        told.fly(15.0, [None, "foreign"])
+        assert told.texts[-1] == "sees 0 of 3"
+        assert told.ground.of("NAMED_VALUE_FLOAT")[-1].value == 0.0
+
+
+async def test_disputes_and_departures_are_told_with_their_severity(tmp_path):
+    told = Told(tmp_path)
+    async with told.flight:
+        told.fly(4.0)
+        told.teller.on_peer(PeerDeparted(3, "0000000a"))
+        told.teller.on_peer(IdClash(2, ("0000000a", "0000000b"), ours=False))
+        told.teller.on_peer(IdClash(1, ("0000000a", "0000000b"), ours=True))
+        told.teller.on_disagreement(Disagreement(3, 2, 4.0, overruled=False))
+        told.teller.on_disagreement(Disagreement(3, 2, 4.0, overruled=True))
+        told.fly(12.0)
+    assert told.ground.texts[1:] == [
+        (common.MAV_SEVERITY_WARNING, "swarmtrack: drone 3 is gone"),
+        (common.MAV_SEVERITY_WARNING, "swarmtrack: two agents are drone 2"),
+        (common.MAV_SEVERITY_ERROR, "swarmtrack: another agent is drone 1 too"),
+        (common.MAV_SEVERITY_WARNING, "swarmtrack: drone 3 disputes drone 2"),
+        (common.MAV_SEVERITY_WARNING, "swarmtrack: outvoted on drone 2: unknown"),
+    ]
+    assert all(len(text) <= 50 for _, text in told.ground.texts)
+
+
+async def test_a_flood_of_events_fills_no_radio(tmp_path):
+    told = Told(tmp_path)
+    async with told.flight:
+        told.fly(4.0)
+        for drone_id in range(2, 1002):
+            told.teller.on_peer(PeerDeparted(drone_id, "0000000a"))
+        told.fly(60.0)
+    assert len(told.texts) <= 40
+    assert told.teller.lines.untold > 900
+
+
+async def test_what_nobody_heard_is_told_when_the_autopilot_is_back_unless_it_is_old(tmp_path):
+    told = Told(tmp_path)
+    async with told.flight:
+        told.fly(4.0)
+        told.ground.mute = True
+        told.fly(8.0)
+        sent = len(told.ground.of("STATUSTEXT")) + len(told.ground.of("NAMED_VALUE_FLOAT"))
+        told.teller.on_peer(PeerDeparted(3, "0000000a"))
+        told.fly(20.0)
+        assert len(told.ground.of("STATUSTEXT")) + len(told.ground.of("NAMED_VALUE_FLOAT")) == sent
+        told.teller.on_peer(PeerDeparted(4, "0000000a"))
+        told.ground.mute = False
+        told.fly(6.0)
+    assert "drone 4 is gone" in told.texts
+    assert "drone 3 is gone" not in told.texts
+    assert told.teller.lines.untold == 1
+
+
+async def test_the_box_is_of_one_teammate_with_a_name_and_stays_with_it(tmp_path):
+    told = Told(tmp_path, '["camera_tracking"]')
+    async with told.flight:
+        told.fly(4.0, [None])
+        boxes = told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")
+        assert boxes
+        assert {m.tracking_status for m in boxes} == {common.CAMERA_TRACKING_STATUS_FLAGS_IDLE}
+        told.fly(2.0, [2])  # at (100, 200), 40 x 20 px
+        box = told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")[-1]
+        assert box.tracking_status == common.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE
+        corners = (box.rec_top_x, box.rec_top_y, box.rec_bottom_x, box.rec_bottom_y)
+        assert corners == pytest.approx((80.5 / 640, 190.5 / 512, 120.5 / 640, 210.5 / 512), abs=1e-6)
+        told.fly(2.0, [2, 3])  # 3 is larger, and does not take its place
+        assert told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")[-1].rec_top_x == pytest.approx(80.5 / 640)
+        told.fly(2.0, [None, 3])
+        assert told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")[-1].rec_top_x > 150 / 640
+    assert not told.ground.of("STATUSTEXT")
+    assert not told.ground.of("NAMED_VALUE_FLOAT")
+
+
+class Looking:
+    """In place of Onboard: sees drone 2 from the team's origin, straight north."""
+
+    def __init__(self, clock, sigma=0.01):
+        self.teammates = {}
+        self._clock, self._sigma = clock, sigma
+
+    def sighting_report(self, boot, sequence):
+        north = np.array((1.0, 0.0, 0.0))
+        ray = Sighting(2, 0.99, north, self._sigma)
+        return SightingReport(1, boot, sequence, self._clock.now(), 0.0, np.zeros(3), 0.1, (2, 3), (ray,))
+
+
+def says_it_stands(drone_id, t, position, sigma=0.1):
+    return SightingReport(drone_id, "0000000a", 1, t, 0.05, np.array(position), sigma, (), ())
+
+
+async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_sees_it_there(tmp_path):
+    told = Told(tmp_path, '["adsb"]')
+    clock = told.flight.clock
+    told.parts.onboard = Looking(clock)
+    told.parts.clock = clock
+    async with told.flight:
+        told.fly(4.0)
+        assert not told.ground.of("ADSB_VEHICLE")  # nobody has said where it is
+        for _ in range(3):
+            told.teller.on_peer(says_it_stands(2, clock.now(), (100.0, 1.0, -20.0 + 20.5)))
+            told.teller.on_peer(says_it_stands(3, clock.now(), (50.0, 0.0, 0.0)))  # not in view
+            told.fly(1.0)
+        places = told.ground.of("ADSB_VEHICLE")
+        assert len(places) == 3
+        place = places[-1]
+        assert (place.callsign, place.emitter_type) == ("ST2", common.ADSB_EMITTER_TYPE_UAV)
+        assert place.tslc <= 1
+        assert place.lat == pytest.approx(474000000 + 100.0 / 111_180.0 * 1e7, abs=20)
+        assert place.lon == pytest.approx(85000000 + 1.0 / 75_460.0 * 1e7, abs=20)
+        assert place.altitude == pytest.approx(487_500, abs=10)
+        assert place.flags & common.ADSB_FLAGS_VALID_COORDS
+        assert not place.flags & (common.ADSB_FLAGS_VALID_HEADING | common.ADSB_FLAGS_VALID_VELOCITY)
+        assert len({m.ICAO_address for m in places}) == 1
+        assert 0 < place.ICAO_address < 1 << 24
+        told.fly(5.0)  # silent since
+        silent = len(told.ground.of("ADSB_VEHICLE"))
+        assert silent <= 5
+        # Words that the camera gives the lie to; the last one lies where it looks, but no camera sees so far.
+        for elsewhere in ((0.0, 100.0, 0.0), (-100.0, 0.0, 0.0), (1e7, 0.0, 0.0)):
+            told.teller.on_peer(says_it_stands(2, clock.now(), elsewhere))
+            told.fly(2.0)
+        told.teller.on_peer(
+            says_it_stands(2, clock.now(), (100.0, 0.0, 0.0), sigma=50.0)
+        )  # too vague to be wrong
+        told.fly(2.0)
+        assert len(told.ground.of("ADSB_VEHICLE")) == silent
+    assert not told.ground.of("STATUSTEXT")
+
+
+async def test_a_flood_of_places_is_not_remembered(tmp_path):
+    told = Told(tmp_path, '["adsb"]')
+    for drone_id in range(2, 5000):
+        told.teller.on_peer(says_it_stands(drone_id, 0.0, (1.0, 0.0, 0.0)))
+    assert len(told.teller._places._reports) <= 256
+
+
+async def test_with_an_empty_list_only_our_heartbeat_goes_out(tmp_path):
+    told = Told(tmp_path, "[]")
+    async with told.flight:
+        told.fly(6.0, [2, 3])
+        told.teller.on_peer(PeerDeparted(3, "0000000a"))
+        await asyncio.wait_for(told.teller.run(), 1.0)  # nobody to tell: done
+    assert {m.get_type() for m in told.ground.heard} == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG"}
+
+
+async def test_nothing_is_said_into_a_recording():
+    link = SimulatedLink()
+    link.recording = True
+    unit = MavlinkAutopilot(link, clock=ManualClock(100.0))
+    task = asyncio.create_task(unit.run(Listener()))
+    await asyncio.sleep(0)
+    ground = Ground(boot_at=60.0)
+    for data in ground.step(100.0):
+        unit.received(100.0, data)
+    assert dict(unit.status().counters)["frames"] == 1
+    assert not unit.tell(named_value(100.0, "trk_n", 1.0))
+    assert link.sent == []
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+# ── other links ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def drive(unit, ground, read, write):
+    """Hand bytes to and fro until the ground has heard the text."""
+    task = asyncio.create_task(unit.run(Listener()))
+    try:
+        async with asyncio.timeout(TIMEOUT):
+            while not ground.texts:
+                with contextlib.suppress(BlockingIOError):
+                    ground.receive(read(), time.monotonic())
+                for data in ground.step(time.monotonic()):
+                    write(data)
+                if dict(unit.status().counters)["imu_samples"] > 5:
+                    for message in status_text(Severity.NOTICE, "hello", 1):
+                        unit.tell(message)
+                await asyncio.sleep(0.005)
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_a_text_arrives_over_a_serial_port():
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    os.set_blocking(ours, False)
+    ground = Ground(boot_at=time.monotonic() - 40.0)
+    unit = MavlinkAutopilot(f"serial:{os.ttyname(theirs)}:921600", clock=SystemClock())
+    await drive(unit, ground, lambda: os.read(ours, 4096), lambda data: os.write(ours, data))
+    assert ground.texts[0] == (common.MAV_SEVERITY_NOTICE, "hello")
+    os.close(ours)
+    os.close(theirs)
+
+
+async def test_a_text_arrives_over_tcp():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ground = Ground(boot_at=time.monotonic() - 40.0)
+        unit = MavlinkAutopilot(f"tcp:127.0.0.1:{server.getsockname()[1]}", clock=SystemClock())
+        server.setblocking(False)
+        peers = []
+
+        def read():
+            if not peers:
+                peer, _ = server.accept()
+                peer.setblocking(False)
+                peers.append(peer)
+            return peers[0].recv(4096)
+
+        def write(data):
+            if peers:
+                peers[0].send(data)
+
+        await drive(unit, ground, read, write)
+        peers[0].close()
+    assert ground.texts[0] == (common.MAV_SEVERITY_NOTICE, "hello")
+
+
+async def test_a_port_that_takes_no_bytes_blocks_nobody():
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    ground = Ground(boot_at=time.monotonic() - 40.0)
+    unit = MavlinkAutopilot(f"serial:{os.ttyname(theirs)}:921600", clock=SystemClock())
+    task = asyncio.create_task(unit.run(Listener()))
+    async with asyncio.timeout(TIMEOUT):
+        while not unit.tell(named_value(0.0, "trk_n", 0.0)):
+            for data in ground.step(time.monotonic()):
+                os.write(ours, data)
+            await asyncio.sleep(0.01)
+        # Nobody reads at the other end: far more than the kernel and we keep, and the loop still turns.
+        for _ in range(10_000):
+            unit.tell(next(status_text(Severity.INFO, "x" * 50, 1)))
+        await asyncio.sleep(0)
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    os.close(ours)
+    os.close(theirs)
+
+
+# ── the messages ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 150, 200, 500])
+def test_a_long_text_comes_in_chunks_that_ground_stations_put_together(length):
+    text = "".join(chr(ord("a") + i % 26) for i in range(length))
+    writer, reader = common.MAVLink(None, 1, 191), common.MAVLink(None)
+    chunks = [reader.decode(bytearray(m.pack(writer))) for m in status_text(Severity.INFO, text, 9)]
+    assert [m.chunk_seq for m in chunks] == list(range(len(chunks)))
+    # As QGroundControl does: a sequence ends with the first chunk that is not full.
+    assert all(len(m.text) == 50 for m in chunks[:-1])
+    assert len(chunks) == 1 or len(chunks[-1].text) < 50
+    assert {m.id for m in chunks} == ({0} if len(chunks) == 1 else {9})
+    assert "".join(m.text for m in chunks) == text[:200]
+
+
+def test_signs_that_ground_stations_may_not_know_are_replaced():
+    assert next(status_text(Severity.INFO, "±2 m … σ", 1)).text == "+-2 m ... ?"
+
+
+def test_numbers_out_of_range_still_make_a_message():
+    mav = common.MAVLink(None, 1, 191)
+    named_value(1e12, "a name that is too long", math.nan).pack(mav)
+    message = image_status(np.array(((-5.0, 0.5), (7.0, 0.6))))
+    message.pack(mav)
+    assert (message.rec_top_x, message.rec_bottom_x) == (0.0, 1.0)
+
+
+def test_a_state_is_news_once_it_has_lasted_and_not_too_often():
+    sight = Lasting(0, hold=2.0, rest=10.0)
+    assert not sight.is_news(0, 0.0)
+    assert not sight.is_news(3, 1.0)
+    assert not sight.is_news(2, 2.0)
+    assert not sight.is_news(3, 3.0)
+    assert sight.is_news(3, 5.0)
+    assert not sight.is_news(2, 6.0)
+    assert not sight.is_news(2, 9.0)
+    assert sight.is_news(2, 15.0)
+
+
+def test_of_too_many_lines_the_least_severe_go_first():
+    lines = StatusLines()
+    lines.add(Severity.ERROR, "first", 0.0)
+    for i in range(30):
+        lines.add(Severity.INFO, f"line {i}", 0.0)
+    assert lines.untold == 15
+    assert lines.next(0.0).text == "first"
+
+
+# ── the config ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize(
+    ("tell", "words"),
+    [
+        ('["adsb"]', '"adsb" without an origin of the team frame, expected [team] origin'),
+        ('["follow_target"]', "one camera measures no range"),
+        ('["follow_target"]', "docs/telling.md"),
+        ('["sms"]', "'status', 'camera_tracking' or 'adsb'"),
+        ('"status"', "a list"),
+        ("3", "a list"),
+    ],
+)
+def test_what_cannot_be_told_is_refused_with_the_reason(tmp_path, tell, words):
+    path = tmp_path / "drone.toml"
+    path.write_text(CONFIG.format(tell=tell), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    (problem,) = caught.value.problems
+    assert problem.startswith(f"{path}:5: autopilot.tell")
+    assert words in problem
+
+
+def test_check_says_what_is_told_and_warns(tmp_path):
+    path = tmp_path / "drone.toml"
+    path.write_text(CONFIG.format(tell='["status", "camera_tracking", "adsb"]') + ORIGIN, encoding="utf-8")
+    result = subprocess.run(
+        [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(path), "--check"],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "telling    status, camera_tracking, adsb" in result.stdout
+    assert (
+        "warning: autopilot.tell: adsb: an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades"
+        in result.stdout
+    )
+    assert "warning: autopilot.tell: camera_tracking" in result.stdout

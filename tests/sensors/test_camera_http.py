@@ -1,0 +1,303 @@
+"""MJPEG over HTTP, from a small server that sends what cameras send, and what they should not."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+from aiohttp import web
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmtrack.clock import SystemClock
+from swarmtrack.messages import Frame, StampKind
+from swarmtrack.sensors.base import Camera
+from swarmtrack.sensors.cameras import open_camera
+from swarmtrack.sensors.decode import decode_jpeg
+from swarmtrack.sensors.frame_slot import BadImage
+from swarmtrack.sensors.multipart import MAX_PART, MultipartReader
+
+Send = Callable[[bytes], Awaitable[None]]
+Script = Callable[[Send], Awaitable[None]]
+
+
+def jpeg(level: int, width: int = 64, height: int = 48) -> bytes:
+    encoded: bytes = cv2.imencode(".jpg", np.full((height, width, 3), level, np.uint8))[1].tobytes()
+    return encoded
+
+
+def part(body: bytes, *headers: str, length: bool = True) -> bytes:
+    lines = ["--frame", "Content-Type: image/jpeg", *headers]
+    if length:
+        lines.append(f"Content-Length: {len(body)}")
+    return "\r\n".join(lines).encode() + b"\r\n\r\n" + body + b"\r\n"
+
+
+class Server:
+    """Runs `script` for each connection; without one, the connection stays open and silent."""
+
+    def __init__(self) -> None:
+        self.script: Script | None = None
+        self.content_type = "multipart/x-mixed-replace; boundary=frame"
+        self.status = 200
+        self.connections = 0
+        self.url = ""
+
+    async def stream(self, request: web.Request) -> web.StreamResponse:
+        self.connections += 1
+        response = web.StreamResponse(status=self.status, headers={"Content-Type": self.content_type})
+        await response.prepare(request)
+        if self.script is not None:
+            await self.script(response.write)
+        else:
+            await asyncio.Event().wait()
+        return response
+
+
+@pytest.fixture
+async def server() -> AsyncIterator[Server]:
+    server = Server()
+    application = web.Application()
+    application.router.add_get("/stream", server.stream)
+    runner = web.AppRunner(application, shutdown_timeout=0.1)
+    await runner.setup()
+    site = web.TCPSite(runner, "127.0.0.1", 0)
+    await site.start()
+    server.url = f"http://127.0.0.1:{runner.addresses[0][1]}/stream"
+    yield server
+    await runner.cleanup()
+
+
+def stream_of(*messages: bytes, then: Script | None = None) -> Script:
+    async def script(send: Send) -> None:
+        for message in messages:
+            await send(message)
+            await asyncio.sleep(0.02)  # apart, as from a camera: newest-only would drop what comes together
+        if then is not None:
+            await then(send)
+        else:
+            await asyncio.Event().wait()
+
+    return script
+
+
+async def take(camera: Camera, count: int) -> list[Frame]:
+    frames: list[Frame] = []
+    async with asyncio.timeout(10):
+        async for frame in camera.frames():
+            frames.append(frame)
+            if len(frames) == count:
+                break
+    return frames
+
+
+async def status_with(camera: Camera, words: str) -> str:
+    async with asyncio.timeout(10):
+        while words not in camera.status().text:  # noqa: ASYNC110
+            await asyncio.sleep(0.02)
+    return camera.status().text
+
+
+def counters(camera: Camera) -> dict[str, float]:
+    return dict(camera.status().counters)
+
+
+@pytest.mark.parametrize("length", [True, False])
+async def test_images_arrive_with_and_without_their_length_told(server: Server, length: bool) -> None:
+    server.script = stream_of(*(part(jpeg(level), length=length) for level in (20, 90, 160)))
+    camera = open_camera(server.url, clock=SystemClock(), size=(64, 48))
+    frames = await take(camera, 3)  # the last too, though no delimiter follows it
+    assert [round(frame.image.mean()) for frame in frames] == pytest.approx([20, 90, 160], abs=2)
+    assert {frame.stamp for frame in frames} == {StampKind.ARRIVAL}
+    assert frames[0].t_sigma == pytest.approx(0.05)
+    async with asyncio.timeout(1):
+        await camera.close()
+
+
+async def test_a_stamp_is_taken_as_exposure_on_our_clock_or_in_utc_and_else_not_at_all(
+    server: Server,
+) -> None:
+    clock = SystemClock()
+    now, utc = clock.now(), clock.utc()
+    stamps = [now - 0.3, utc - 0.3, now - 3600, now + 30, "yesterday", "nan"]
+    server.script = stream_of(*(part(jpeg(9), f"X-Timestamp: {stamp}") for stamp in stamps))
+    camera = open_camera(server.url + "?latency_ms=40", clock=clock)
+    frames = await take(camera, len(stamps))
+    after = clock.now()
+    assert frames[0].t == pytest.approx(now - 0.3, abs=1e-6)
+    assert frames[1].t == pytest.approx(now - 0.3, abs=1e-2)
+    assert [frame.stamp for frame in frames] == [StampKind.EXPOSURE] * 2 + [StampKind.ARRIVAL] * 4
+    assert all(now - 0.04 < frame.t < after - 0.04 for frame in frames[2:])
+    assert counters(camera)["bad_stamps"] == 4
+    await camera.close()
+
+
+async def test_damaged_images_are_counted_and_the_stream_goes_on(server: Server) -> None:
+    whole = jpeg(50)
+    at = whole.index(b"\xff\xc0")
+    bomb = whole[: at + 5] + b"\xff\xff\xff\xff" + whole[at + 9 :]  # claims 65535 x 65535
+    bad = [b"no jpeg", whole[: len(whole) // 2], bomb]
+    server.script = stream_of(*(part(body) for body in (*bad, jpeg(200))))
+    camera = open_camera(server.url, clock=SystemClock())
+    assert round((await take(camera, 1))[0].image.mean()) == pytest.approx(200, abs=2)
+    assert counters(camera)["corrupt"] == 3
+    await camera.close()
+
+
+async def test_a_frame_of_another_size_is_counted_and_said(server: Server) -> None:
+    server.script = stream_of(part(jpeg(9, 32, 32)), part(jpeg(9, 32, 32)))
+    camera = open_camera(server.url, clock=SystemClock(), size=(64, 48))
+    taking = asyncio.create_task(take(camera, 1))
+    await status_with(camera, "frames are 32x32, the calibration is for 64x48")
+    assert not camera.status().ok
+    await camera.close()
+    assert await taking == []
+
+
+async def test_a_slow_consumer_gets_the_newest(server: Server) -> None:
+    first_taken = asyncio.Event()
+
+    async def script(send: Send) -> None:
+        await send(part(jpeg(0)))
+        await first_taken.wait()
+        for level in range(10, 200, 10):
+            await send(part(jpeg(level)))
+        await asyncio.Event().wait()
+
+    server.script = script
+    camera = open_camera(server.url, clock=SystemClock())
+    frames = camera.frames()
+    async with asyncio.timeout(10):
+        await anext(frames)
+        first_taken.set()
+        while counters(camera)["dropped"] < 18:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+        assert round((await anext(frames)).image.mean()) == pytest.approx(190, abs=2)
+    await camera.close()
+
+
+async def test_a_server_that_hangs_up_is_said_and_asked_again(server: Server) -> None:
+    async def hang_up(send: Send) -> None:
+        del send
+
+    server.script = stream_of(part(jpeg(9)), then=hang_up)
+    camera = open_camera(server.url, clock=SystemClock())
+    frames = await take(camera, 2)
+    assert server.connections == 2
+    assert frames[1].sequence > frames[0].sequence
+    assert counters(camera)["reconnects"] == 1
+    await camera.close()
+
+
+@pytest.mark.parametrize(
+    ("status", "content_type", "sentence"),
+    [
+        (404, "text/html", "HTTP 404 Not Found: check the path"),
+        (401, "text/html", "user and password"),
+        (200, "text/html", "is text/html, expected a stream of JPEGs"),
+        (200, "multipart/x-mixed-replace", "announces no boundary"),
+    ],
+)
+async def test_what_is_no_stream_is_said(
+    server: Server, status: int, content_type: str, sentence: str
+) -> None:
+    server.status, server.content_type = status, content_type
+    camera = open_camera(server.url, clock=SystemClock())
+    taking = asyncio.create_task(take(camera, 1))
+    await status_with(camera, sentence)
+    await camera.close()
+    assert await taking == []
+
+
+async def test_nobody_there_and_somebody_silent_are_told_apart(server: Server) -> None:
+    for url, sentence in (
+        ("http://127.0.0.1:9/stream", "cannot connect to 127.0.0.1 port 9: Connection refused"),
+        (server.url + "?timeout_s=0.5", "nothing for 0.5 s"),
+    ):
+        camera = open_camera(url, clock=SystemClock())
+        taking = asyncio.create_task(take(camera, 1))
+        await status_with(camera, sentence)
+        async with asyncio.timeout(1):
+            await camera.close()
+        assert await taking == []
+
+
+# The parser alone -------------------------------------------------------------------------------------------------
+
+BODIES = [jpeg(level, 16, 16) for level in (10, 100, 200)]
+
+
+def bodies(stream: bytes, cuts: list[int], boundary: str = "frame") -> list[bytes]:
+    reader = MultipartReader(boundary)
+    places = sorted({min(cut, len(stream)) for cut in cuts} | {0, len(stream)})
+    parts = []
+    for start, end in pairwise(places):
+        parts += reader.feed(stream[start:end], now=float(end))
+    return [part.body for part in parts]
+
+
+@given(st.lists(st.integers(0, 5000)), st.booleans())
+def test_how_the_stream_is_cut_into_packets_does_not_matter(cuts: list[int], length: bool) -> None:
+    stream = b"".join(part(body, length=length) for body in BODIES)
+    assert [body.rstrip(b"\r\n") for body in bodies(stream, cuts)] == BODIES
+
+
+@given(st.binary(max_size=200), st.binary(max_size=200), st.lists(st.integers(0, 5000)))
+def test_garbage_between_images_costs_at_most_the_image_it_touches(
+    before: bytes, between: bytes, cuts: list[int]
+) -> None:
+    stream = before + part(BODIES[0]) + between + part(BODIES[1]) + part(BODIES[2])
+    assert bodies(stream, cuts)[-1] == BODIES[2]
+
+
+@given(st.lists(st.binary(max_size=2000)))
+def test_no_bytes_whatever_make_the_parser_raise_or_grow(chunks: list[bytes]) -> None:
+    reader = MultipartReader("frame")
+    for chunk in chunks:
+        reader.feed(chunk, 0.0)
+        reader.feed(b"--frame\r\nContent-Length: 9\r\n", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("boundary", "delimiter"), [("frame", "--frame"), ("--frame", "--frame"), ('"--frame"', "----frame")]
+)
+def test_boundaries_are_found_as_cameras_write_them(boundary: str, delimiter: str) -> None:
+    stream = b"".join(part(body) for body in BODIES).replace(b"--frame", delimiter.encode())
+    assert bodies(stream, [], boundary) == BODIES
+    assert bodies(stream.replace(b"\r\n", b"\n"), [], boundary)[0][:3] == BODIES[0][:3]
+
+
+@pytest.mark.parametrize("claimed", [10, 100_000, MAX_PART + 1, -1, "many"])
+def test_a_wrong_length_costs_that_image_only(claimed: object) -> None:
+    wrong = part(BODIES[0], length=False).replace(
+        b"\r\n\r\n", f"\r\nContent-Length: {claimed}\r\n\r\n".encode(), 1
+    )
+    assert bodies(wrong + part(BODIES[1]), [])[-1] == BODIES[1]
+
+
+def test_a_part_without_end_is_given_up_at_the_bound() -> None:
+    reader = MultipartReader("frame")
+    reader.feed(b"--frame\r\n\r\n", 0.0)
+    for _ in range(MAX_PART // 2**20 + 2):
+        reader.feed(bytes(2**20), 0.0)
+    assert reader.oversized == 1
+    assert reader.garbage > MAX_PART
+    assert [found.body for found in reader.feed(part(BODIES[0]), 0.0)] == [BODIES[0]]
+
+
+def test_an_image_ended_by_the_next_ones_delimiter_arrived_when_its_own_bytes_did() -> None:
+    reader = MultipartReader("frame")
+    reader.feed(b"--frame\r\n\r\nnot a jpeg", 1.0)
+    assert [found.arrived for found in reader.feed(b"\r\n--frame\r\n", 2.0)] == [1.0]
+
+
+@given(st.binary(max_size=3000), st.integers(0, 400))
+def test_no_bytes_whatever_make_the_decoder_do_more_than_refuse(tail: bytes, keep: int) -> None:
+    for data in (tail, BODIES[0][:keep] + tail):
+        with contextlib.suppress(BadImage):
+            assert decode_jpeg(data).ndim in (2, 3)

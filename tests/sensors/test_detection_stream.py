@@ -1,0 +1,384 @@
+"""A camera that detects by itself: lines of JSON over HTTP, from a small server that sends what it should not, too."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from aiohttp import web
+from hypothesis import given
+from hypothesis import strategies as st
+
+from support.places import ROOT
+from swarmtrack.clock import SystemClock
+from swarmtrack.config import load_config
+from swarmtrack.errors import ConfigError, SourceError
+from swarmtrack.messages import Detections
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.sensors.base import DetectionSource
+from swarmtrack.sensors.camera_address import parse_address
+from swarmtrack.sensors.detection_stream import (
+    MAX_DETECTIONS,
+    MAX_LINE,
+    BadLine,
+    DetectionStream,
+    LineReader,
+    parse_line,
+)
+
+PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
+BOX = [320.5, 240.0, 31.0, 18.5, 0.87]
+
+Send = Callable[[bytes], Awaitable[None]]
+Script = Callable[[Send], Awaitable[None]]
+
+
+def line(t_s: float | None = None, sequence: int | None = None, *detections: list[float]) -> bytes:
+    return json.dumps({"t_s": t_s, "sequence": sequence, "detections": detections}).encode() + b"\n"
+
+
+class Server:
+    """Runs `script` for each connection; then the connection stays open and silent."""
+
+    def __init__(self) -> None:
+        self.script: Script | None = None
+        self.status = 200
+        self.content_type = "application/x-ndjson"
+        self.connections = 0
+        self.address = ""
+
+    async def stream(self, request: web.Request) -> web.StreamResponse:
+        self.connections += 1
+        response = web.StreamResponse(status=self.status, headers={"Content-Type": self.content_type})
+        await response.prepare(request)
+        if self.script is None:
+            await asyncio.Event().wait()
+        else:
+            await self.script(response.write)
+        return response
+
+
+@pytest.fixture
+async def server() -> AsyncIterator[Server]:
+    server = Server()
+    application = web.Application()
+    application.router.add_get("/front", server.stream)
+    runner = web.AppRunner(application, shutdown_timeout=0.1, handler_cancellation=True)
+    await runner.setup()
+    await web.TCPSite(runner, "127.0.0.1", 0).start()
+    server.address = f"detections://127.0.0.1:{runner.addresses[0][1]}/front"
+    yield server
+    await runner.cleanup()
+
+
+def sending(*messages: bytes, then_silent: bool = True) -> Script:
+    async def script(send: Send) -> None:
+        for message in messages:
+            await send(message)
+            await asyncio.sleep(0.02)  # apart, as from a camera: newest-only would drop what comes together
+        if then_silent:
+            await asyncio.Event().wait()
+
+    return script
+
+
+def open_stream(address: str) -> DetectionStream:
+    return DetectionStream(parse_address(address), clock=SystemClock())
+
+
+async def take(source: DetectionSource, count: int) -> list[Detections]:
+    taken: list[Detections] = []
+    async with asyncio.timeout(PATIENCE):
+        async for detections in source.detections():
+            taken.append(detections)
+            if len(taken) == count:
+                break
+    return taken
+
+
+def counters(source: DetectionSource) -> dict[str, float]:
+    return dict(source.status().counters)
+
+
+async def test_a_line_is_a_scan_and_an_empty_one_says_that_nobody_was_seen(server: Server) -> None:
+    server.script = sending(line(None, 7, BOX), line(None, 8), b"\n", line(None, 10, BOX, BOX))
+    source = open_stream(server.address)
+    first, empty, last = await take(source, 3)
+    np.testing.assert_array_equal(first.centre, [[320.5, 240.0]])
+    np.testing.assert_array_equal(first.size, [[31.0, 18.5]])
+    np.testing.assert_array_equal(first.score, [0.87])
+    assert (len(empty), len(last)) == (0, 2)
+    assert [first.sequence, empty.sequence, last.sequence] == [7, 8, 10]
+    assert counters(source)["lost"] == 1
+    assert source.status().ok
+    await source.close()
+
+
+async def test_a_stamp_is_exposure_on_our_clock_or_in_utc_and_else_the_arrival_counts(server: Server) -> None:
+    clock = SystemClock()
+    now, utc = clock.now(), clock.utc()
+    stamps = [now - 0.3, utc - 0.3, None, now - 3600.0, now + 30.0]
+    server.script = sending(*(line(stamp) for stamp in stamps))
+    source = open_stream(server.address + "?latency_ms=40")
+    taken = await take(source, len(stamps))
+    assert taken[0].t == pytest.approx(now - 0.3, abs=1e-6)
+    assert taken[1].t == pytest.approx(now - 0.3, abs=1e-2)
+    assert all(now - 0.04 < detections.t < clock.now() - 0.04 for detections in taken[2:])
+    assert counters(source)["bad_stamps"] == 2
+    await source.close()
+
+
+BAD_LINES = [
+    b"no json",
+    b"[1, 2]",
+    b'{"detections": [[1, 2, 3]]}',
+    b'{"detections": [[1, 2, 3, 4, NaN]]}',
+    b'{"detections": [[1e999, 2, 3, 4, 0.5]]}',
+    b'{"detections": [[1, 2, -3, 4, 0.5]]}',
+    b'{"detections": [[1, 2, 3, 4, 1.5]]}',
+    b'{"detections": 7}',
+    b'{"t_s": "now", "detections": []}',
+    b'{"sequence": -1, "detections": []}',
+    b'{"t_s": 1.0}',
+    b"\xff\xfe{}",
+    b"[" * 5000,
+    b'{"detections": ' + b" " * MAX_LINE + b"[]}",
+]
+
+
+async def test_bad_lines_are_counted_and_named_and_the_next_good_one_is_used(server: Server) -> None:
+    server.script = sending(*(bad + b"\n" for bad in BAD_LINES), line(None, 1, BOX))
+    source = open_stream(server.address)
+    assert len((await take(source, 1))[0]) == 1
+    assert counters(source)["corrupt"] == len(BAD_LINES)
+    assert source.status().ok
+    await source.close()
+
+
+async def test_a_source_that_sends_only_garbage_says_what_was_found_and_expected(server: Server) -> None:
+    server.script = sending(b'{"detections": [[1, 2, -3, 4, 0.5]]}\n')
+    source = open_stream(server.address)
+    taking = asyncio.create_task(take(source, 1))
+    async with asyncio.timeout(PATIENCE):
+        while "expected u, v, w >= 0" not in source.status().text:  # noqa: ASYNC110
+            await asyncio.sleep(0.02)
+    assert not source.status().ok
+    await source.close()
+    assert await taking == []
+
+
+async def test_of_too_many_detections_the_best_are_kept(server: Server) -> None:
+    scores = np.linspace(0.0, 1.0, 3 * MAX_DETECTIONS)
+    server.script = sending(line(None, 1, *([1.0, 2.0, 3.0, 4.0, float(score)] for score in scores)))
+    source = open_stream(server.address)
+    (detections,) = await take(source, 1)
+    np.testing.assert_allclose(np.sort(detections.score), scores[-MAX_DETECTIONS:])
+    await source.close()
+
+
+async def test_a_slow_consumer_gets_the_newest_and_what_it_missed_is_counted(server: Server) -> None:
+    taken = asyncio.Event()
+
+    async def script(send: Send) -> None:
+        await send(line(None, 1))
+        await taken.wait()
+        for sequence in range(2, 20):
+            await send(line(None, sequence))
+        await asyncio.Event().wait()
+
+    server.script = script
+    source = open_stream(server.address)
+    scans = source.detections()
+    async with asyncio.timeout(PATIENCE):
+        await anext(scans)
+        taken.set()
+        while counters(source)["dropped"] < 17:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+        assert (await anext(scans)).sequence == 19
+    await source.close()
+
+
+async def test_a_source_that_hangs_up_is_asked_again_and_may_count_from_the_start(server: Server) -> None:
+    server.script = sending(line(None, 5), then_silent=False)
+    source = open_stream(server.address)
+    first, second = await take(source, 2)
+    assert (first.sequence, second.sequence) == (5, 5)
+    assert server.connections == 2
+    assert (counters(source)["reconnects"], counters(source)["lost"]) == (1, 0)
+    await source.close()
+
+
+@pytest.mark.parametrize(
+    ("status", "content_type", "sentence"),
+    [
+        (404, "text/plain", "HTTP 404 Not Found: check the path"),
+        (200, "multipart/x-mixed-replace; boundary=frame", "expected a stream of JSON lines"),
+    ],
+)
+async def test_what_is_no_such_stream_is_said(
+    server: Server, status: int, content_type: str, sentence: str
+) -> None:
+    server.status, server.content_type = status, content_type
+    source = open_stream(server.address)
+    taking = asyncio.create_task(take(source, 1))
+    async with asyncio.timeout(PATIENCE):
+        while sentence not in source.status().text:  # noqa: ASYNC110
+            await asyncio.sleep(0.02)
+    await source.close()
+    assert await taking == []
+
+
+@pytest.mark.parametrize("address", ["detections:///front", "detections://host:port/x"])
+def test_an_address_that_can_never_work_is_refused(address: str) -> None:
+    with pytest.raises(SourceError):
+        open_stream(address)
+
+
+# The lines alone --------------------------------------------------------------------------------------------------
+
+
+def read(stream: bytes, cuts: list[int]) -> list[bytes | None]:
+    reader, lines = LineReader(), []
+    places = sorted({min(cut, len(stream)) for cut in cuts} | {0, len(stream)})
+    for start, end in pairwise(places):
+        lines += reader.feed(stream[start:end])
+    return lines
+
+
+@given(
+    st.lists(st.binary(min_size=1, max_size=50).filter(lambda b: b.strip() and b"\n" not in b)),
+    st.lists(st.integers(0, 3000)),
+)
+def test_how_the_stream_is_cut_into_packets_does_not_matter(lines: list[bytes], cuts: list[int]) -> None:
+    assert read(b"".join(text + b"\n" for text in lines), cuts) == lines
+
+
+@given(st.integers(MAX_LINE + 1, 4 * MAX_LINE), st.lists(st.integers(0, 4 * MAX_LINE), max_size=9))
+def test_a_line_too_long_is_told_once_and_the_next_is_whole(length: int, cuts: list[int]) -> None:
+    assert read(b"x" * length + b"\n" + b"next\n", cuts) == [None, b"next"]
+
+
+@given(st.lists(st.binary(max_size=3000)))
+def test_no_bytes_whatever_make_the_reader_raise_or_grow(chunks: list[bytes]) -> None:
+    reader = LineReader()
+    for chunk in chunks:
+        for found in reader.feed(chunk.replace(b"\n", b" ") * 40):
+            assert found is None
+    assert len(reader.feed(b"\nend\n")) <= 2
+
+
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True) | st.integers() | st.none() | st.text(max_size=3)
+
+
+@given(
+    st.binary(max_size=200)
+    | st.builds(
+        lambda t, n, rows: json.dumps({"t_s": t, "sequence": n, "detections": rows}).encode(),
+        NUMBERS,
+        NUMBERS,
+        st.lists(st.lists(NUMBERS, max_size=6), max_size=4),
+    )
+)
+def test_whatever_is_sent_is_refused_or_finite(text: bytes) -> None:
+    try:
+        sent = parse_line(text)
+    except BadLine:
+        return
+    for u, v, w, h, score in sent.detections:
+        assert np.isfinite([u, v, w, h]).all()
+        assert min(w, h) >= 0.0
+        assert 0.0 <= score <= 1.0
+
+
+# The agent that has one -------------------------------------------------------------------------------------------
+
+AGENT = """
+import sys
+from swarmtrack.agents.vehicle import main
+code = main(sys.argv[1:])
+print("loaded:", sorted({"cv2", "onnxruntime"} & set(sys.modules)))
+sys.exit(code)
+"""
+
+
+def config(folder: Path, address: str, more: str = "") -> Path:
+    path = folder / "drone.toml"
+    path.write_text(
+        f'drone.id = 1\nnetwork.transport = "memory"\n[camera]\nsource = "{address}"\n'
+        "intrinsics = { fx = 430.0, fy = 430.0, cx = 319.5, cy = 239.5, width = 640, height = 480 }\n" + more,
+        encoding="utf-8",
+    )
+    return path
+
+
+async def fly(path: Path, *options: str) -> tuple[str, str]:
+    """Output and log of an agent in a process of its own, which must end well."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-c", AGENT, "--config", str(path), *options),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        cwd=ROOT,
+    )
+    out, err = await asyncio.wait_for(process.communicate(), PATIENCE)
+    assert process.returncode == 0, err.decode()
+    return out.decode(), err.decode()
+
+
+async def test_an_agent_tracks_what_the_camera_detected_without_opencv_and_onnx_runtime(
+    server: Server, tmp_path: Path
+) -> None:
+    async def script(send: Send) -> None:
+        clock = SystemClock()
+        for sequence in range(100_000):
+            u = 300.0 + 0.5 * sequence
+            await send(line(clock.now() - 0.02, sequence, [u % 600.0, 240.0, 30.0, 20.0, 0.9]))
+            await asyncio.sleep(0.05)
+
+    server.script = script
+    path = config(tmp_path, server.address, f'[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
+    out, _ = await fly(path, "--seconds", "4")
+    assert "loaded: []" in out
+    lines = [json.loads(text) for text in (tmp_path / "tracks.jsonl").read_text().splitlines()]
+    (track,) = lines[-1]["tracks"]
+    assert track["status"] == "confirmed"
+    assert track["v_px"] == pytest.approx(240.0, abs=2.0)
+
+
+async def test_detections_too_old_to_be_used_are_skipped_and_it_is_said_once(
+    server: Server, tmp_path: Path
+) -> None:
+    async def script(send: Send) -> None:
+        clock = SystemClock()
+        for sequence in range(100_000):
+            await send(line(clock.now() - 0.4, sequence, BOX))
+            await asyncio.sleep(0.05)
+
+    server.script = script
+    path = config(tmp_path, server.address, f'max_age_s = 0.3\n[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
+    _, log = await fly(path, "--seconds", "3")
+    assert (tmp_path / "tracks.jsonl").read_text() == ""
+    assert log.count("expected camera.max_age_s = 0.3") == 1
+
+
+async def test_check_says_that_there_is_no_detector(tmp_path: Path) -> None:
+    out, _ = await fly(config(tmp_path, "detections://127.0.0.1:8091/front"), "--check")
+    assert "none: the camera detects by itself" in out
+    assert "loaded: []" in out
+
+
+def test_a_video_is_refused_where_no_pictures_come(tmp_path: Path) -> None:
+    path = config(tmp_path, "detections://127.0.0.1:8091/front", '[output]\nvideo = "seen.mp4"\n')
+    with pytest.raises(ConfigError, match=r"output\.video: found seen\.mp4, expected no video"):
+        assemble(load_config(path))
+
+
+def test_the_example_is_valid() -> None:
+    parts = assemble(load_config(ROOT / "configs" / "smart-camera.toml"))
+    assert isinstance(parts.camera, DetectionSource)
+    assert parts.detector is None

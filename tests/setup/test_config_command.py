@@ -1,0 +1,373 @@
+"""`swarmtrack config`, as its user runs it."""
+
+import json
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import time
+import tomllib
+
+import pytest
+
+from support.places import ROOT
+from swarmtrack.agents.main import main
+from swarmtrack.config import DroneConfig, load_config
+from swarmtrack.setup.answers import WIRINGS
+from swarmtrack.setup.reference import json_schema, reference
+
+CONFIGS = ROOT / "configs"
+CALIBRATION = CONFIGS / "usb-camera.yaml"
+PATIENCE = 60.0  # s: a hang, not a speed
+
+
+@pytest.fixture
+def config(tmp_path, monkeypatch, capsys):
+    """Runs a command in a folder of its own, with nobody at the keyboard: (exit code, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", open(os.devnull))
+
+    def config(*words):
+        try:
+            code = main(["config", *map(str, words)])
+        except SystemExit as end:
+            code = end.code
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return config
+
+
+# ── new ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("wiring", WIRINGS)
+def test_what_it_writes_is_a_config_for_every_kind_of_autopilot(config, tmp_path, wiring):
+    code, out, err = config("new", "--id", 4, "--autopilot", wiring, "--start", 1, 2, -0.5, -90)
+    assert code == 0, err
+    assert "drone-4.toml: ok" in out
+    made = load_config(tmp_path / "drone-4.toml")
+    assert (made.drone.id, made.autopilot.link) == (4, WIRINGS[wiring].link)
+    assert (made.drone.start.position_m, made.drone.start.yaw_deg) == ((1.0, 2.0, -0.5), -90.0)
+    assert made.network.team == "swarm"
+
+
+def test_a_guessed_lens_has_the_angle_that_was_told_and_says_that_it_is_a_guess(config, tmp_path):
+    code, out, _ = config("new", "--id", 1, "--size", "800x600", "--fov", "90")
+    lens = load_config(tmp_path / "drone-1.toml").camera
+    assert code == 0
+    assert (lens.intrinsics.fx, lens.intrinsics.width, lens.intrinsics.height) == (400.0, 800, 600)
+    assert "width=800&height=600" in lens.source
+    assert "swarmtrack calibrate" in out
+    assert "# A guess" in (tmp_path / "drone-1.toml").read_text()
+
+
+def test_a_calibration_lies_beside_the_config_that_names_it(config, tmp_path):
+    (tmp_path / "cam.yaml").write_bytes(CALIBRATION.read_bytes())
+    code, out, err = config("new", "--id", 1, "--calibration", "cam.yaml")
+    assert code == 0, err
+    assert 'calibration = "cam.yaml"' in (tmp_path / "drone-1.toml").read_text()
+    assert "guess" not in out
+    code, out, err = config("new", "--id", 2, "--calibration", CALIBRATION, "--out", "a/b")
+    assert code == 0, err
+    assert 'calibration = "usb-camera.yaml"' in (tmp_path / "a" / "b" / "drone-2.toml").read_text()
+    assert (tmp_path / "a" / "b" / "usb-camera.yaml").read_bytes() == CALIBRATION.read_bytes()
+    (tmp_path / "cam.yaml").write_text((tmp_path / "cam.yaml").read_text() + "# another\n")
+    (tmp_path / "a" / "b" / "cam.yaml").write_bytes(CALIBRATION.read_bytes())
+    code, _, err = config("new", "--id", 3, "--calibration", "cam.yaml", "--out", "a/b")
+    assert code == 2
+    assert "a/b/cam.yaml: is there already and another one" in err
+
+
+def test_a_second_drone_joins_the_team_that_is_there(config, tmp_path):
+    assert (
+        config(
+            "new", "--id", 1, "--team", "red", "--insecure", "--peer", "1=10.0.0.11", "--peer", "2=10.0.0.12"
+        )[0]
+        == 0
+    )
+    team = (tmp_path / "team.toml").read_text()
+    code, out, _ = config("new", "--id", 2, "--start", 0, 3, 0, 180)
+    assert code == 0
+    assert "team.toml is as it was" in out
+    assert (tmp_path / "team.toml").read_text() == team
+    network = load_config(tmp_path / "drone-2.toml").network
+    assert (network.team, network.peers, network.insecure) == (
+        "red",
+        {"1": "10.0.0.11", "2": "10.0.0.12"},
+        True,
+    )
+    code, out, err = config("check", "drone-1.toml", "drone-2.toml")
+    assert (code, err) == (0, "")
+    assert "drones 1, 2 agree" in out
+
+
+def test_nothing_is_overwritten_unless_told(config, tmp_path):
+    assert config("new", "--id", 1)[0] == 0
+    before = (tmp_path / "drone-1.toml").read_text()
+    code, _, err = config("new", "--id", 1, "--autopilot", "none")
+    assert code == 2
+    assert "drone-1.toml: is there already, expected another --id, --out or --force" in err
+    code, _, err = config("new", "--id", 2, "--team", "blue")
+    assert code == 2
+    assert "--team: blue, expected swarm as in team.toml" in err
+    code, _, err = config("new", "--id", 2, "--peer", "1=10.0.0.1")
+    assert code == 2
+    assert "--peer: team.toml is there already" in err
+    assert (tmp_path / "drone-1.toml").read_text() == before
+    assert config("new", "--id", 1, "--team", "blue", "--autopilot", "none", "--force")[0] == 0
+    assert load_config(tmp_path / "drone-1.toml").network.team == "blue"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "--id: missing"),
+        (["--id", "0"], "expected a whole number, 1 … 65535"),
+        (["--id", "1", "--calibration", "no.yaml"], "no.yaml"),
+        (["--id", "1", "--camera", "usbb://x"], "usbb"),
+        (["--id", "1", "--autopilot", "px5"], "px4-uart"),
+        (["--id", "1", "--start", "here"], "expected NORTH EAST DOWN YAW, gps or local"),
+        (["--id", "1", "--start", "0", "0", "0", "nan"], "expected NORTH EAST DOWN YAW"),
+        (["--id", "1", "--start", "gps"], "without an origin of the team frame"),
+        (["--id", "1", "--team", "a/b"], "expected letters, digits"),
+        (["--id", "1", "--fov", "200"], "expected degrees"),
+        (["--id", "1", "--size", "640"], "expected WIDTHxHEIGHT"),
+        (["--id", "1", "--peer", "10.0.0.1"], "expected ID=HOST"),
+        (["--id", "1", "--peer", "1=10.0.0.1"], "insecure"),
+        (["--id", "1", "--keys", "keys"], "keys"),
+        (["--id", "1", "--origin", "91", "0", "0", "--start", "gps"], "lat_deg"),
+        (["--id", "1", "--out", "/proc/nothing"], "--out"),
+    ],
+)
+def test_what_would_not_work_is_said_and_leaves_nothing_behind(config, tmp_path, words, said):
+    code, _, err = config("new", *words)
+    assert code == 2
+    assert re.search(said, err), err
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_start_by_gps_has_its_origin_in_the_team(config, tmp_path):
+    code, _, err = config("new", "--id", 1, "--start", "gps", "--origin", 47.4, 8.5, 488)
+    assert code == 0, err
+    made = load_config(tmp_path / "drone-1.toml")
+    assert (made.drone.start.source, made.team.origin.lat_deg) == ("gps", 47.4)
+
+
+def test_keys_are_those_of_the_drone(config, tmp_path):
+    assert main(["keys", "init", str(tmp_path / "keys"), "--team", "swarm"]) == 0
+    assert main(["keys", "issue", str(tmp_path / "keys"), "1", "2"]) == 0
+    code, _, err = config(
+        "new", "--id", 2, "--keys", "keys/drone-{id}", "--peer", "1=10.0.0.1", "--peer", "2=10.0.0.2"
+    )
+    assert code == 0, err
+    assert load_config(tmp_path / "drone-2.toml").network.keys_of(2) == tmp_path / "keys" / "drone-2"
+
+
+def test_whatever_the_camera_is_called_it_stays_one_string(config, tmp_path):
+    source = 'v4l2:///dev/video"0\n[x]\\'
+    assert config("new", "--id", 1, "--camera", source)[0] == 0
+    assert load_config(tmp_path / "drone-1.toml").camera.source == source
+
+
+def test_a_simulated_camera_needs_no_lens(config, tmp_path):
+    code, _, err = config("new", "--id", 1, "--camera", "sim://hover-triangle", "--autopilot", "sim")
+    assert code == 0, err
+    assert load_config(tmp_path / "drone-1.toml").autopilot.link == "sim"
+
+
+class Terminal:
+    """A person at a terminal: reads what is asked, types."""
+
+    def __init__(self, folder, *words):
+        self._ours, theirs = pty.openpty()
+        self.said = ""
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "swarmtrack.agents.main", "config", "new", *words],
+            stdin=theirs, stdout=theirs, stderr=theirs, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+        os.close(theirs)
+
+    def until(self, words):
+        deadline = time.monotonic() + PATIENCE
+        while words not in self.said:
+            assert time.monotonic() < deadline, self.said
+            if select.select([self._ours], [], [], 0.1)[0]:
+                try:
+                    self.said += os.read(self._ours, 4096).decode()
+                except OSError:  # the other end has gone
+                    break
+        assert words in self.said, self.said
+        self.said = self.said.partition(words)[2]
+
+    def answer(self, question, text):
+        self.until(question)
+        os.write(self._ours, text.encode() + b"\n")
+
+
+def test_on_a_terminal_it_asks_and_asks_again(tmp_path):
+    person = Terminal(tmp_path)
+    person.answer("ID of the drone", "seven")
+    person.until("found seven, expected a whole number")
+    person.answer("ID of the drone", "7")
+    person.answer("name of the team [swarm]", "red")
+    person.answer("camera", "")
+    person.answer("calibration file", "nothing.yaml")
+    person.until("nothing.yaml")
+    person.until("nothing.yaml")
+    person.answer("calibration file", "")
+    person.answer("size of the images [640x480]", "1280x720")
+    person.answer("angle", "90")
+    person.answer("autopilot", "telepathy")
+    person.until("unknown scheme 'telepathy'")
+    person.answer("autopilot", "ardupilot-udp")
+    person.answer("start", "0 1 0 90")
+    person.until("next: swarmtrack doctor")
+    assert person.process.wait(PATIENCE) == 0
+    made = load_config(tmp_path / "drone-7.toml")
+    assert (made.network.team, made.autopilot.link) == ("red", "udpin:0.0.0.0:14550")
+    assert (made.camera.intrinsics.width, made.camera.intrinsics.fx) == (1280, 640.0)
+    assert made.drone.start.position_m == (0.0, 1.0, 0.0)
+
+
+def test_who_walks_away_from_the_keyboard_leaves_nothing(tmp_path):
+    person = Terminal(tmp_path)
+    person.answer("ID of the drone", "\x04")  # Ctrl-D
+    assert person.process.wait(PATIENCE) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+# ── check ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def drone(tmp_path, number, drone_id, extra="", start="position_m = [0.0, 0.0, 0.0]"):
+    path = tmp_path / f"{number}.toml"
+    path.write_text(
+        f"drone.id = {drone_id}\ndrone.start = {{ {start} }}\n"
+        'camera.source = "v4l2:///dev/video0"\n'
+        "camera.intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }\n"
+        + extra,
+        encoding="utf-8",
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "said"),
+    [
+        ({"drone_id": 1}, {"drone_id": 1}, "1: drone.id: 1, which another of these files is too"),
+        (
+            {},
+            {"extra": 'network.team = "red"'},
+            '5: network.team: "red", expected what drone 1 says: "swarm"',
+        ),
+        (
+            {},
+            {"start": "yaw_deg = 90.0"},
+            "2: drone.start.position_m: [0.0, 0.0, 0.0], where drone 1 starts too",
+        ),
+        ({}, {"extra": 'network.transport = "memory"'}, '5: network.transport: "memory" reaches nobody'),
+        (
+            {"extra": 'network.peers = { 1 = "127.0.0.1:7601", 2 = "127.0.0.1:7602" }'},
+            {"extra": 'network.peers = { 1 = "127.0.0.1:7601", 2 = "127.0.0.1:7603" }'},
+            "5: network.peers: {",
+        ),
+        (
+            {"extra": 'network.topology = "routers"\nnetwork.routers = ["127.0.0.1"]'},
+            {},
+            '1: network.topology: "mesh", expected what drone 1 says: "routers"',
+        ),
+        (
+            {"extra": "team.origin = { lat_deg = 1.0, lon_deg = 2.0, alt_m = 3.0 }"},
+            {"extra": "team.origin = { lat_deg = 1.0, lon_deg = 2.0, alt_m = 4.0 }"},
+            "5: team.origin: ",
+        ),
+    ],
+)
+def test_files_that_are_right_alone_may_be_wrong_together(config, tmp_path, first, second, said):
+    a = drone(tmp_path, "a", **{"drone_id": 1, **first})
+    b = drone(tmp_path, "b", **{"drone_id": 2, "start": "position_m = [0.0, 3.0, 0.0]", **second})
+    code, out, err = config("check", a, b)
+    assert code == 2
+    assert f"{b}:{said}" in err
+    assert f"{a}: ok" in out
+    assert f"{b}: ok" in out  # alone, it is
+    assert "agree" not in out
+
+
+def test_one_with_keys_and_one_without_do_not_link(config, tmp_path):
+    for team in ("one", "two"):
+        main(["keys", "init", str(tmp_path / team), "--team", "swarm"])
+        main(["keys", "issue", str(tmp_path / team), "1", "2", "3"])
+    at = "position_m = [{}.0, 3.0, 0.0]".format
+    a = drone(tmp_path, "a", 1, 'network.keys = "one/drone-{id}"')
+    b = drone(tmp_path, "b", 2, 'network.keys = "two/drone-{id}"', at(1))
+    c = drone(tmp_path, "c", 3, "", at(2))
+    code, _, err = config("check", a, b, c)
+    assert code == 2
+    assert f'{b}:5: network.keys: "{tmp_path}/two/drone-2" is of another CA than the keys of drone 1' in err
+    assert "c.toml:1: network.keys: none, expected keys as drone 1 has" in err
+
+
+def test_of_several_files_each_mistake_is_named(config, tmp_path):
+    good = drone(tmp_path, "good", 1)
+    bad = drone(tmp_path, "bad", 2, "network.teem = 3")
+    code, out, err = config("check", bad, good, tmp_path / "none.toml")
+    assert code == 2
+    assert 'bad.toml:5: network.teem: unknown key, did you mean "team"?' in err
+    assert "none.toml:1: cannot be read" in err
+    assert f"{good}: ok" in out
+
+
+# ── schema and reference ─────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_the_schema_in_the_repository_is_what_the_models_say():
+    kept = json.loads((ROOT / "docs" / "config.schema.json").read_text(encoding="utf-8"))
+    assert kept == json_schema(), "run: swarmtrack config schema --out docs/config.schema.json"
+
+
+def test_the_page_in_the_repository_is_what_the_models_say():
+    kept = (ROOT / "docs" / "config.md").read_text(encoding="utf-8")
+    assert kept == reference(), "run: swarmtrack config reference --out docs/config.md"
+
+
+def test_both_are_written_where_told(config, tmp_path):
+    assert config("schema", "--out", "a.json") == (0, "", "")
+    assert json.loads((tmp_path / "a.json").read_text()) == json_schema()
+    assert config("reference", "--out", "a.md")[0] == 0
+    assert (tmp_path / "a.md").read_text() == reference()
+    assert json.loads(config("schema")[1]) == json_schema()
+    code, _, err = config("schema", "--out", "nowhere/a.json")
+    assert code == 2
+    assert "--out: nowhere/a.json" in err
+
+
+def test_every_key_has_a_meaning_and_every_table_a_place():
+    page = reference()
+    rows = re.findall(r"^\| `(.+?)` \| (.*?) \| (.*?) \| (.*) \|$", page, re.MULTILINE)
+    assert len(rows) > 100
+    assert [key for key, _, _, meaning in rows if not meaning] == []
+    assert [key for key, kind, _, _ in rows if not kind] == []
+    for section in DroneConfig.model_fields:
+        assert f"## [{section}]" in page
+    assert ("id", "whole number ≥ 1, ≤ 65535", "required", "1 … 65535, unique in the team") in rows
+
+
+def test_the_schema_knows_every_key_of_the_examples():
+    schema = json_schema()
+    for path in CONFIGS.glob("*.toml"):
+        for section, value in tomllib.loads(path.read_text(encoding="utf-8")).items():
+            reference = schema["properties"][section]
+            if "$ref" in reference:
+                assert set(value) <= set(schema["$defs"][reference["$ref"].split("/")[-1]]["properties"])
+
+
+def test_the_schema_requires_nothing_that_an_extended_file_may_hold():
+    schema = json_schema()
+    assert "required" not in schema
+    assert not any("required" in schema["$defs"][name] for name in ("CameraSection", "Vehicle"))
+    assert schema["$defs"]["Intrinsics"]["required"] == ["fx", "fy", "cx", "cy", "width", "height"]

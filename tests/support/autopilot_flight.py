@@ -1,0 +1,106 @@
+"""An agent's `MavlinkAutopilot` and simulated autopilots on a perfect link, in simulated time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from swarmtrack.clock import ManualClock
+from swarmtrack.messages import EgoPose, ImuSample
+from swarmtrack.sensors.mavlink.address import LinkAddress
+from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.links import Receiver
+from swarmtrack.simulation.autopilot import SimulatedArduPilot
+
+
+class Listener:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.imu: list[ImuSample] = []
+        self.poses: list[EgoPose] = []
+        self.reboots = 0
+        self.found_flying = 0
+
+    def on_found_flying(self) -> None:
+        self.found_flying += 1
+
+    def on_autopilot_reboot(self) -> None:
+        self.reboots += 1
+
+    def on_imu(self, sample: ImuSample) -> None:
+        self.imu.append(sample)
+
+    def on_pose(self, pose: EgoPose) -> None:
+        self.poses.append(pose)
+
+
+class SimulatedLink:
+    """A perfect datagram link in simulated time: the test moves what it carries."""
+
+    datagrams = True
+    recording = False
+    remark = ""
+
+    def __init__(self, bytes_per_second: float | None = None) -> None:
+        self.address = LinkAddress("udpin", host="simulated", port=1)
+        self.dropped = ""
+        self.bytes_per_second = bytes_per_second
+        self.sent: list[bytes] = []
+
+    async def run(self, receiver: Receiver) -> None:
+        receiver.opened()
+        await asyncio.Event().wait()
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def drop(self, reason: str) -> None:
+        self.dropped = reason
+
+
+class Flight:
+    """An agent's `MavlinkAutopilot` and simulated autopilots on one simulated link."""
+
+    def __init__(
+        self, *autopilots: SimulatedArduPilot, bytes_per_second: float | None = None, **options: Any
+    ) -> None:
+        self.clock = ManualClock(100.0)
+        self.link = SimulatedLink(bytes_per_second)
+        self.autopilots = autopilots
+        self.listener = Listener()
+        self.unit = MavlinkAutopilot(self.link, clock=self.clock, **options)
+
+    async def __aenter__(self) -> Flight:
+        self._task = asyncio.create_task(self.unit.run(self.listener))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+    def fly(self, seconds: float, jitter: Callable[[], float] = lambda: 0.0) -> None:
+        """Move time on in steps of 1 ms; the unit ticks every 50 ms."""
+        end = self.clock.now() + seconds
+        while self.clock.now() < end:
+            now = self.clock.now() + 1e-3
+            self.clock.set(now)
+            sent, self.link.sent = self.link.sent, []
+            for autopilot in self.autopilots:
+                for data in sent:
+                    autopilot.receive(data, now)
+                for data in autopilot.step(now):
+                    self.unit.received(now + jitter(), data)
+            if round(now * 1e3) % 50 == 0:
+                self.unit.tick(now)
+
+    @property
+    def count(self) -> dict[str, float]:
+        return dict(self.unit.status().counters)
+
+    @property
+    def text(self) -> str:
+        return self.unit.status().text

@@ -1,0 +1,157 @@
+"""A simulated flight, recorded as agents record it, in a fraction of its time: real configs, doors and recorders.
+
+Only what is between the sensors and the door is left out: processes, sockets and the clocks of this machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+from pathlib import Path
+
+import numpy as np
+
+from swarmtrack.clock import ManualClock
+from swarmtrack.config import load_config, mount_camera
+from swarmtrack.localswarm.configs import Sources, write_configs
+from swarmtrack.messages import (
+    Announcement,
+    AutopilotRebooted,
+    Frame,
+    IdClash,
+    PeerArrived,
+    PeerDeparted,
+    StampKind,
+)
+from swarmtrack.recording.settings import FlightSettings
+from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.perception import make_onboard
+from swarmtrack.runtime.recorder import Recorder
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
+
+LATENCY_S = 0.08
+EGO = EgoParameters()
+BEGIN = {1: 500.0, 2: 81234.5, 3: 7.25}  # s on each drone's own monotonic clock at world time 0
+UTC_ERROR = {1: 0.0, 2: 0.4, 3: -1.5}  # s by which each drone's wall clock is wrong
+
+
+class Flight:
+    """One drone on its way: a door, and whoever listens at it."""
+
+    def __init__(self, folder: Path, drone_id: int, scenario, extra: str) -> None:
+        config_file = folder / f"drone-{drone_id}.toml"
+        if extra:
+            config_file.write_text(config_file.read_text() + extra)
+        self.config = load_config(config_file)
+        mounted = mount_camera(self.config.camera)
+        self.drone_id, self.begin = drone_id, BEGIN[drone_id]
+        self.clock = ManualClock(self.begin - 1.0, 1.8e9 - 1.0 + UTC_ERROR[drone_id])
+        self.onboard = make_onboard(self.config, mounted, None)
+        self.door = Door(self.onboard)
+        self.boot = f"{drone_id:08x}"
+        self.recorder = Recorder(FlightSettings(self.config, mounted, None), self.boot, self.clock)
+        self.recorder.open()
+        self.door.listener = self.recorder
+        self.imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
+        self.scans = []
+        self.answers = []
+        self.reports = 0
+
+    def tell(self, event) -> None:
+        self.door.tell(event)
+        self.scans += self.door.take_reports()
+
+    def ask(self, t: float) -> None:
+        self.answers.append(self.door.tracks(t))
+        self.scans += self.door.take_reports()
+
+
+def fly(
+    folder: Path, seconds: float, *, drones=(1, 2, 3), extra: str = "", faults: bool = True
+) -> list[Flight]:
+    """Record into folder/rec/drone-N. extra: of each config; faults: an autopilot reboots, a stranger's ID clashes."""
+    scenario = load_scenario("hover-triangle")
+    # A link that is never opened: the config wants one for a start by the autopilot.
+    sources = {d: Sources(f"detections://127.0.0.1:9/{d}", "udpin:127.0.0.1:9") for d in scenario.members}
+    write_configs(
+        folder, scenario, team="t", tracker="mbm", sources=sources, simulator="…", recordings=folder / "rec"
+    )
+    flights = {d: Flight(folder, d, scenario, extra) for d in drones}
+    rates = {
+        "imu": scenario.imu_rate_hz,
+        "pose": EGO.rate_hz,
+        "scan": scenario.fps,
+        "ask": scenario.tracks_hz,
+    }
+    queue = []
+    for d in drones:
+        for what, rate in rates.items():
+            heapq.heappush(queue, (0.0, d, what, 0, rate))
+        for other in drones:
+            if other != d:
+                queue += [(0.3, d, "arrived", other, 0.0), (0.4, d, "announced", other, 0.0)]
+        queue += [(1.0 + k + 0.1 * d, d, "said", k, 0.0) for k in range(int(seconds))]
+        if faults:
+            queue += [(1.2, d, "rebooted", 0, 0.0), (1.3, d, "clash", 0, 0.0), (1.5, d, "departed", 0, 0.0)]
+    heapq.heapify(queue)
+    while queue:
+        t, d, what, index, rate = heapq.heappop(queue)
+        if t >= seconds:
+            break
+        flight = flights[d]
+        flight.clock.set(flight.begin + t)
+        _happen(flights, flight, scenario, what, index, t)
+        if rate:
+            late = LATENCY_S if what == "scan" else 0.0
+            heapq.heappush(queue, ((index + 1) / rate + late, d, what, index + 1, rate))
+    for flight in flights.values():
+        flight.recorder.close()
+    return list(flights.values())
+
+
+def _happen(flights, flight, scenario, what, index, t) -> None:
+    world, d, begin = scenario.world, flight.drone_id, flight.begin
+    match what:
+        case "imu":
+            sample = flight.imu.sample(index)
+            flight.tell(dataclasses.replace(sample, t=begin + sample.t))
+        case "pose":
+            pose = ego_pose(world, d, index, EGO)
+            flight.tell(dataclasses.replace(pose, t=begin + pose.t))
+        case "scan":
+            exposed = index / scenario.fps
+            boxes = visible(world, d, scenario.camera, scenario.body_from_camera, exposed)
+            rng = world.chance("detector", d, index)
+            seen = detect(boxes, scenario.camera, scenario.detector, rng, t=exposed, sequence=index)
+            picture = np.full((scenario.camera.height, scenario.camera.width, 3), 90, np.uint8)
+            flight.recorder.frame(Frame(begin + exposed, 0.0, index, picture, StampKind.MEDIA))
+            flight.tell(dataclasses.replace(seen, t=begin + exposed))
+        case "ask":
+            flight.ask(begin + t)
+        case "arrived":
+            flight.tell(PeerArrived(index, f"{index:08x}"))
+        case "announced":
+            flight.tell(_announcement(scenario, index, begin + t))
+        case "said":
+            report = flight.onboard.sighting_report(flight.boot, index + 1)
+            if report is None:
+                return
+            flight.recorder.said(report)
+            for other in flights.values():
+                if other is not flight:  # 20 ms of radio that nobody knows of
+                    heard_t = other.begin + (report.t - begin) + 0.02
+                    other.tell(dataclasses.replace(report, t=heard_t, t_sigma=0.01))
+        case "rebooted":
+            flight.tell(AutopilotRebooted())
+        case "clash":
+            flight.tell(IdClash(99, ("000000aa", "000000bb"), ours=False))
+        case "departed":
+            flight.tell(PeerDeparted(99, "000000aa"))
+
+
+def _announcement(scenario, drone_id: int, t: float) -> Announcement:
+    pose = scenario.initial_poses[drone_id]
+    return Announcement(
+        drone_id, f"{drone_id:08x}", 1, t, 0.05, pose.position, pose.rotation, 0.01 * np.eye(3)
+    )

@@ -1,0 +1,161 @@
+"""Does the band hold what a filter that is right shows, and leave out what one that is wrong shows?"""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from swarmtrack.config import load_config
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Detections
+from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.health import Health
+from swarmtrack.tracking import TRACKERS, Scan, create_tracker
+from swarmtrack.tracking.association import gate_threshold
+from swarmtrack.tracking.consistency import FEWEST, WINDOW, InnovationWindow, of_sure_pairs
+from swarmtrack.wire.codec import decode_health, encode_health
+
+ONE_MODEL = {"mbm": {"interacting": False}}  # that moves as the targets here; a mixture does not, by design
+CAMERA = PinholeCamera(430.0, 430.0, 5000.0, 5000.0, 10_000, 10_000)
+SIGMA, PSD, HZ = 2.0, 1000.0, 15.0
+
+
+def drawn(rng, probability, shape):
+    """χ² with two degrees of freedom, given that it lies below its quantile `probability`."""
+    return chi2.ppf(rng.random(shape) * probability, 2)
+
+
+def wander(rng, n, scans):
+    """(scans, n, 2) px: constant velocity with white acceleration of density PSD, as the trackers believe."""
+    dt = 1.0 / HZ
+    Q = PSD * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    noise = rng.multivariate_normal(np.zeros(2), Q, (scans, n, 2))
+    velocity = np.cumsum(noise[..., 1], axis=0)
+    return np.cumsum(noise[..., 0] + dt * np.concatenate([np.zeros((1, n, 2)), velocity[:-1]]), axis=0)
+
+
+def shown(name, seed, *, n=8, scans=60, clutter=0.0, spacing=1200.0, **told):
+    """The consistency of a tracker of n targets that are well apart, its numbers right but for `told`."""
+    rng = np.random.default_rng(seed)
+    right = {
+        "measurement_sigma": SIGMA,
+        "acceleration_psd": PSD,
+        "birth_speed_sigma": 1.0,
+        "clutter_per_scan": 0.1,
+    }
+    tracker = create_tracker(name, camera=CAMERA, **right | ONE_MODEL.get(name, {}) | told)
+    start = 600.0 + spacing * np.arange(n)[:, None] * [1.0, 0.9]
+    truth = start + wander(rng, n, scans)
+    tracker.initiate(0.0, start + rng.normal(0.0, SIGMA, start.shape))
+    for k, points in enumerate(truth, start=1):
+        seen = points[rng.random(n) < 0.9]
+        false = rng.uniform(0.0, 10_000.0, (rng.poisson(clutter), 2))
+        z = np.concatenate([seen + rng.normal(0.0, SIGMA, seen.shape), false])
+        tracker.update(Scan(k / HZ, rng.permutation(z)))
+    return tracker.consistency
+
+
+@pytest.mark.parametrize("probability", [1.0, 0.999, 0.99, 0.9])
+@pytest.mark.parametrize("n", [FEWEST, WINDOW])
+def test_the_band_leaves_out_one_in_a_hundred_whatever_the_gate(probability, n):
+    rng = np.random.default_rng(0)
+    outside = 0
+    samples = drawn(rng, probability, (8000, n))
+    for nis in samples.tolist():
+        window = InnovationWindow(probability)
+        window.add(nis)
+        found = window.consistency()
+        outside += not found.low < found.nis < found.high
+    assert 0.006 < outside / 8000 < 0.014
+
+
+def test_a_band_that_knows_nothing_of_a_tight_gate_would_raise_false_alarms():
+    rng = np.random.default_rng(0)
+    alarms = 0
+    for nis in drawn(rng, 0.9, (200, WINDOW)).tolist():
+        window = InnovationWindow()
+        window.add(nis)
+        found = window.consistency()
+        alarms += found.nis < found.low
+    assert alarms > 150
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_a_filter_told_the_truth_lies_in_its_band(name):
+    """99 % of the time: of 30, more than three outside would be one chance in ten thousand."""
+    found = [shown(name, seed) for seed in range(30)]
+    assert sum(not each.low < each.nis < each.high for each in found) <= 3
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_clutter_does_not_disturb_it(name):
+    told = {"clutter": 10.0, "clutter_per_scan": 10.0}
+    found = [shown(name, seed, n=4, scans=70, spacing=2500.0, **told) for seed in range(12)]
+    assert sum(not each.low < each.nis < each.high for each in found) <= 2
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+@pytest.mark.parametrize(("factor", "side"), [(0.5, "above"), (2.0, "below")])
+def test_a_measurement_noise_wrong_by_four_is_told(name, factor, side):
+    for seed in range(10):
+        found = shown(name, seed, measurement_sigma=factor * SIGMA)
+        assert found.nis > found.high if side == "above" else found.nis < found.low
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_targets_more_agile_than_believed_are_told(name):
+    for seed in range(10):
+        found = shown(name, seed, acceleration_psd=PSD / 50.0)
+        assert found.nis > found.high
+
+
+def test_too_few_detections_tell_nothing():
+    window = InnovationWindow()
+    window.add([2.0] * (FEWEST - 1))
+    assert window.consistency() is None
+    window.add([2.0])
+    assert window.consistency().nis == 2.0
+
+
+def test_only_pairs_without_a_rival_of_tracks_that_surely_exist_count():
+    gate = gate_threshold(0.999)
+    distance = np.array(
+        [
+            [1.0, 90.0, 90.0, 90.0],  # alone with its detection
+            [90.0, 2.0, 3.0, 90.0],  # two detections
+            [90.0, 90.0, 4.0, 90.0],  # disputed with the track above
+            [90.0, 90.0, 90.0, 5.0],  # may not exist
+        ]
+    )
+    log_ratio = np.where(distance > gate, -np.inf, 1.0)
+    assert of_sure_pairs(distance, log_ratio, np.array([0.99, 0.99, 0.99, 0.5])).tolist() == [1.0]
+    assert of_sure_pairs(distance, log_ratio, np.full(4, 0.99)).tolist() == [1.0, 5.0]
+    assert of_sure_pairs(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)).tolist() == []
+
+
+AGENT = """
+drone.id = 1
+network.transport = "memory"
+autopilot.link = "none"
+tracker = { name = "kalman", measurement_sigma = 1.0 }
+[camera]
+source = "http://127.0.0.1:9/"
+intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }
+"""
+
+
+def test_health_tells_it_and_all_that_the_tracker_and_onboard_refused(tmp_path):
+    config = tmp_path / "drone.toml"
+    config.write_text(AGENT, encoding="utf-8")
+    parts = assemble(load_config(config))
+    health = Health(parts)
+    assert decode_health(encode_health(health.message())).consistency is None
+    rng = np.random.default_rng(0)
+    for k in range(200):
+        centre = np.array([[300.0, 200.0], [9e9, 0.0]]) + rng.normal(0.0, 4.0, (2, 2))
+        for t in (k / 15, 0.0):  # each is followed by a late one
+            seen = Detections(t, k, centre, np.full((2, 2), 30.0), np.full(2, 0.9))
+            parts.onboard.on_detections(seen)
+    told = decode_health(encode_health(health.message()))
+    assert told.consistency.nis > told.consistency.high
+    assert told.drops["unusable_detections"] == 200
+    assert told.drops["late_scans"] == 200

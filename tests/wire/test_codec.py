@@ -1,0 +1,562 @@
+"""The wire: what we write is pinned byte for byte, and no bytes at all can do more than be refused."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgpack  # type: ignore[import-untyped]
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from swarmtrack.geometry import rotation
+from swarmtrack.messages import (
+    Announcement,
+    IdentifiedTrack,
+    LinkStatus,
+    Sighting,
+    SightingReport,
+    Track,
+    TrackList,
+    TrackStatus,
+)
+from swarmtrack.wire import codec
+from swarmtrack.wire.codec import DecodeError
+
+UTC_OFFSET = 1.7e9
+NOW = 14.0  # four seconds after the pose of the announcement held
+DECODERS: list[Callable[[bytes], codec.Message]] = [
+    codec.decode_announcement,
+    codec.decode_sightings,
+    codec.decode_tracks,
+    codec.decode_health,
+    codec.decode_video,
+]
+
+ANNOUNCEMENT = Announcement(
+    drone_id=7,
+    boot="0123abcd",
+    sequence=2,
+    t=10.0,
+    t_sigma=0.25,
+    position=np.array([1.0, 2.0, -3.0]),
+    world_from_body=np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),  # q = (1, 1, 1, 1) / 2
+    position_cov=np.diag([0.5, 0.5, 2.0]),
+)
+
+REPORT = SightingReport(
+    observer=7,
+    boot="0123abcd",
+    sequence=9,
+    t=13.75,
+    t_sigma=0.5,
+    position=np.array([1.0, 2.0, -3.0]),
+    position_sigma=0.25,
+    known=(2, 300),
+    sightings=(Sighting(2, 0.75, np.array([0.0, 0.0, -1.0]), 0.125),),
+)
+
+TRACKS = codec.TracksMessage(
+    version=1,
+    t_utc_s=1.7e9,
+    t_sigma_s=0.5,
+    sequence=3,
+    scan_age_s=0.125,
+    tracks=(
+        codec.TrackMessage(
+            id=1,
+            identity="foreign",
+            identity_probability=0.75,
+            u_px=320.0,
+            vu_px_s=-4.0,
+            v_px=256.0,
+            vv_px_s=0.0,
+            cov_upper=(4.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 4.0, 0.0, 9.0),
+            w_px=16.0,
+            h_px=8.0,
+            status="confirmed",
+            probability=1.0,
+            coasting_s=None,
+        ),
+    ),
+)
+
+HEALTH = codec.HealthMessage(
+    version=1,
+    t_utc_s=1.7e9,
+    boot="0123abcd",
+    uptime_s=60.0,
+    cpu_percent=5.5,
+    rss_mb=96.0,
+    rates={"imu": codec.RateHealth(200.0, 199.0), "camera": codec.RateHealth(None, 30.0)},
+    latencies={"detect": codec.LatencyHealth(0.01, 0.02, 0.5)},
+    clock_offset_s=-0.5,
+    clock_offset_sigma_s=0.001,
+    links=(codec.link_health(LinkStatus("camera", True, "30 fps", (("fps", 30.0), ("age_s", math.nan)))),),
+    drops={"frames": 4},
+    events=("camera came back",),
+    time_offset=codec.TimeOffsetHealth(0.0625, 0.0009765625, 0.0),
+    gyro_bias=codec.GyroBiasHealth(None, None, (0.5, 0.0, -0.25)),
+    consistency=codec.ConsistencyHealth(2.25, 1.5, 2.5),
+    readiness=codec.ReadinessHealth(False, ("no gyro",)),
+)
+
+
+def announced() -> bytes:
+    return codec.encode_announcement(ANNOUNCEMENT, UTC_OFFSET, NOW)
+
+
+def reported() -> bytes:
+    return codec.encode_sightings(REPORT, UTC_OFFSET, NOW)
+
+
+def signed() -> bytes:
+    return codec.sign_announcement(announced(), "some/key", lambda text: bytes(64))
+
+
+MESSAGES = [announced(), signed(), reported(), codec.encode_tracks(TRACKS), codec.encode_health(HEALTH)]
+
+
+# --- pinned -----------------------------------------------------------------------------
+
+
+def test_the_announcement_is_these_bytes_for_ever() -> None:
+    assert announced().hex() == (
+        "9b0107a8303132336162636402cb41d954fc42800000cb3fd0000000000000"
+        "93cb3ff0000000000000cb4000000000000000cbc008000000000000"
+        "94cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000"
+        "96cb3fe0000000000000cb0000000000000000cb0000000000000000"
+        "cb3fe0000000000000cb0000000000000000cb4000000000000000cb4010000000000000c0"
+    )
+
+
+def test_tracks_are_these_bytes_for_ever() -> None:
+    assert codec.encode_tracks(TRACKS).hex() == (
+        "9601cb41d954fc40000000cb3fe000000000000003cb3fc0000000000000919d01a7666f726569676e"
+        "cb3fe8000000000000cb4074000000000000cbc010000000000000cb4070000000000000cb0000000000000000"
+        "9acb4010000000000000cb0000000000000000cb0000000000000000cb0000000000000000cb4022000000000000"
+        "cb0000000000000000cb0000000000000000cb4010000000000000cb0000000000000000cb4022000000000000"
+        "cb4030000000000000cb4020000000000000a9636f6e6669726d6564cb3ff0000000000000c0"
+    )
+
+
+def test_plain_msgpack_reads_the_announcement_by_position() -> None:
+    assert msgpack.unpackb(announced()) == [
+        *[1, 7, "0123abcd", 2, 1700000010.0, 0.25, [1.0, 2.0, -3.0], [0.5, 0.5, 0.5, 0.5]],
+        *[[0.5, 0.0, 0.0, 0.5, 0.0, 2.0], 4.0, None],
+    ]
+
+
+def test_sightings_are_these_bytes_for_ever() -> None:
+    assert reported().hex() == (
+        "9b0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd0000000000000"
+        "93cb3ff0000000000000cb4000000000000000cbc008000000000000cb3fd0000000000000"
+        "9202cd012c919402cb3fe800000000000093cb0000000000000000cb0000000000000000cbbff0000000000000"
+        "cb3fc0000000000000"
+    )
+
+
+def test_plain_msgpack_reads_sightings_by_position() -> None:
+    assert msgpack.unpackb(reported()) == [
+        *[1, 7, "0123abcd", 9, 1700000013.75, 0.5, 0.25, [1.0, 2.0, -3.0], 0.25, [2, 300]],
+        [[2, 0.75, [0.0, 0.0, -1.0], 0.125]],
+    ]
+
+
+def test_plain_msgpack_reads_health_by_position() -> None:
+    fields = msgpack.unpackb(codec.encode_health(HEALTH))
+    assert fields[:6] == [1, 1.7e9, "0123abcd", 60.0, 5.5, 96.0]
+    assert fields[6] == {"imu": [200.0, 199.0], "camera": [None, 30.0]}
+    assert fields[10] == [["camera", True, "30 fps", {"fps": 30.0}]]
+
+
+def test_health_is_these_bytes_until_something_is_added_at_its_end() -> None:
+    assert codec.encode_health(HEALTH).hex() == (
+        "dc001101cb41d954fc40000000a83031323361626364cb404e000000000000cb4016000000000000cb40580000000000"
+        "0082a3696d7592cb4069000000000000cb4068e00000000000a663616d65726192c0cb403e00000000000081a6646574"
+        "65637493cb3f847ae147ae147bcb3f947ae147ae147bcb3fe0000000000000cbbfe0000000000000cb3f50624dd2f1a9"
+        "fc9194a663616d657261c3a633302066707381a3667073cb403e00000000000081a66672616d65730491b063616d6572"
+        "612063616d65206261636b93cb3fb0000000000000cb3f50000000000000cb000000000000000093c0c093cb3fe00000"
+        "00000000cb0000000000000000cbbfd000000000000093cb4002000000000000cb3ff8000000000000cb400400000000"
+        "000092c291a76e6f206779726f"
+    )
+
+
+def test_health_may_be_short_of_what_came_later_and_long_by_what_is_still_to_come() -> None:
+    fields = msgpack.unpackb(codec.encode_health(HEALTH))
+    older = codec.decode_health(msgpack.packb(fields[:13]))
+    assert (older.events, older.time_offset, older.readiness) == (HEALTH.events, None, None)
+    assert codec.decode_health(msgpack.packb([*fields, {"of": "tomorrow"}])) == HEALTH
+    with pytest.raises(DecodeError, match="version 2"):
+        codec.decode_health(msgpack.packb([2, *fields[1:]]))
+
+
+def test_an_announcement_is_under_300_bytes_with_its_signature_whatever_it_says() -> None:
+    largest = Announcement(
+        65535, "ffffffff", 2**32 - 1, 0.1, 0.1, np.full(3, 0.1), np.eye(3), np.eye(3) * 0.1 + 0.1
+    )
+    unsigned = codec.encode_announcement(largest, UTC_OFFSET, NOW)
+    assert len(unsigned) < 200
+    assert len(codec.sign_announcement(unsigned, "key", lambda text: bytes(64))) < 300
+
+
+def test_as_many_tracks_as_are_allowed_fit_into_one_message() -> None:
+    mean, cov = np.full(4, 0.1), np.eye(4)
+    status = TrackStatus.CONFIRMED
+    crowd = tuple(
+        IdentifiedTrack(Track(2**53 - i, 5.0, mean, cov, status, i / 300, np.ones(2), 4.0), "foreign", 0.9)
+        for i in range(300)
+    )
+    message = codec.tracks_message(TrackList(5.0, 4.9, crowd), 0, UTC_OFFSET, 0.01)
+    assert len(codec.encode_tracks(message)) <= codec.MAX_BYTES
+    assert min(t.probability for t in message.tracks) == pytest.approx(45 / 300)  # the least probable go
+
+
+# --- round trip -------------------------------------------------------------------------
+
+metres = st.floats(-1e4, 1e4)
+
+
+@settings(deadline=None)
+@given(
+    drone_id=st.integers(1, 65535),
+    sequence=st.integers(0, 2**32 - 1),
+    t=st.floats(0, 1e6),
+    position=st.tuples(metres, metres, metres),
+    rotation_vector=st.tuples(*[st.floats(-3, 3)] * 3),
+    factor=st.lists(st.floats(-10, 10), min_size=9, max_size=9),
+)
+def test_an_announcement_comes_back_as_it_went(
+    drone_id: int, sequence: int, t: float, position: Any, rotation_vector: Any, factor: Any
+) -> None:
+    A = np.reshape(factor, (3, 3))
+    sent = Announcement(
+        drone_id, "89abcdef", sequence, t, 0.1, np.array(position), rotation.exp(rotation_vector), A @ A.T
+    )
+    message = codec.decode_announcement(codec.encode_announcement(sent, UTC_OFFSET, t + 3.0))
+    assert (message.t_utc_s, message.t_sigma_s) == (pytest.approx(t + UTC_OFFSET, abs=1e-6), 0.1)
+    assert message.age_s == pytest.approx(3.0, abs=1e-6)
+    got = codec.announcement(message, 5.0, 0.25)
+    assert (got.drone_id, got.boot, got.sequence) == (drone_id, "89abcdef", sequence)
+    assert (got.t, got.t_sigma) == (5.0, 0.25)
+    np.testing.assert_array_equal(got.position, sent.position)
+    np.testing.assert_allclose(got.world_from_body, sent.world_from_body, atol=1e-9)
+    np.testing.assert_allclose(got.position_cov, sent.position_cov, atol=1e-12)
+
+
+def test_sightings_come_back_as_they_went() -> None:
+    message = codec.decode_sightings(reported())
+    assert (message.t_utc_s, message.t_sigma_s, message.age_s) == (UTC_OFFSET + 13.75, 0.5, 0.25)
+    got = codec.sighting_report(message, 5.0, 0.75)
+    assert (got.observer, got.boot, got.sequence, got.t, got.t_sigma) == (7, "0123abcd", 9, 5.0, 0.75)
+    assert (got.position_sigma, got.known) == (0.25, (2, 300))
+    np.testing.assert_array_equal(got.position, REPORT.position)
+    ((sighting,), (sent,)) = (got.sightings, REPORT.sightings)
+    assert (sighting.drone_id, sighting.probability, sighting.sigma) == (2, 0.75, 0.125)
+    np.testing.assert_array_equal(sighting.direction, sent.direction)
+
+
+def test_the_largest_report_fits_into_one_message() -> None:
+    direction = np.array([0.6, 0.0, 0.8])
+    crowd = tuple(Sighting(65535 - i, 0.9, direction, 0.1) for i in range(codec.MAX_SIGHTINGS))
+    known = tuple(range(60_000, 60_000 + codec.MAX_KNOWN))
+    full = dataclasses.replace(REPORT, known=known, sightings=crowd)
+    assert len(codec.encode_sightings(full, UTC_OFFSET, NOW)) <= codec.MAX_BYTES
+    more = tuple(Sighting(1 + i, 0.9, direction, 0.1) for i in range(codec.MAX_SIGHTINGS + 1))
+    with pytest.raises(ValueError, match="sightings"):
+        codec.encode_sightings(dataclasses.replace(REPORT, sightings=more), UTC_OFFSET, NOW)
+    with pytest.raises(ValueError, match="known"):
+        codec.encode_sightings(dataclasses.replace(REPORT, known=(*known, 1)), UTC_OFFSET, NOW)
+
+
+def test_a_signature_covers_the_key_and_every_field_before_it() -> None:
+    """As docs/wire.md tells others to make it: the key, a zero byte, the array without its last field."""
+    asked: list[bytes] = []
+    signature = bytes(range(64))
+
+    def sign(text: bytes) -> bytes:
+        asked.append(text)
+        return signature
+
+    data = codec.sign_announcement(announced(), "swarmtrack/red/v1/pose/7", sign)
+    fields = msgpack.unpackb(announced())[:-1]
+    assert asked == [b"swarmtrack/red/v1/pose/7\0" + msgpack.packb(fields)]
+    assert msgpack.unpackb(data) == [*fields, signature]
+    assert codec.signed_part(data, "swarmtrack/red/v1/pose/7") == (asked[0], signature)
+    assert codec.signed_part(data, "swarmtrack/red/v1/pose/8") != (asked[0], signature)
+
+
+@pytest.mark.parametrize("data", [announced(), announced()[:3], b"", b"\xdc\x00\x0b" + signed()[1:]])
+def test_what_is_not_signed_in_the_one_way_has_no_signed_part(data: bytes) -> None:
+    assert codec.signed_part(data, "some/key") is None
+
+
+@pytest.mark.parametrize("identity", [None, "foreign", 1, 65535])
+def test_tracks_come_back_as_they_went(identity: Any) -> None:
+    A = np.arange(16.0).reshape(4, 4)
+    track = Track(9, 5.0, np.array([1.0, 2, 3, 4]), A @ A.T, TrackStatus.LOST, 0.5, np.array([7.0, 8.0]), 4.0)
+    tracks = TrackList(5.0, 4.75, (IdentifiedTrack(track, identity, 0.9),))
+    sent = codec.tracks_message(tracks, 12, UTC_OFFSET, 0.01)
+    got = codec.decode_tracks(codec.encode_tracks(sent))
+    assert got == sent
+    assert (got.t_utc_s, got.scan_age_s, got.tracks[0].coasting_s) == (UTC_OFFSET + 5.0, 0.25, 1.0)
+    assert (got.tracks[0].identity, got.tracks[0].status) == (identity, "lost")
+    np.testing.assert_array_equal(codec.track_cov(got.tracks[0]), A @ A.T)
+
+
+def test_health_comes_back_as_it_went() -> None:
+    assert codec.decode_health(codec.encode_health(HEALTH)) == HEALTH
+
+
+def test_a_record_names_every_field_with_its_unit() -> None:
+    assert codec.from_record(codec.HealthMessage, json.loads(json.dumps(codec.as_record(HEALTH)))) == HEALTH
+    for nonsense in ({}, {**codec.as_record(HEALTH), "links": 3}, {**codec.as_record(HEALTH), "rates": []}):
+        with pytest.raises(codec.DecodeError):
+            codec.from_record(codec.HealthMessage, nonsense)
+    record = codec.as_record(TRACKS)
+    assert record["tracks"][0]["vu_px_s"] == -4.0
+    seen = codec.as_record(codec.decode_sightings(reported()))["sightings"]
+    assert seen == [{"drone_id": 2, "probability": 0.75, "direction": [0.0, 0.0, -1.0], "sigma_rad": 0.125}]
+    assert codec.as_record(codec.decode_announcement(announced()))["position_m"] == [1.0, 2.0, -3.0]
+
+
+# --- refused ----------------------------------------------------------------------------
+
+
+def altered(index: int, value: object, *path: int) -> bytes:
+    """The announcement with one field replaced."""
+    fields = msgpack.unpackb(announced())
+    if path:
+        fields[index][path[0]] = value
+    else:
+        fields[index] = value
+    packed: bytes = msgpack.packb(fields)
+    return packed
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (altered(0, 2), "version 2"),
+        (altered(1, 0), "drone_id"),
+        (altered(1, True), "drone_id"),
+        (altered(1, 65536), "drone_id"),
+        (altered(2, "0123ABCD"), "boot"),
+        (altered(2, "0123abc\n"), "boot"),
+        (altered(3, -1), "sequence"),
+        (altered(4, math.nan), "t_utc_s"),
+        (altered(5, math.inf), "t_sigma_s"),
+        (altered(6, math.nan, 1), "position_m"),
+        (altered(6, 1e300, 1), "position_m"),
+        (altered(6, [1.0, 2.0]), "position_m"),
+        (altered(7, [0.0, 0.0, 0.0, 0.0]), "norm is 0"),
+        (altered(7, 0.51, 3), "unit quaternion"),
+        (altered(8, -0.5, 0), "eigenvalue"),
+        (altered(8, 0.7, 1), "eigenvalue"),
+        (altered(9, -1.0), "age_s"),
+        (altered(9, math.nan), "age_s"),
+        (altered(10, b"x" * 65), "signature"),
+        (altered(10, b"x" * 63), "signature"),
+        (msgpack.packb([*msgpack.unpackb(announced()), 0]), "length 11, got 12"),
+        (msgpack.packb(dict(enumerate(msgpack.unpackb(announced())))), "array"),
+        (announced() + b"\x00", "trailing"),
+        (b"\x9b\x01\x07\xa8\xff" + announced()[5:], "utf-8"),
+        (bytes(codec.MAX_BYTES + 1), "more than 65536 bytes"),
+        (b"", "truncated"),
+    ],
+)
+def test_an_announcement_that_cannot_be_is_refused_with_the_field_and_the_reason(
+    data: bytes, says: str
+) -> None:
+    with pytest.raises(DecodeError, match=says):
+        codec.decode_announcement(data)
+
+
+@pytest.mark.parametrize(
+    ("index", "value", "says"),
+    [
+        (1, 0, "drone_id"),
+        (3, 2**32, "sequence"),
+        (6, -0.1, "age_s"),
+        (7, [0.0, math.inf, 0.0], "position_m"),
+        (8, -1.0, "position_sigma_m"),
+        (9, [2, 2], "known: names a drone twice"),
+        (9, [0], "known"),
+        (10, [[2, 0.5, [0.0, 0.0, 1.01], 0.1]], r"direction: norm is 1\.01"),
+        (10, [[2, 0.5, [0.0, 0.0, math.nan], 0.1]], "sightings"),
+        (10, [[2, 1.5, [0.0, 0.0, 1.0], 0.1]], "sightings"),
+        (10, [[2, 0.5, [0.0, 0.0, 1.0], 3.2]], "sightings"),
+        (10, [[2, 0.5, [0.0, 0.0, 1.0], 0.1]] * 2, "sightings: names a drone twice"),
+    ],
+)
+def test_sightings_that_cannot_be_are_refused_with_the_field_and_the_reason(
+    index: int, value: object, says: str
+) -> None:
+    fields = msgpack.unpackb(reported())
+    fields[index] = value
+    with pytest.raises(DecodeError, match=says):
+        codec.decode_sightings(msgpack.packb(fields))
+
+
+def test_a_track_whose_covariance_is_none_is_refused() -> None:
+    fields = msgpack.unpackb(codec.encode_tracks(TRACKS))
+    fields[5][0][7][1] = 6.1  # correlation above one: 6.1² > 4 x 9
+    with pytest.raises(DecodeError, match="eigenvalue"):
+        codec.decode_tracks(msgpack.packb(fields))
+
+
+def test_what_a_reader_would_refuse_is_not_sent() -> None:
+    mean = np.array([1.0, math.nan, 1.0, 1.0])
+    track = Track(1, 0.0, mean, np.eye(4), TrackStatus.CONFIRMED, 1.0, np.ones(2))
+    message = codec.tracks_message(
+        TrackList(0.0, 0.0, (IdentifiedTrack(track, None, 0.0),)), 0, UTC_OFFSET, 0.1
+    )
+    with pytest.raises(ValueError, match=r"tracks\[0\]\[4\]"):
+        codec.encode_tracks(message)
+
+
+# --- hostile bytes ----------------------------------------------------------------------
+
+
+def assert_refused_or_sound(data: bytes) -> None:
+    """The claim for any bytes at all: DecodeError, or a message whose every number is finite."""
+    for decode in DECODERS:
+        try:
+            message = decode(data)
+        except DecodeError:
+            continue
+        for number in numbers(codec.as_record(message)):
+            assert math.isfinite(number)
+
+
+def numbers(value: Any) -> list[float]:
+    if isinstance(value, dict):
+        return [n for v in value.values() for n in numbers(v)]
+    if isinstance(value, list):
+        return [n for v in value for n in numbers(v)]
+    return [value] if isinstance(value, float) else []
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=400))
+def test_random_bytes_are_refused(data: bytes) -> None:
+    assert_refused_or_sound(data)
+
+
+@settings(deadline=None)
+@given(st.sampled_from(MESSAGES), st.data())
+def test_truncated_messages_are_refused(message: bytes, draw: st.DataObject) -> None:
+    cut = message[: draw.draw(st.integers(0, len(message) - 1))]
+    for decode in DECODERS:
+        with pytest.raises(DecodeError):
+            decode(cut)
+
+
+@settings(deadline=None)
+@given(
+    st.sampled_from(MESSAGES), st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=8)
+)
+def test_mutated_messages_are_refused_or_sound(message: bytes, changes: list[tuple[int, int]]) -> None:
+    mutated = bytearray(message)
+    for position, value in changes:
+        mutated[position % len(mutated)] = value
+    assert_refused_or_sound(bytes(mutated))
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
+    lambda inner: st.lists(inner, max_size=12) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=40,
+)
+
+
+@settings(deadline=None)
+@given(st.sampled_from(MESSAGES), st.integers(0, 30), anything)
+def test_a_field_replaced_by_anything_is_refused_or_sound(message: bytes, index: int, value: object) -> None:
+    fields = msgpack.unpackb(message)
+    fields[index % len(fields)] = value
+    data = msgpack.packb(fields, unicode_errors="surrogatepass")
+    assume(len(data) <= codec.MAX_BYTES)
+    assert_refused_or_sound(data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\xdd\xff\xff\xff\xff",  # an array that claims four thousand million elements
+        b"\x96\x01\x01\x01\x01\x01\xdd\xff\xff\xff\xff",  # ... of tracks
+        b"\x9d\x01\x01\xa8aaaaaaaa\x01\x01\x01\xdf\xff\xff\xff\xff",  # ... a map
+        b"\xc6\xff\xff\xff\xff",
+        b"\x91" * codec.MAX_BYTES,  # nesting as deep as it goes
+        b"\x9b\x01" + b"\x91" * 60_000,
+        b"\x81\x01" * 30_000,
+    ],
+)
+def test_claimed_sizes_and_depths_cost_nothing(data: bytes) -> None:
+    for decode in DECODERS:
+        with pytest.raises(DecodeError):
+            decode(data)
+
+
+# --- video ----------------------------------------------------------------------------------------
+
+VIDEO = codec.VideoMessage(
+    version=1,
+    t_utc_s=1.7e9,
+    t_sigma_s=0.5,
+    frame=12,
+    width=320,
+    height=256,
+    jpeg=b"\xff\xd8\xff\xd9",
+    lens=codec.LensMessage(640, 512, 600.0, 600.0, 320.0, 256.0, "radtan", (-0.25, 0.125, 0.0, 0.0)),
+    position_m=(1.0, 2.0, -3.0),
+    quaternion_wxyz=(0.5, 0.5, 0.5, 0.5),
+)
+
+
+def test_the_bytes_of_a_video_message_are_pinned():
+    fields = [
+        1, 1.7e9, 0.5, 12, 320, 256, b"\xff\xd8\xff\xd9",
+        [640, 512, 600.0, 600.0, 320.0, 256.0, "radtan", [-0.25, 0.125, 0.0, 0.0]],
+        [1.0, 2.0, -3.0], [0.5, 0.5, 0.5, 0.5],
+    ]  # fmt: skip
+    data = codec.encode_video(VIDEO)
+    assert msgpack.unpackb(data) == fields
+    assert data == msgpack.packb(fields)
+    golden = "9a01cb41d954fc40000000cb3fe00000000000000ccd0140cd0100c404ffd8ffd998cd0280cd0200cb4082c0"
+    assert data.hex().startswith(golden)
+    assert codec.decode_video(data) == VIDEO
+
+
+def test_a_lens_comes_back_as_the_camera_it_was():
+    camera = codec.lens(VIDEO.lens)
+    assert (camera.width, camera.fx, camera.cy) == (640, 600.0, 256.0)
+    assert codec.lens_message(camera) == VIDEO.lens
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"jpeg": bytes(codec.MAX_JPEG + 1)}, "jpeg"),
+        ({"width": 0}, "width"),
+        ({"t_utc_s": math.nan}, "video"),
+        ({"quaternion_wxyz": (1.0, 1.0, 0.0, 0.0)}, "unit quaternion"),
+        ({"lens": msgspec.structs.replace(VIDEO.lens, fx=0.0)}, "focal lengths"),
+    ],
+)
+def test_a_video_message_that_cannot_be_is_not_sent(changes, says):
+    with pytest.raises(ValueError, match=says):
+        codec.encode_video(msgspec.structs.replace(VIDEO, **changes))
+
+
+def test_the_largest_picture_fits_into_a_message():
+    largest = msgspec.structs.replace(
+        VIDEO,
+        jpeg=bytes(codec.MAX_JPEG),
+        lens=msgspec.structs.replace(VIDEO.lens, coefficients=(0.1,) * 8),
+    )
+    assert len(codec.encode_video(largest)) <= codec.MAX_BYTES
