@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from swarmtrack.agents.arguments import positive
+from swarmtrack.arguments import positive
 from swarmtrack.errors import SourceError
 
 DEFAULT_OUT = Path("bench")

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
+from swarmtrack.arguments import positive_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera

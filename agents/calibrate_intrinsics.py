@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.arguments import positive_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.calibration.board import Board

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.arguments import positive_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.diagnosis.findings import Finding

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from swarmtrack.agents.arguments import count, positive_seconds
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
+from swarmtrack.arguments import count, positive_seconds
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample

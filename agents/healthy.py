@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from swarmtrack.agents.arguments import positive_seconds
+from swarmtrack.arguments import positive_seconds
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import SourceError
 from swarmtrack.runtime.health_file import ENVIRONMENT, health_path

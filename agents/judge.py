@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
+from swarmtrack.arguments import positive_seconds
 from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, first_of
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.arguments import count
+from swarmtrack.arguments import count
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:

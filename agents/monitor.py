@@ -15,8 +15,8 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.agents.arguments import port
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
+from swarmtrack.arguments import port
 from swarmtrack.errors import SwarmtrackError, TransportError
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import signal
 import sys
 from pathlib import Path
 
-from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
+from swarmtrack.arguments import positive_seconds
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder

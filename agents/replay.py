@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.arguments import count
+from swarmtrack.arguments import count
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:

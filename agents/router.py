@@ -15,8 +15,8 @@ from pathlib import Path
 
 import zenoh
 
-from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.agents.network_arguments import credentials_in
+from swarmtrack.arguments import positive_seconds
 from swarmtrack.config import load_team_config
 from swarmtrack.errors import TransportError
 from swarmtrack.security.names import Role

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.arguments import port, positive_seconds, seed
+from swarmtrack.arguments import port, positive_seconds, seed
 from swarmtrack.errors import SourceError
 from swarmtrack.localswarm.machine_load import BUSY, MachineLoad
 
@@ -30,9 +30,9 @@ class _ListScenarios(argparse.Action):
     """Prints and exits, as --help does."""
 
     def __call__(self, parser: argparse.ArgumentParser, *arguments: Any) -> None:
-        from swarmtrack.scenario_file import SCENARIO_NAMES, load_scenario
+        from swarmtrack.scenario_file import load_scenario, scenario_names
 
-        for name in SCENARIO_NAMES():
+        for name in scenario_names():
             scenario = load_scenario(name)
             print(f"{name:16} {len(scenario.members):3} drones, {scenario.seconds:3g} s: {scenario.about}")
         parser.exit()

@@ -25,7 +25,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from swarmtrack.agents.arguments import seed
+from swarmtrack.arguments import seed
 from swarmtrack.errors import SwarmtrackError
 
 if TYPE_CHECKING:

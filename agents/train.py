@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.agents.arguments import count, positive, seed
+from swarmtrack.arguments import count, positive, seed
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
 

@@ -14,8 +14,8 @@ import threading
 from pathlib import Path
 
 from swarmtrack import __version__
-from swarmtrack.agents.arguments import positive_seconds
 from swarmtrack.agents.ending import end_at_once_if_stuck
+from swarmtrack.arguments import positive_seconds
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2

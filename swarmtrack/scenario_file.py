@@ -341,7 +341,7 @@ class ScenarioFile(Section):
     expected: ParameterSection = ParameterSection()
 
 
-def SCENARIO_NAMES() -> list[str]:
+def scenario_names() -> list[str]:
     """The scenarios that are shipped."""
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
@@ -392,7 +392,7 @@ def _path(name_or_path: str | Path) -> Path:
     name = str(name_or_path)
     if isinstance(name_or_path, Path) or "/" in name or name.endswith(".toml"):
         return Path(name_or_path)
-    known = SCENARIO_NAMES()
+    known = scenario_names()
     if name not in known:
         raise ConfigError([f"scenario {found(name)}, {one_of(name, known)}"])
     return FOLDER / f"{name}.toml"

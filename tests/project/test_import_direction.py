@@ -13,7 +13,7 @@ from support.places import ROOT
 
 # From the bottom up: a module may import from its own layer and from those before it.
 LAYERS: list[set[str]] = [
-    {"errors", "messages", "clock"},
+    {"errors", "messages", "clock", "arguments"},
     {"geometry"},
     {"motion", "tracking", "identity"},
     {"onboard"},

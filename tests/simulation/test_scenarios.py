@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.places import ROOT
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import ConfigError
-from swarmtrack.scenario_file import SCENARIO_NAMES, load_scenario
+from swarmtrack.scenario_file import load_scenario, scenario_names
 from swarmtrack.sensors.simulated import open_simulation
 from swarmtrack.simulation.scenarios import FaultKind, Radio, Scenario, best_view
 from swarmtrack.simulation.sensors import Instant
@@ -57,7 +57,7 @@ def views(scenario: Scenario, observer: int, times: np.ndarray) -> list[dict[int
 
 
 def test_the_scenarios_that_are_asked_for_are_shipped_and_say_at_their_head_what_they_show():
-    assert SCENARIO_NAMES() == ASKED
+    assert scenario_names() == ASKED
     for name in ASKED:
         text = (ROOT / "configs" / "scenarios" / f"{name}.toml").read_text()
         assert text.startswith("# ")
