@@ -1,7 +1,7 @@
 """Real processes on loopback: they meet, they notice a death, a restart and a clone.
 
-The times are printed, not asserted (`pytest -s tests/live/test_zenoh_processes.py` shows them); the claims behind them are
-that an announcement is known within 1 s of the second start, and a kill -9 within 3 s.
+The times are printed, not asserted (`pytest -s tests/live/test_zenoh_processes.py` shows them); the claims behind them
+are that an announcement is known within 1 s of the second start, and a kill -9 within 3 s.
 
 This file is also the program of the processes it starts: `python test_zenoh_processes.py TEAM ID`.
 """
