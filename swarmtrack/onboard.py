@@ -30,10 +30,8 @@ from swarmtrack.messages import (
     Array,
     Detections,
     EgoPose,
-    IdClash,
     ImuSample,
-    PeerArrived,
-    PeerDeparted,
+    Membership,
     Scan,
     Sighting,
     SightingReport,
@@ -119,7 +117,6 @@ class Onboard:
         )
         self._drone_id = drone_id
         self._agreement = Agreement()
-        self._clashing: dict[int, set[str]] = {}
         self._view: OwnView | None = None
         self._disagreements: list[Disagreement] = []
         self._orientation: Orientation | None = None  # of the camera at the tracker's time
@@ -155,23 +152,9 @@ class Onboard:
         if not self._identities.announce(announcement):
             self.counters.announcements_refused += 1
 
-    def on_membership(self, event: PeerArrived | PeerDeparted | IdClash) -> None:
+    def on_membership(self, event: Membership) -> None:
         """Who lives. While two processes speak as one drone, nobody is identified as it."""
-        drone = event.drone_id
-        match event:
-            case PeerArrived():
-                self._identities.arrived(drone)
-            case IdClash(boots=boots, ours=False):
-                self._clashing[drone] = set(boots)
-                self._identities.suspend(drone)
-            case PeerDeparted(boot=boot):
-                clash = self._clashing.get(drone, set())
-                clash.discard(boot)
-                if len(clash) == 1:
-                    del self._clashing[drone]
-                    self._identities.resume(drone)
-                elif not clash:
-                    self._identities.departed(drone)
+        self._identities.on_membership(event)
 
     def on_sightings(self, report: SightingReport) -> None:
         """Whom a teammate sees, and where it stands: do we see the same?"""

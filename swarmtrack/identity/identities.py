@@ -29,7 +29,19 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.posterior import LOG_ANYWHERE, log_ratios, nearest, residuals
 from swarmtrack.identity.questions import Questions
 from swarmtrack.identity.reprojection import LastSeen, Predictions, View, joined, reproject, retrace
-from swarmtrack.messages import FOREIGN, Announcement, Array, IdentifiedTrack, Identity, Track, TrackStatus
+from swarmtrack.messages import (
+    FOREIGN,
+    Announcement,
+    Array,
+    IdClash,
+    IdentifiedTrack,
+    Identity,
+    Membership,
+    PeerArrived,
+    PeerDeparted,
+    Track,
+    TrackStatus,
+)
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.marginals import matching_marginals
 
@@ -116,7 +128,8 @@ class Identities:
         self._announced: dict[int, Announcement] = {}
         self._unannounced: set[int] = set()
         self._departed: set[int] = set()
-        self._suspended: set[int] = set()
+        self._clashing: dict[int, set[str]] = {}
+        """By drone that two processes or more speak as: their boots."""
         self._overruled: dict[int, float] = {}
         """By drone: since when."""
         self._given: dict[int, Given] = {}
@@ -137,7 +150,7 @@ class Identities:
         drone = announcement.drone_id
         known = self._announced.get(drone)
         repeated = known and known.boot == announcement.boot and known.sequence >= announcement.sequence
-        if drone == self._drone_id or drone in self._suspended or repeated:
+        if drone == self._drone_id or drone in self._clashing or repeated:
             return False
         self._announced[drone] = announcement
         self._unannounced.discard(drone)
@@ -150,27 +163,30 @@ class Identities:
             )
         return True
 
-    def arrived(self, drone_id: int) -> None:
-        """A teammate is alive; until it announces itself it may be any track."""
-        self._departed.discard(drone_id)
-        if drone_id != self._drone_id and drone_id not in self._announced:
-            self._unannounced.add(drone_id)
-
-    def departed(self, drone_id: int) -> None:
-        """A teammate's process is gone; the drone is still where it is, and so, for a while, is its pose."""
-        self._unannounced.discard(drone_id)
-        self._departed.add(drone_id)
-
-    def suspend(self, drone_id: int) -> None:
-        """Two processes speak as this drone: nobody can tell which pose is its own."""
-        self._suspended.add(drone_id)
-        self._announced.pop(drone_id, None)
-        self.withdraw(drone_id)
-
-    def resume(self, drone_id: int) -> None:
-        """One process speaks as this drone again; its pose is yet to be heard."""
-        self._suspended.discard(drone_id)
-        self._unannounced.add(drone_id)
+    def on_membership(self, event: Membership) -> None:
+        """Who lives. While two processes speak as one drone, nobody can tell which pose is its own."""
+        drone = event.drone_id
+        match event:
+            case PeerArrived():
+                self._departed.discard(drone)
+                if drone != self._drone_id and drone not in self._announced:
+                    # Until it announces itself it may be any track.
+                    self._unannounced.add(drone)
+            case IdClash(boots=boots, ours=False):
+                self._clashing[drone] = set(boots)
+                self._announced.pop(drone, None)
+                self.withdraw(drone)
+            case PeerDeparted(boot=boot):
+                clash = self._clashing.get(drone, set())
+                clash.discard(boot)
+                if len(clash) == 1:
+                    del self._clashing[drone]
+                    # The pose of the one that remains is yet to be heard.
+                    self._unannounced.add(drone)
+                elif not clash:
+                    # The drone is still where it is, and so, for a while, is its pose.
+                    self._unannounced.discard(drone)
+                    self._departed.add(drone)
 
     def overrule(self, drone_id: int, t: float) -> None:
         """Others see it elsewhere: no track is this drone until it says anew where it is, or the dispute is old."""
@@ -303,7 +319,7 @@ class Identities:
         since."""
         p = self._parameters
         settled = {g.drone_id for g in self._given.values() if g.standing is Standing.SETTLED}
-        free = [a for drone, a in self._announced.items() if drone not in settled | self._suspended]
+        free = [a for drone, a in self._announced.items() if drone not in settled | self._clashing.keys()]
         unseen = [*self._lost.values(), *(g for g in self._given.values() if g.standing in UNSEEN)]
         seen = {g.drone_id: g.seen for g in unseen if g.seen is not None}
         by_sight = [seen[a.drone_id] for a in free if a.drone_id in seen and a.t <= seen[a.drone_id].t]
@@ -343,7 +359,7 @@ class Identities:
             given = self._given.get(track.id)
             if given is not None and given.drone_id in predicted.drone_id:
                 ratios[i, predicted.drone_id.index(given.drone_id)] += given.held
-        unlocated = len(self._unannounced | self._suspended)
+        unlocated = len(self._unannounced | self._clashing.keys())
         anywhere = np.full((len(tracks), unlocated), LOG_ANYWHERE)
         return np.concatenate([ratios, anywhere], axis=1)
 

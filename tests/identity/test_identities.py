@@ -11,7 +11,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import DEPARTED_S, Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.questions import Questions
-from swarmtrack.messages import FOREIGN, Announcement, Track, TrackStatus
+from swarmtrack.messages import FOREIGN, Announcement, IdClash, PeerArrived, PeerDeparted, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -154,7 +154,7 @@ def test_two_that_are_lost_together_are_found_each_where_it_was(observer):
 
 def test_who_departs_keeps_its_id_for_the_drone_still_flies(observer):
     observer.sees(1.0, a=LEFT, b=RIGHT)
-    observer.identities.departed(2)
+    observer.identities.on_membership(PeerDeparted(2, "0000000a"))
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
 
@@ -212,12 +212,30 @@ def test_who_met_unseen_are_both_asked_and_change_places_if_they_say_so(observer
 
 def test_while_two_processes_speak_as_one_drone_nobody_is_it(observer):
     observer.sees(1.0, a=LEFT, b=RIGHT)
-    observer.identities.suspend(2)
+    observer.identities.on_membership(IdClash(2, ("0000000a", "0000000b"), ours=False))
     assert not observer.hears(2, LEFT, sequence=5)
     assert observer.sees(5.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # and no stranger: it may be drone 2
-    observer.identities.resume(2)
+    observer.identities.on_membership(PeerDeparted(2, "0000000a"))
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # where it is has to be heard anew
-    assert observer.hears(2, LEFT, sequence=1)
+    assert observer.hears(2, LEFT, sequence=1, boot="0000000b")
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_a_clash_lasts_until_one_process_alone_speaks_as_the_drone(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.identities.on_membership(IdClash(2, ("0000000a", "0000000b", "0000000c"), ours=False))
+    for boot in ("0000000c", "0000000d"):
+        observer.identities.on_membership(PeerDeparted(2, boot))
+        assert not observer.hears(2, LEFT, sequence=5)
+        assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}
+    observer.identities.on_membership(PeerDeparted(2, "0000000a"))
+    assert observer.hears(2, LEFT, sequence=5, boot="0000000b")
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_a_clash_over_this_drone_s_own_id_takes_no_teammate_s_name(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.identities.on_membership(IdClash(1, ("0000000a", "0000000b"), ours=True))
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
 
@@ -232,7 +250,7 @@ def test_a_track_that_no_drone_explains_is_foreign_after_the_stated_time_and_no_
 
 def test_nobody_is_foreign_while_a_teammate_is_alive_whose_pose_is_not_known(observer):
     away = (320.0, 40.0)
-    observer.identities.arrived(4)
+    observer.identities.on_membership(PeerArrived(4, "0000000a"))
     assert observer.sees(6.0, a=LEFT, b=RIGHT, c=away)["c"] is None
     observer.hears(4, MIDDLE)
     assert observer.sees(4.0, a=LEFT, b=RIGHT, c=away, d=MIDDLE)["c"] == FOREIGN
@@ -316,7 +334,7 @@ def test_a_drone_long_gone_is_no_excuse_for_a_stranger(observer):
     stranger = shifted(LEFT, right=60.0)
     observer.sees(20.0, b=RIGHT)
     assert observer.sees(6.0, b=RIGHT, c=stranger)["c"] is None  # it may be drone 2, which flew off
-    observer.identities.departed(2)
+    observer.identities.on_membership(PeerDeparted(2, "0000000a"))
     observer.sees(DEPARTED_S, b=RIGHT)
     assert observer.sees(6.0, b=RIGHT, c=stranger)["c"] == FOREIGN
 
@@ -324,9 +342,11 @@ def test_a_drone_long_gone_is_no_excuse_for_a_stranger(observer):
 # --- whatever happens ---
 
 PLACES = st.tuples(st.floats(20.0, 620.0), st.floats(20.0, 460.0))
+BOOTS = ("0000000a", "0000000b", "0000000c")
 STEPS = st.one_of(
     st.tuples(st.just("hears"), st.integers(1, 5), PLACES, st.booleans()),
-    st.tuples(st.sampled_from(["arrived", "departed", "suspend", "resume", "withdraw"]), st.integers(2, 5)),
+    st.tuples(st.sampled_from(["arrives", "departs"]), st.integers(2, 5), st.sampled_from(BOOTS)),
+    st.tuples(st.sampled_from(["clashes", "is withdrawn"]), st.integers(2, 5)),
     st.tuples(st.just("goes"), st.sampled_from("abcdef"), PLACES),
     st.tuples(st.just("ends"), st.sampled_from("abcdef")),
     st.tuples(st.just("hides"), st.sampled_from("abcdef")),
@@ -336,8 +356,8 @@ STEPS = st.one_of(
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(STEPS, max_size=40))
-def test_whatever_happens_nobody_holds_an_id_twice_nor_one_that_is_suspended(steps):
-    observer, places, hidden, suspended = Observer(), {}, set(), set()
+def test_whatever_happens_nobody_holds_an_id_twice_nor_one_that_several_speak_as(steps):
+    observer, places, hidden, clashing = Observer(), {}, set(), {}
     sequence = 0
     for step in [("hears", 2, LEFT, False), ("hears", 3, RIGHT, False), *steps, ("sees", 1.0)]:
         match step:
@@ -356,8 +376,16 @@ def test_whatever_happens_nobody_holds_an_id_twice_nor_one_that_is_suspended(ste
                 names = observer.sees(seconds, coasting=hidden & set(places), **places)
                 given_ids = [name for name in names.values() if isinstance(name, int)]
                 assert len(set(given_ids)) == len(given_ids)
-                assert set(given_ids) <= set(observer.identities.announced) - suspended - {1}
-            case (what, drone):
-                getattr(observer.identities, what)(drone)
-                suspended |= {drone} if what == "suspend" else set()
-                suspended -= {drone} if what == "resume" else set()
+                assert set(given_ids) <= set(observer.identities.announced) - clashing.keys() - {1}
+            case ("arrives", drone, boot):
+                observer.identities.on_membership(PeerArrived(drone, boot))
+            case ("departs", drone, boot):
+                observer.identities.on_membership(PeerDeparted(drone, boot))
+                clashing.get(drone, set()).discard(boot)
+                if len(clashing.get(drone, ())) == 1:
+                    del clashing[drone]
+            case ("clashes", drone):
+                observer.identities.on_membership(IdClash(drone, BOOTS, ours=False))
+                clashing[drone] = set(BOOTS)
+            case ("is withdrawn", drone):
+                observer.identities.withdraw(drone)
