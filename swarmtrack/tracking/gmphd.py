@@ -30,13 +30,12 @@ from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.association import Indices
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import of_sure_pairs
+from swarmtrack.tracking.gaussian_tracks import GaussianTracks
 from swarmtrack.tracking.marginals import SMALL, beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.parameters import CommonParameters
-from swarmtrack.tracking.population import FADED, Population
+from swarmtrack.tracking.population import FADED
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
-from swarmtrack.tracking.table import TrackTable
-from swarmtrack.tracking.target_motion import TargetMotion
 
 ROUNDING = 1e-9  # added to the diagonal of a correlation: positive definite to the computer, too
 LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain, and doubles end at 709
@@ -99,23 +98,21 @@ class Shares(NamedTuple):
     free: Array
 
 
-class GmPhd:
-    """One intensity, labelled components, births from detections, an estimate for each label."""
+class GmPhd(GaussianTracks):
+    """One intensity, labelled components, births from detections, an estimate for each label.
+
+    Between scans the moments of each label are carried on as if it were one Gaussian: exact but for the curvature of a
+    turn.
+    """
 
     Parameters: ClassVar[type[CommonParameters]] = GmPhdParameters
 
     def __init__(self, sensor: SensorModel, parameters: GmPhdParameters) -> None:
+        super().__init__(sensor, parameters)
         self.mixture = Mixture.empty()
-        self._sensor = sensor
         self._parameters = parameters
-        self._motion = TargetMotion(sensor.camera, parameters)
-        self._population = Population(sensor, parameters)
         self._one_to_one = parameters.one_to_one and parameters.profile != "paper"
         self.counters = {"components_over_cap": 0}
-
-    @property
-    def table(self) -> TrackTable:
-        return self._population.table
 
     @property
     def expected_targets(self) -> float:
@@ -123,7 +120,7 @@ class GmPhd:
         return float(self.mixture.weight.sum())
 
     def initiate(self, t: float, points: Array) -> list[int]:
-        ids = self._population.initiate(t, points)
+        ids = super().initiate(t, points)
         self._add_newest(len(ids))
         return ids
 
@@ -134,12 +131,6 @@ class GmPhd:
         self.mixture = Mixture(label, weight, mean, cov)
         self.table.mean, self.table.cov = moments(self.mixture, blocks(label))
         self._population.survive(dt)
-
-    def extrapolated(
-        self, dt: float, rotation: Array | None, rotation_variance: float
-    ) -> tuple[Array, Array]:
-        """The moments of each label, carried on as if it were one Gaussian: exact but for the curvature of a turn."""
-        return self._motion.carried(self.table.mean, self.table.cov, dt, rotation, rotation_variance)
 
     def update(self, t: float, measured: Measurements) -> Explained:
         self._drop(t)  # before the weights: after a long silence a label could take whatever comes next

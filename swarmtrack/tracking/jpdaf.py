@@ -25,13 +25,12 @@ from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import of_sure_pairs
 from swarmtrack.tracking.gaussian import inverse
+from swarmtrack.tracking.gaussian_tracks import GaussianTracks
 from swarmtrack.tracking.marginals import beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.parameters import CommonParameters
-from swarmtrack.tracking.population import FADED, Population
+from swarmtrack.tracking.population import FADED
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
-from swarmtrack.tracking.table import TrackTable
-from swarmtrack.tracking.target_motion import TargetMotion
 
 LEAST_EXISTENCE = 1e-12
 DOUBTFUL = 0.95  # existence of a confirmed track below which it may be a double of another
@@ -56,33 +55,15 @@ class JpdafParameters(CommonParameters):
             raise ValueError(f"tracker.exact_width: found {self.exact_width!r}, expected 1 or more")
 
 
-class Jpdaf:
+class Jpdaf(GaussianTracks):
     """Exact JIPDA up to a stated width, loopy belief propagation beyond it."""
 
     Parameters: ClassVar[type[CommonParameters]] = JpdafParameters
 
     def __init__(self, sensor: SensorModel, parameters: JpdafParameters) -> None:
-        self._sensor = sensor
+        super().__init__(sensor, parameters)
         self._parameters = parameters
-        self._motion = TargetMotion(sensor.camera, parameters)
-        self._population = Population(sensor, parameters)
         self.counters = {"scans_approximated": 0}
-
-    @property
-    def table(self) -> TrackTable:
-        return self._population.table
-
-    def initiate(self, t: float, points: Array) -> list[int]:
-        return self._population.initiate(t, points)
-
-    def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
-        self.table.mean, self.table.cov = self.extrapolated(dt, rotation, rotation_variance)
-        self._population.survive(dt)
-
-    def extrapolated(
-        self, dt: float, rotation: Array | None, rotation_variance: float
-    ) -> tuple[Array, Array]:
-        return self._motion.carried(self.table.mean, self.table.cov, dt, rotation, rotation_variance)
 
     def update(self, t: float, measured: Measurements) -> Explained:
         # Before the association: after a long silence a track could take whatever comes next, and its name with it.

@@ -18,11 +18,9 @@ from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import of_sure_pairs
 from swarmtrack.tracking.gaussian import update
+from swarmtrack.tracking.gaussian_tracks import GaussianTracks
 from swarmtrack.tracking.parameters import CommonParameters
-from swarmtrack.tracking.population import Population
-from swarmtrack.tracking.sensor_model import Measurements, SensorModel
-from swarmtrack.tracking.table import TrackTable
-from swarmtrack.tracking.target_motion import TargetMotion
+from swarmtrack.tracking.sensor_model import Measurements
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,32 +28,10 @@ class KalmanParameters(CommonParameters):
     """None beside the common ones."""
 
 
-class Kalman:
+class Kalman(GaussianTracks):
     """Maximum-likelihood association, gated, one-to-one; Kalman updates in Joseph form."""
 
     Parameters: ClassVar[type[CommonParameters]] = KalmanParameters
-
-    def __init__(self, sensor: SensorModel, parameters: KalmanParameters) -> None:
-        self._sensor = sensor
-        self._motion = TargetMotion(sensor.camera, parameters)
-        self._population = Population(sensor, parameters)
-        self.counters: dict[str, int] = {}
-
-    @property
-    def table(self) -> TrackTable:
-        return self._population.table
-
-    def initiate(self, t: float, points: Array) -> list[int]:
-        return self._population.initiate(t, points)
-
-    def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
-        self.table.mean, self.table.cov = self.extrapolated(dt, rotation, rotation_variance)
-        self._population.survive(dt)
-
-    def extrapolated(
-        self, dt: float, rotation: Array | None, rotation_variance: float
-    ) -> tuple[Array, Array]:
-        return self._motion.carried(self.table.mean, self.table.cov, dt, rotation, rotation_variance)
 
     def update(self, t: float, measured: Measurements) -> Explained:
         # Before the association: after a long silence a track could take whatever comes next, and its name with it.

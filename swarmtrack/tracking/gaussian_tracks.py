@@ -1,0 +1,36 @@
+"""What filters have in common that show each track as one Gaussian: how tracks start, and how they move."""
+
+from __future__ import annotations
+
+from swarmtrack.messages import Array
+from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.population import Population
+from swarmtrack.tracking.sensor_model import SensorModel
+from swarmtrack.tracking.table import TrackTable
+from swarmtrack.tracking.target_motion import TargetMotion
+
+
+class GaussianTracks:
+    """A `Filter` (see base.py) but for its `update`, which is where such filters differ."""
+
+    def __init__(self, sensor: SensorModel, parameters: CommonParameters) -> None:
+        self._sensor = sensor
+        self._motion = TargetMotion(sensor.camera, parameters)
+        self._population = Population(sensor, parameters)
+        self.counters: dict[str, int] = {}
+
+    @property
+    def table(self) -> TrackTable:
+        return self._population.table
+
+    def initiate(self, t: float, points: Array) -> list[int]:
+        return self._population.initiate(t, points)
+
+    def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
+        self.table.mean, self.table.cov = self.extrapolated(dt, rotation, rotation_variance)
+        self._population.survive(dt)
+
+    def extrapolated(
+        self, dt: float, rotation: Array | None, rotation_variance: float
+    ) -> tuple[Array, Array]:
+        return self._motion.carried(self.table.mean, self.table.cov, dt, rotation, rotation_variance)
