@@ -68,7 +68,7 @@ def open_session(
     if not usable:
         have = ", ".join(name for name, long in PROVIDERS.items() if long in available)
         raise ModelError(f"detector providers: none of {', '.join(providers)} is installed here, only {have}")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ModelError(
             f'{path}: no such model file; expected an ONNX file, or "default" for the one that is shipped'
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -42,8 +43,8 @@ class ImageFolder:
 
     def __init__(self, folder: Path, options: ImagesOptions) -> None:
         """Raises SourceError if there is nothing to play."""
-        if not folder.is_dir():
-            what = "is a file, expected a folder" if folder.exists() else "not found"
+        if not os.path.isdir(folder):
+            what = "is a file, expected a folder" if os.path.exists(folder) else "not found"
             raise SourceError(f"image folder {folder}: {what}")
         if options.times:
             self._index = read_times(folder / options.times, folder)

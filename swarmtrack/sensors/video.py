@@ -52,7 +52,7 @@ class VideoFile:
         """Raises SourceError if there is nothing to play."""
         self._path = path
         self._fps = fps
-        if not path.exists():
+        if not os.path.exists(path):
             raise SourceError(f"video file {path}: not found, expected a video that is there")
         if path.is_dir():
             raise SourceError(

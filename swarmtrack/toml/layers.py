@@ -8,6 +8,7 @@ them, so that a team file may live in another folder.
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator
@@ -120,7 +121,7 @@ def _read(
     chain = (*extended_by, path.resolve())
     for name in names:
         base = path.parent / Path(name).expanduser()
-        if "\0" in name or not base.is_file():
+        if not os.path.isfile(base):
             wrong(line, f"extends: no file {str(base)!r}, expected one relative to this file")
         elif base.resolve() in chain:
             circle = " -> ".join(file.name for file in (*chain, base))

@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarmtrack.clock import ManualClock
@@ -67,6 +67,8 @@ def test_an_address_that_can_never_work_is_refused_with_what_was_found_and_expec
 @given(
     st.one_of(st.text(), st.builds("{}:{}?{}".format, st.sampled_from(sorted(CAMERAS)), st.text(), st.text()))
 )
+@example("file:" + 300 * "0")  # longer than a name may be: `Path.exists` raises OSError
+@example("images:" + 300 * "0")
 def test_no_text_whatever_makes_anything_but_a_camera_or_a_sentence(source: str) -> None:
     with contextlib.suppress(SourceError):
         assert not open_camera(source, clock=ManualClock()).status().ok

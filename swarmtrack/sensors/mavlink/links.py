@@ -364,7 +364,7 @@ class TlogLink:
     remark = ""
 
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
-        if not Path(address.path).is_file():
+        if not os.path.isfile(address.path):
             raise SourceError(f"autopilot link {address}: there is no file {address.path}")
         self.address = address
         self._clock = clock
