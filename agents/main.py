@@ -9,9 +9,9 @@ from importlib import import_module
 
 from swarmtrack import __version__
 from swarmtrack.agents.ending import end_at_once_if_stuck
+from swarmtrack.arguments import add_commands
 from swarmtrack.errors import SwarmtrackError
 
-# Imported only when called: `swarmtrack --help` answers at once.
 COMMANDS = {
     "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent a drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
@@ -51,13 +51,7 @@ def parse(words: list[str]) -> argparse.Namespace:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (module, summary) in COMMANDS.items():
-        command = commands.add_parser(
-            name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.", allow_abbrev=False
-        )
-        if name in words[:1]:
-            import_module(module).add_arguments(command)
+    add_commands(parser, COMMANDS, dest="command", metavar="COMMAND")
     return parser.parse_args(words)
 
 

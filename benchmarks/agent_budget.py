@@ -5,7 +5,7 @@ played over UDP (200 Hz of gyro) and a listener on Zenoh; what it costs is read 
 latency is measured from outside: from the exposure of a frame to the arrival of the first message with its tracks at
 another process. Start-up is that of the real program on the simulation, from fork to the first confirmed track.
 
-    python -m swarmtrack.benchmarks.agent_budget --out DIR [--quick]
+    swarmtrack bench agent [--quick] --out DIR
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_tracker
+from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.detection.detector import Detector
@@ -66,7 +68,16 @@ class Line(NamedTuple):
         return None if self.budget is None else self.value <= self.budget
 
 
-def run(out: Path, *, tracker: str = DEFAULT_TRACKER, quick: bool = False) -> dict[str, Any]:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, tracker=args.tracker, quick=args.quick)
+
+
+def publish(out: Path, *, tracker: str = DEFAULT_TRACKER, quick: bool = False) -> dict[str, Any]:
     """Measure everything; agent.json and agent.md into `out`. quick: a tenth of the time, figures for orientation."""
     repeats, seconds = (50, 3.0) if quick else (1000, 20.0)
     parts: list[tuple[str, Callable[[], list[Line]]]] = [
@@ -393,20 +404,6 @@ def free_udp_port() -> int:
         return int(udp.getsockname()[1])
 
 
-def cpu_seconds(pid: int) -> float:
-    """User and system time of a process, all its threads."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf(
-        "SC_CLK_TCK"
-    )  # utime, stime: proc(5), fields 14 and 15
-
-
-def rss_mb(pid: int) -> float:
-    """Resident memory, 10⁶ bytes."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGESIZE") / 1e6
-
-
 def _markdown(lines: list[Line]) -> str:
     rows = [
         [
@@ -428,18 +425,3 @@ def _markdown(lines: list[Line]) -> str:
             report.table(header, rows),
         ]
     )
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="agent_budget", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
-    parser.add_argument("--quick", action="store_true", help="a tenth of the time, figures for orientation")
-    options = parser.parse_args(arguments)
-    run(options.out, tracker=options.tracker, quick=options.quick)
-    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

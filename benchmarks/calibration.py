@@ -7,14 +7,13 @@ The rendered frames go through the same functions as those of `swarmtrack calibr
 *Intrinsics*: 40 views of a board, rendered through a camera with known numbers, go through those of
 `swarmtrack calibrate intrinsics`: found, chosen, fitted.
 
-    python -m swarmtrack.benchmarks.calibration --out DIR [--seeds 20]
+    swarmtrack bench calibration [--seeds 20] --out DIR
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from itertools import chain
 from pathlib import Path
@@ -24,6 +23,7 @@ import cv2
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_seeds
 from swarmtrack.calibration.board import KINDS, Board, Kind
 from swarmtrack.calibration.extrinsics import doubts
 from swarmtrack.calibration.image_motion import ImageMotion
@@ -37,7 +37,7 @@ from swarmtrack.simulation.boards import BoardScene, board_poses
 from swarmtrack.simulation.hand_turned import HandTurned, Room
 
 NAME = "calibration"
-SEEDS = 20
+SEEDS, QUICK_SEEDS = 20, 4
 SECONDS, FPS, IMU_HZ = 16.0, 15.0, 200.0  # a quarter of the minute that the command takes
 EYE = PinholeCamera(215.0, 216.0, 161.0, 118.0, 320, 240, RadTan((-0.25, 0.06, 0.001, -0.0005)))
 GYRO_NOISE, GYRO_BIAS = 0.005, 0.01  # rad/s, a sample's; an axis'
@@ -130,7 +130,16 @@ def ray_error_px(found: PinholeCamera, truth: PinholeCamera) -> float:
     return truth.fx * float(np.sqrt((np.linalg.norm(a[sound] @ R.T - b[sound], axis=1) ** 2).mean()))
 
 
-def run(out: Path, *, seeds: int = SEEDS, seconds: float = SECONDS) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS))
+
+
+def publish(out: Path, *, seeds: int) -> None:
     """calibration.json, .md and a plot in `out`."""
     boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
     each = max(seeds // 6, 2)
@@ -138,7 +147,7 @@ def run(out: Path, *, seeds: int = SEEDS, seconds: float = SECONDS) -> None:
         report.progress("calibration", seeds + each * len(boards)) as advance,
         ProcessPoolExecutor(initializer=cv2.setNumThreads, initargs=(1,)) as pool,
     ):
-        by_hand = [pool.submit(hand_turned, seed, seconds=seconds) for seed in range(seeds)]
+        by_hand = [pool.submit(hand_turned, seed) for seed in range(seeds)]
         by_board = {
             (kind, model): [pool.submit(board_shown, seed, kind, model) for seed in range(each)]
             for kind, model in boards
@@ -155,7 +164,7 @@ def run(out: Path, *, seeds: int = SEEDS, seconds: float = SECONDS) -> None:
     report.write(
         out,
         NAME,
-        {"seconds": seconds, "extrinsics": extrinsics, "intrinsics": intrinsics},
+        {"seconds": SECONDS, "extrinsics": extrinsics, "intrinsics": intrinsics},
         _markdown(extrinsics, intrinsics),
     )
     _plot(out, minutes)
@@ -241,17 +250,3 @@ def _plot(out: Path, minutes: list[Minute]) -> None:
     figure.tight_layout()
     figure.savefig(out / f"{NAME}.png", dpi=110)
     plt.close(figure)
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m swarmtrack.benchmarks.calibration")
-    parser.add_argument("--out", type=Path, default=Path("bench"), metavar="DIR")
-    parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N")
-    parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S")
-    args = parser.parse_args(argv)
-    run(args.out, seeds=args.seeds, seconds=args.seconds)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -18,13 +18,12 @@ own.
 
 The fit is that of the trackers' `measurement_noise`: σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²).
 
-    python -m swarmtrack.benchmarks.detection_noise DATA --out DIR
+    swarmtrack bench detection-noise DATA --out DIR
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -33,15 +32,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks.command_line import add_clips, add_common
 from swarmtrack.benchmarks.report import number
 from swarmtrack.benchmarks.trackers.clips import look
 from swarmtrack.detection.detector import Detector
-from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.clip_score import TrackPoints, TruthBoxes, match_hits
 from swarmtrack.evaluation.intervals import Interval
 from swarmtrack.messages import Array, Detections
 
-NAME = "detection_noise"
+NAME = "detection-noise"
+QUICK_CLIPS = 2
 THIRD = np.array([1.0, -3.0, 3.0, -1.0])
 GAIN = float(THIRD @ THIRD)
 SIDES = (0.0, 20.0, 27.0, 35.0, 45.0, 60.0, 80.0, 1000.0)  # px
@@ -236,9 +236,21 @@ def measure(drones: Sequence[Sightings]) -> dict[str, Any]:
     return {"sides": sides, "scores": scores, **fitted}
 
 
-def run(out: Path, data: Path) -> dict[str, Any]:
-    """Look at every clip below `data`; detection_noise.json and .md into `out`, and return what is in the JSON."""
-    clips = real_clips.find_clips(data)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_clips(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, args.data, limit=QUICK_CLIPS if args.quick else None)
+
+
+def publish(out: Path, data: Path, *, limit: int | None = None) -> dict[str, Any]:
+    """Look at every clip below `data` (at most `limit`); detection-noise.json and .md into `out`.
+
+    Returns what is in the JSON.
+    """
+    clips = real_clips.find_clips(data)[:limit]
     detector = Detector()
     drones: list[Sightings] = []
     pairs = []
@@ -304,21 +316,3 @@ def _markdown(result: dict[str, Any]) -> str:
             report.table(["mean sides apart", "pairs", "both found, %"], apart),
         ]
     )
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="detection_noise", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("data", type=Path, help="folder with NAME.mp4 and NAME_gt.csv")
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    options = parser.parse_args(arguments)
-    try:
-        run(options.out, options.data)
-    except SwarmtrackError as error:
-        print(f"detection_noise: {error}", file=sys.stderr)
-        return 2
-    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

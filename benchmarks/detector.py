@@ -12,6 +12,7 @@ in an agent whose camera stands still; the clips must be such. Of scenarios the 
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,7 +21,9 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from swarmtrack.arguments import count
 from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.real_clips import Clip
 from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.detection.detector import Detector
@@ -51,7 +54,55 @@ class Sets(NamedTuple):
     clips: dict[str, list[Looked]]
 
 
-def run(
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    parser.add_argument(
+        "model", metavar="MODEL", help='an .onnx file, or "default" for the one that is shipped'
+    )
+    parser.add_argument(
+        "data",
+        type=Path,
+        metavar="DATA",
+        help="a folder of labelled images (CSV, COCO or YOLO), of clips, or both",
+    )
+    parser.add_argument("--input-scale", type=float, default=1.0, metavar="S", help="input px per image px")
+    parser.add_argument(
+        "--scene", action="append", default=[], metavar="NAME", help="of the images only this one"
+    )
+    parser.add_argument("--every", type=count, default=1, metavar="N", help="of the clips each N-th frame")
+    parser.add_argument(
+        "--motion", action="store_true", help="of clips count what moved; their camera must stand"
+    )
+    parser.add_argument(
+        "--scenario",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="also a flight of the simulation, rendered",
+    )
+    parser.add_argument(
+        "--held-out-negatives",
+        action="store_true",
+        help="beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(
+        args.model,
+        args.data,
+        args.out,
+        quick=args.quick,
+        input_scale=args.input_scale,
+        scenes=args.scene,
+        every=args.every,
+        held_out_negatives=args.held_out_negatives,
+        motion=args.motion,
+        scenarios=args.scenario,
+    )
+
+
+def publish(
     model: str,
     data: Path,
     out: Path,

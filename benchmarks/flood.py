@@ -4,7 +4,7 @@ Three processes on loopback: the one that is measured (this one), a friend that 
 and a member that sends ten thousand messages a second of one sort. All sign with Ed25519, and all signatures are
 checked. A task that wants to wake every 5 ms tells the lag of the loop.
 
-`python -m swarmtrack.benchmarks.flood` prints the table.
+    swarmtrack bench flood [--quick] --out DIR
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractAsyncContextManager
 from dataclasses import asdict, dataclass
 from functools import cache
 from itertools import count
@@ -33,6 +33,8 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.processes import module_process, rss_mb
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement, PeerArrived, Sighting, SightingReport
 from swarmtrack.transport import keys
@@ -42,8 +44,9 @@ from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 from swarmtrack.wire import codec
 
+NAME = "flood"
 RATE_HZ: Final = 10_000.0  # of the flood
-SECONDS: Final = 5.0  # of each measurement
+SECONDS, QUICK_SECONDS = 5.0, 1.0  # of each measurement
 TICK_S: Final = 0.005  # of the task that tells the lag
 FRIEND_S: Final = 0.2  # between two announcements of the friend
 PATIENCE_S: Final = 20.0  # until all know each other, on a busy machine
@@ -89,7 +92,7 @@ class Outcome:
     events_hz: float
 
 
-async def measure(sort: Sort, seconds: float = SECONDS) -> Outcome:
+async def measure(sort: Sort, seconds: float) -> Outcome:
     """Flood an agent's transport for so long."""
     team = f"flood-{secrets.token_hex(4)}"
     boot, clock = keys.new_boot(), SystemClock()
@@ -186,25 +189,9 @@ async def lags_of_the_loop(seconds: float) -> list[float]:
     return lags
 
 
-def rss_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGESIZE") / 1e6
-
-
-@asynccontextmanager
-async def program(role: str, team: str, sort: Sort) -> AsyncIterator[asyncio.subprocess.Process]:
-    """This module as another process, until the block ends."""
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "swarmtrack.benchmarks.flood", "--role", role, "--team", team),
-        *("--sort", str(sort)),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        await process.wait()
+def program(role: str, team: str, sort: Sort) -> AbstractAsyncContextManager[asyncio.subprocess.Process]:
+    """One of the others."""
+    return module_process("swarmtrack.benchmarks.flood", role, team, str(sort))
 
 
 # --- the others ----------------------------------------------------------------------------------
@@ -343,16 +330,24 @@ def _no_signature(signed: bytes) -> bytes:
 # --- the table -----------------------------------------------------------------------------------
 
 
-def run(out: Path, *, seconds: float = SECONDS) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, seconds=QUICK_SECONDS if args.quick else SECONDS)
+
+
+def publish(out: Path, *, seconds: float) -> None:
     """flood.json and flood.md in the folder `out`."""
-    with report.progress("flood", total=len(Sort)) as advance:
+    with report.progress(NAME, total=len(Sort)) as advance:
         outcomes = []
         for sort in Sort:
             advance(str(sort))
             outcomes.append(asyncio.run(measure(sort, seconds)))
     report.write(
         out,
-        "flood",
+        NAME,
         {"seconds": seconds, "rate_hz": RATE_HZ, "floods": [asdict(outcome) for outcome in outcomes]},
         markdown(outcomes),
     )
@@ -380,21 +375,10 @@ def markdown(outcomes: list[Outcome]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("bench"), metavar="DIR")
-    parser.add_argument("--seconds", type=float, default=SECONDS)
-    parser.add_argument("--role", choices=("friend", "flooder"), help=argparse.SUPPRESS)
-    parser.add_argument("--team", help=argparse.SUPPRESS)
-    parser.add_argument("--sort", type=Sort, help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    """One of the others, see `program`."""
+    role, team, sort = sys.argv[1:]
     with contextlib.suppress(KeyboardInterrupt):
-        if args.role == "friend":
-            asyncio.run(be_friend(args.team))
-        elif args.role == "flooder":
-            asyncio.run(be_flooder(args.team, args.sort))
-        else:
-            run(args.out, seconds=args.seconds)
-            print((args.out / "flood.md").read_text(encoding="utf-8"))
+        asyncio.run(be_friend(team) if role == "friend" else be_flooder(team, Sort(sort)))
 
 
 if __name__ == "__main__":

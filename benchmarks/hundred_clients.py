@@ -12,13 +12,12 @@ import asyncio
 import json
 import os
 import secrets
-import signal
 import socket
 import struct
 import sys
 import time
-from collections.abc import AsyncIterator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from collections.abc import Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -26,6 +25,8 @@ from typing import Final
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.processes import module_process, rss_mb
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement
 from swarmtrack.transport import keys
@@ -33,6 +34,7 @@ from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
+NAME = "clients"
 ROUTERS: Final = 2
 PROCESSES: Final = 4  # that the sessions share
 IDLE_S: Final = 5.0  # for what it costs once everybody knows everybody
@@ -160,8 +162,7 @@ async def said(process: asyncio.subprocess.Process) -> str:
     return line.decode()
 
 
-@asynccontextmanager
-async def program(
+def program(
     role: str,
     name: str,
     listen: Sequence[int],
@@ -169,8 +170,8 @@ async def program(
     *,
     ids: Sequence[int] = (),
     team: Team | None = None,
-) -> AsyncIterator[asyncio.subprocess.Process]:
-    """This module as another process, until the block ends. listen, connect: ports on loopback."""
+) -> AbstractAsyncContextManager[asyncio.subprocess.Process]:
+    """This module as another process. listen, connect: ports on loopback."""
     task = {
         "role": role,
         "name": name,
@@ -179,17 +180,7 @@ async def program(
         "ids": list(ids),
         "sessions": team.sessions if team else 0,
     }
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "swarmtrack.benchmarks.hundred_clients", json.dumps(task)),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-    )
-    try:
-        yield process
-    finally:
-        with suppress(ProcessLookupError):
-            process.send_signal(signal.SIGKILL)
-        await process.wait()
+    return module_process("swarmtrack.benchmarks.hundred_clients", json.dumps(task))
 
 
 def free_ports(n: int) -> list[int]:
@@ -274,7 +265,7 @@ async def be_sessions(task: Task) -> None:
     members = [Member(task, drone_id) for drone_id in task.ids]
     print("ready", flush=True)
     start = float(await asyncio.to_thread(sys.stdin.readline))
-    rss_before, cpu = rss_mb(os.getpid()), time.process_time()
+    rss_before, cpu = rss_mb(), time.process_time()
     await asyncio.sleep(start - time.perf_counter())
     with suppress(TimeoutError):
         async with asyncio.timeout(PATIENCE_S):
@@ -287,7 +278,7 @@ async def be_sessions(task: Task) -> None:
         announcement_bytes=members[0].counter("announcement_bytes"),
         announcements_sent=sum(member.counter("announcements_sent") for member in members),
         rss_before_mb=rss_before,
-        rss_after_mb=rss_mb(os.getpid()),
+        rss_after_mb=rss_mb(),
         bytes_until_known=traffic,
         idle_bytes_s=(tcp_bytes() - traffic) / IDLE_S,
         cpu_s=cpu_s,
@@ -315,23 +306,25 @@ def tcp_bytes() -> int:
     return total
 
 
-def rss_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGESIZE") / 1e6
-
-
 # --- the table -----------------------------------------------------------------------------------
 
 
-def run(out: Path, *, quick: bool = False) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, QUICK if args.quick else TEAMS)
+
+
+def publish(out: Path, teams: Sequence[Team]) -> None:
     """clients.json and clients.md in the folder `out`."""
-    teams = QUICK if quick else TEAMS
     outcomes = []
-    with report.progress("clients", total=len(teams)) as advance:
+    with report.progress(NAME, total=len(teams)) as advance:
         for team in teams:
             advance(team.name)
             outcomes.append(asyncio.run(measure(team)))
-    report.write(out, "clients", {"teams": [asdict(outcome) for outcome in outcomes]}, markdown(outcomes))
+    report.write(out, NAME, {"teams": [asdict(outcome) for outcome in outcomes]}, markdown(outcomes))
 
 
 def markdown(outcomes: Sequence[Outcome]) -> str:
@@ -359,9 +352,8 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="a process of `swarmtrack bench clients`")
-    parser.add_argument("task", type=json.loads)
-    task = Task(**parser.parse_args().task)
+    """One of the processes, see `program`."""
+    task = Task(**json.loads(sys.argv[1]))
     asyncio.run(be_router(task) if task.role == "router" else be_sessions(task))
 
 

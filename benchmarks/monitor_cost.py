@@ -9,6 +9,7 @@ and how many states and pictures it drew, and how often requestAnimationFrame ca
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import os
 import re
@@ -27,12 +28,13 @@ from swarmtrack.benchmarks.agent_budget import (
     CAMERA,
     agent_process,
     autopilot,
-    cpu_seconds,
     free_udp_port,
     listening,
     scripted_entries,
     until_tracking,
 )
+from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.processes import cpu_seconds
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.runtime.live_video import with_picture
@@ -165,7 +167,15 @@ async def measure_page(seconds: float) -> tuple[float, float, float, float]:
             await process.wait()
 
 
-def run(out: Path, *, quick: bool) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, quick=args.quick)
+
+
+def publish(out: Path, *, quick: bool) -> None:
     seconds = 2.0 if quick else 5.0
     noise = np.random.default_rng(0).integers(90, 160, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
     scenario = load_scenario("hover-triangle", seed=1)

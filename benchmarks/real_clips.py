@@ -3,8 +3,8 @@
 Each clip runs through the agent's own program, from file to JSON lines, every frame in order. The first second is left
 out, while tracks are being confirmed. Metrics: see `swarmtrack.evaluation.clip_score`.
 
-    python -m swarmtrack.benchmarks.real_clips DATA --out DIR [--tracker kalman] [--set tracker.p_detection=0.8]
-    python -m swarmtrack.benchmarks.real_clips --jsonl FILE --gt FILE        # score what was written elsewhere
+    swarmtrack bench clips DATA [--tracker kalman] [--set tracker.p_detection=0.8] --out DIR
+    swarmtrack bench clips --jsonl FILE --gt FILE --out DIR        # score what was written elsewhere
 
 DATA is a folder that holds pairs NAME.mp4 and NAME_gt.csv (`frame,id,x,y,w,h`: frames from 0, the box's top left corner
 and size in pixels).
@@ -27,14 +27,16 @@ import cv2
 import numpy as np
 
 import swarmtrack
+from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.report import BenchmarkError, number
-from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, TruthBoxes, score_clip
 from swarmtrack.messages import TrackStatus
 from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "clips"
+QUICK_CLIPS = 2
 START_S = 1.0
 AIMS = {"recall": 0.85, "precision": 0.9, "identity_switches": 2}  # of one clip
 AGENT_TIMEOUT_S = 900.0  # for one clip of ten seconds: a stuck agent, no slow machine
@@ -218,7 +220,46 @@ def as_record(name: str, score: ClipScore) -> dict[str, Any]:
     }
 
 
-def run(
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    parser.add_argument(
+        "data", nargs="?", type=Path, metavar="DATA", help="a folder with pairs of NAME.mp4 and NAME_gt.csv"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="of the agent's config; tracker.KEY if bare",
+    )
+    parser.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
+    parser.add_argument(
+        "--jsonl", type=Path, metavar="FILE", help="instead of DATA: score what an agent wrote …"
+    )
+    parser.add_argument("--gt", type=Path, metavar="FILE", help="… against these labels")
+    parser.add_argument(
+        "--fps", type=positive, default=30.0, metavar="F", help="of that clip (default: %(default)g)"
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    if (args.data is None) == (args.jsonl is None) or (args.jsonl is None) != (args.gt is None):
+        raise BenchmarkError("clips: expected either DATA, or --jsonl FILE and --gt FILE")
+    if args.jsonl is not None:
+        publish_scores(args.out, {args.jsonl.stem: score_file(args.jsonl, args.gt, fps=args.fps)})
+        return
+    publish(
+        args.out,
+        args.data,
+        tracker=args.tracker,
+        settings=parse_settings(args.set),
+        limit=QUICK_CLIPS if args.quick else None,
+        video=args.video,
+    )
+
+
+def publish(
     out: Path,
     data: Path,
     *,
@@ -227,9 +268,9 @@ def run(
     limit: int | None = None,
     video: bool = False,
 ) -> dict[str, Any]:
-    """Track and score every clip below `data` (at most `limit`); clips.json, clips.md, clips.png into `out`.
+    """Track and score every clip below `data` (at most `limit`), and publish the scores.
 
-    video: keep the annotated videos and the JSON lines there, too.
+    video: keep the annotated videos and the JSON lines in `out`, too.
     """
     report.pyplot()  # before the work, not after it, should it be missing
     clips = find_clips(data)[:limit]
@@ -241,9 +282,20 @@ def run(
             jsonl = track_clip(clip, folder, tracker=tracker, settings=settings, video=video)
             scores[clip.name] = score_file(jsonl, clip.truth, fps=clip.fps, frames=clip.frames)
             advance(f"{clip.name}: recall {scores[clip.name].recall:.2f}")
+    return publish_scores(out, scores, tracker=tracker, settings=settings)
+
+
+def publish_scores(
+    out: Path,
+    scores: dict[str, ClipScore],
+    *,
+    tracker: str | None = None,
+    settings: dict[str, str] | None = None,
+) -> dict[str, Any]:
+    """clips.json, clips.md and clips.png into `out`; tracker: None where nobody knows what wrote the tracks."""
     result = {
         "tracker": tracker,
-        "settings": settings,
+        "settings": settings or {},
         "start_s": START_S,
         "clips": [as_record(name, score) for name, score in scores.items()],
         "total": as_record("total", sum(scores.values(), ClipScore())),
@@ -256,12 +308,15 @@ def run(
 
 def _markdown(result: dict[str, Any]) -> str:
     rows = [_row(record) for record in [*result["clips"], result["total"]]]
-    changed = ", ".join(f"`{key} = {value}`" for key, value in result["settings"].items())
+    changed = [f"`{key} = {value}`" for key, value in result["settings"].items()]
+    told = (
+        [f"tracker `{result['tracker']}`", *changed] if result["tracker"] else ["JSON lines from elsewhere"]
+    )
     return "\n".join(
         [
             "# Real clips",
             "",
-            f"Confirmed tracks of `swarmtrack-agent` (tracker `{result['tracker']}`{', ' + changed if changed else ''})"
+            f"Confirmed tracks of `swarmtrack-agent` ({', '.join(told)})"
             f" against the labelled boxes, every frame after the first {START_S:g} s. A hit lies within max(6 px, half"
             " the longer box side) of the box's centre. Aim of a clip: recall"
             f" {AIMS['recall']}, precision {AIMS['precision']}, at most {AIMS['identity_switches']} switches.",
@@ -303,43 +358,3 @@ def _plot(path: Path, scores: dict[str, ClipScore]) -> None:
     axes.legend(loc="lower right")
     figure.savefig(path, dpi=130)
     pyplot.close(figure)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="real_clips", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("data", nargs="?", type=Path, help="folder with NAME.mp4 and NAME_gt.csv")
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="an entry of the agent's config"
-    )
-    parser.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
-    parser.add_argument("--jsonl", type=Path, help="score this file of an agent ...")
-    parser.add_argument("--gt", type=Path, help="... against these labels")
-    parser.add_argument(
-        "--fps", type=float, default=30.0, help="of the clip that --jsonl is of (default: 30)"
-    )
-    options = parser.parse_args(arguments)
-    if (options.data is None) == (options.jsonl is None) or (options.jsonl is None) != (options.gt is None):
-        parser.error("expected either DATA, or --jsonl FILE and --gt FILE")
-    try:
-        if options.jsonl is not None:
-            score = score_file(options.jsonl, options.gt, fps=options.fps)
-            print(json.dumps(as_record(options.jsonl.stem, score), indent=1))
-            return 0
-        run(
-            options.out,
-            options.data,
-            tracker=options.tracker,
-            settings=parse_settings(options.set),
-            video=options.video,
-        )
-    except SwarmtrackError as error:
-        print(f"real_clips: {error}", file=sys.stderr)
-        return 2
-    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,6 +10,7 @@ whole command, from its start to its end.
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import json
 import secrets
@@ -33,6 +34,7 @@ from swarmtrack.benchmarks.agent_budget import (
     scripted_entries,
     until_tracking,
 )
+from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.recording.reader import files_below, recordings_below
@@ -72,7 +74,15 @@ class Replays(NamedTuple):
         return self.flight_s / statistics.median(self.seconds)
 
 
-def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, quick=args.quick)
+
+
+def publish(out: Path, *, quick: bool = False) -> dict[str, Any]:
     """Fly, kill, replay; write recording.json and recording.md into `out`, and return what is in the JSON."""
     kills = QUICK_KILLS if quick else KILLS
     rng = np.random.default_rng(SEED)

@@ -10,14 +10,13 @@ The error of a condition is the root of the mean squared distance, over all inst
 track; tracks and drones are matched one to one by the least total distance, without a limit, so a wild track is
 not forgiven. What has no track at all is not in it, and stands beside it as the share not tracked.
 
-    python -m swarmtrack.benchmarks.rotating_observer --out DIR [--seeds 100] [--tracker kalman]
+    swarmtrack bench rotation [--seeds 100] [--tracker kalman] --out DIR
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +26,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
 from swarmtrack.evaluation.intervals import Interval, bootstrap_interval
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Array, Detections, ImuSample, TrackStatus
@@ -41,6 +41,7 @@ from swarmtrack.simulation.world import World
 from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
 
 NAME = "rotation"
+SEEDS, QUICK_SEEDS = 100, 4
 OBSERVER = 1
 AGILE = {
     "acceleration_psd": 1e6,
@@ -244,7 +245,22 @@ def summarise(runs: list[dict[str, Run]]) -> dict[str, Any]:
     }
 
 
-def run(
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(
+        args.out,
+        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
+        tracker=args.tracker,
+        experiment=QUICK if args.quick else Experiment(),
+    )
+
+
+def publish(
     out: Path,
     *,
     seeds: int = 100,
@@ -332,18 +348,3 @@ def _plot(path: Path, runs: list[dict[str, Run]], e: Experiment) -> None:
     axes.legend(loc="center right")
     figure.savefig(path, dpi=130)
     pyplot.close(figure)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="rotating_observer", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
-    options = parser.parse_args(arguments)
-    result = run(options.out, seeds=options.seeds, tracker=options.tracker)
-    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
-    return 0 if result["rotating_over_still"]["ok"] and result["no_gyro_over_gyro"]["ok"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,7 @@ Two experiments, every run with real processes, one run after the other because 
 * size: the same scenario and the same rates with 3, 10 and 30 drones: how long from the last agent's start until all
   have everybody's announcement, and what an agent sends for it, its memory and its share of a core.
 
-    python -m swarmtrack.benchmarks.swarm_runs --out DIR [--seeds 20]
+    swarmtrack bench swarm [--seeds 20] --out DIR
 """
 
 from __future__ import annotations
@@ -14,18 +14,17 @@ from __future__ import annotations
 import argparse
 import asyncio
 import math
-import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.localswarm.flight import FlightPlan, fly
 from swarmtrack.localswarm.table import Silent
-from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "swarm"
 MAX_WRONG = 0.001  # of all judged views of a scenario: the claim
@@ -48,9 +47,21 @@ class Programme:
 QUICK = Programme(seeds=1, seconds=8.0, sizes=(3, 10), size_seconds=8.0)
 
 
-def run(out: Path, *, tracker: str = DEFAULT_TRACKER, programme: Programme | None = None) -> dict[str, Any]:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    add_seeds(parser, Programme().seeds, QUICK.seeds)
+
+
+def run(args: argparse.Namespace) -> None:
+    programme = QUICK if args.quick else Programme()
+    if args.seeds is not None:
+        programme = replace(programme, seeds=args.seeds)
+    publish(args.out, programme, tracker=args.tracker)
+
+
+def publish(out: Path, p: Programme, *, tracker: str) -> dict[str, Any]:
     """Fly everything, write swarm.json and swarm.md into `out`, and return what is in the JSON."""
-    p = programme or Programme()
     flights = len(p.scenarios) * p.seeds + len(p.sizes)
     with report.progress("swarms", flights) as advance:
         lost: list[str] = []
@@ -193,19 +204,3 @@ def _markdown(p: Programme, result: dict[str, Any]) -> str:
             *(f"\nLost: {line}" for line in result["lost"]),
         ]
     )  # fmt: skip
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="swarm_runs", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--seeds", type=int, default=Programme().seeds)
-    parser.add_argument("--tracker", default=DEFAULT_TRACKER)
-    options = parser.parse_args(arguments)
-    result = run(options.out, tracker=options.tracker, programme=Programme(seeds=options.seeds))
-    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
-    claims = [*result["recognition"].values(), *result["sizes"].values()]
-    return 0 if all(claim["ok"] for claim in claims) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,14 +9,13 @@ stands still, each seed flies with one of the five.
 Beside each stands what an estimator could reach that knew where all targets truly are, so that the pixels' noise
 alone was left. Nobody can: a target moves as it likes, and slow turns look like a target's own motion.
 
-    python -m swarmtrack.benchmarks.time_offset --out DIR [--seeds 100]
+    swarmtrack bench offset [--seeds 100] --out DIR
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -27,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_seeds
 from swarmtrack.evaluation.intervals import bootstrap_interval, fraction_interval, mean_interval
 from swarmtrack.messages import Array, Detections, EgoPose, ImuSample, Scan
 from swarmtrack.motion.gyro import GyroHistory
@@ -40,6 +40,7 @@ from swarmtrack.simulation.trajectory import Hover, SteadyYaw, Trajectory, YawPr
 from swarmtrack.simulation.world import World
 
 NAME = "offset"
+SEEDS, QUICK_SEEDS = 100, 4
 OFFSETS_S = (-0.080, -0.020, 0.0, 0.040, 0.080)
 BEGINS_S = 5.0  # of the world's time: everybody has taken off
 SECONDS = 30.0
@@ -312,7 +313,16 @@ def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def run(
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS))
+
+
+def publish(
     out: Path,
     *,
     seeds: int = 100,
@@ -449,17 +459,3 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
     right.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.savefig(path, dpi=130)
     pyplot.close(figure)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="time_offset", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--seeds", type=int, default=100)
-    options = parser.parse_args(arguments)
-    run(options.out, seeds=options.seeds)
-    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,8 +1,38 @@
-"""Kinds of command-line arguments that several programs take."""
+"""Command lines: tables of commands, and kinds of arguments that several programs take."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+
+def add_commands(
+    parser: argparse.ArgumentParser, table: Mapping[str, tuple[str, str]], *, dest: str, metavar: str
+) -> None:
+    """A command for each name in the table of (module, summary), one of which a command line must name.
+
+    Its module is imported when a command line names it, not before, so `--help` answers at once; it then adds its own
+    arguments by `add_arguments(parser)`.
+    """
+    commands = parser.add_subparsers(dest=dest, required=True, metavar=metavar, parser_class=_Command)
+    for name, (module, summary) in table.items():
+        about = f"{summary[0].upper()}{summary[1:]}."
+        commands.add_parser(name, help=summary, description=about, allow_abbrev=False).module = module
+
+
+class _Command(argparse.ArgumentParser):
+    """The parser of one command of a table."""
+
+    module: str | None = None
+    """That has still to add its arguments."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        if self.module is not None:
+            import_module(self.module).add_arguments(self)
+            self.module = None
+        return super().parse_known_args(args, namespace)
 
 
 def positive_seconds(text: str) -> float:

@@ -13,6 +13,7 @@ the flight keeps all of it and grows by that; it is shown, and not held to it.
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import math
 import tempfile
@@ -21,11 +22,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.endurance import flight, verdict
 from swarmtrack.benchmarks.endurance.plot import draw
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, Claim, Window
-from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "endurance"
 MINUTES, QUICK_MINUTES = 30.0, 0.5
@@ -49,7 +51,23 @@ class Found:
         return verdict.judged(self.windows, self.settled_s)
 
 
-def run(out: Path, *, minutes: float = MINUTES, tracker: str = DEFAULT_TRACKER) -> dict[str, Any]:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    parser.add_argument(
+        "--minutes",
+        type=positive,
+        metavar="M",
+        help=f"of flight (default: {MINUTES:g}; with --quick {QUICK_MINUTES:g})",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    usual = QUICK_MINUTES if args.quick else MINUTES
+    publish(args.out, minutes=args.minutes or usual, tracker=args.tracker)
+
+
+def publish(out: Path, *, minutes: float, tracker: str) -> dict[str, Any]:
     """Fly, write endurance.json, endurance.md and endurance.png into `out`, and return what is in the JSON."""
     report.pyplot()  # now, not when half an hour of results cannot be drawn
     seconds = 60.0 * minutes

@@ -23,8 +23,8 @@ from typing import Any
 
 import aiohttp
 
-from swarmtrack.benchmarks.agent_budget import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, AgentWindow, ViewerWindow, Window
+from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.transport import keys

@@ -1,10 +1,11 @@
 """`swarmtrack bench identity`: who is who from one look, over 3 to 30 drones and 2 to 40 px of projection error.
 
-swarmtrack bench identity [--quick] [--out DIR]
+swarmtrack bench identity [--quick] --out DIR
 """
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.identity import page
 from swarmtrack.benchmarks.identity.experiment import (
     AS_EXPECTED,
@@ -42,7 +44,15 @@ COMPARED = 0.1  # of the layouts: so many that are too wide to sweep are swept n
 TIMED_DRONES, TIMED_ERRORS_PX = (8, 16, 30), (10.0, 20.0, 40.0)
 
 
-def run(out: Path, *, layouts: int = LAYOUTS, processes: int | None = None) -> Result:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, layouts=QUICK_LAYOUTS if args.quick else LAYOUTS)
+
+
+def publish(out: Path, *, layouts: int, processes: int | None = None) -> Result:
     """Play all cells, write identity.json, identity.md and the plots into `out`, and return what was found."""
     report.pyplot()  # before the work, not after it, should it be missing
     chunks = play_all(tasks(layouts), processes or os.cpu_count() or 1)

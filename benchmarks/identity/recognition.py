@@ -6,6 +6,7 @@ processes, clocks and radios can spoil is not in it: that is `swarmtrack bench s
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.evaluation.intervals import Interval, mean_interval
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScore, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.messages import TrackStatus
 from swarmtrack.scenario_file import load_scenario
-from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "recognition"
 SHARES = ("correct", "wrong", "unknown", "agreement")
@@ -87,9 +88,17 @@ def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> 
     return Flight(scorer.score(), swarm.announcements / len(flown.members))
 
 
-def run(out: Path, *, tracker: str = DEFAULT_TRACKER, programme: Programme | None = None) -> dict[str, Any]:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, QUICK if args.quick else Programme(), tracker=args.tracker)
+
+
+def publish(out: Path, p: Programme, *, tracker: str) -> dict[str, Any]:
     """Fly everything on all cores, write recognition.json and recognition.md into `out`."""
-    p = programme or Programme()
     found: dict[str, list[Flight]] = {name: [] for name in p.scenarios}
     total = len(p.scenarios) * p.seeds
     with (

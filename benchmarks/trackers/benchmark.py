@@ -10,6 +10,7 @@ costs, the ablation and what else the page trackers.md is made of.
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing
 import os
 import time
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.trackers import page, results, timing
 from swarmtrack.benchmarks.trackers import peers as tracker_peers
 from swarmtrack.benchmarks.trackers.clips import play_clips
@@ -77,7 +79,41 @@ class Block(NamedTuple):
     runs: range
 
 
-def run(out: Path, programme: Programme) -> Result:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    parser.add_argument("--runs", type=int, metavar="N", help="of every scene (default: its own, 100 or 300)")
+    parser.add_argument(
+        "--tracker", action="extend", nargs="+", default=[], metavar="NAME", help="(default: all)"
+    )
+    parser.add_argument(
+        "--scene", action="extend", nargs="+", default=[], metavar="NAME", help="(default: all)"
+    )
+    parser.add_argument("--peers", action="store_true", help="Stone Soup's, too (needs swarmtrack[peers])")
+    parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a core)")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="real detections, too: a folder with NAME.mp4 and NAME_gt.csv",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(
+        args.out,
+        Programme(
+            trackers=tuple(args.tracker),
+            scenes=tuple(args.scene),
+            runs=args.runs,
+            quick=args.quick,
+            peers=args.peers,
+            data=args.data,
+            **({} if args.jobs is None else {"jobs": args.jobs}),
+        ),
+    )
+
+
+def publish(out: Path, programme: Programme) -> Result:
     """Play, time, and write trackers.json, trackers_machine.json, trackers.md and the plots into `out`."""
     report.pyplot()  # before the work, not after it, should it be missing
     began = time.monotonic()

@@ -3,29 +3,30 @@
 Both are judged at the same scans and targets of the scenes of `swarmtrack bench trackers`, so that the ratio tells of
 nothing else.
 
-    python -m swarmtrack.benchmarks.trackers.fixed_lag --out DIR [--runs 100] [--tracker mbm] [--scene NAME …]
+    swarmtrack bench fixed-lag [--runs 100] [--scans 5] [--tracker mbm] [--scene NAME …] --out DIR
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.report import number
 from swarmtrack.benchmarks.trackers.play import make_tracker
 from swarmtrack.benchmarks.trackers.scenes import Scene, film, find_scene
-from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.intervals import bootstrap_interval
 from swarmtrack.messages import Array, Track
 
-NAME = "fixed_lag"
+NAME = "fixed-lag"
+RUNS, QUICK_RUNS = 100, 4
 SCENES = ("noise.25", "noise.50", "noise.75", "pd.80", "mixedA", "mixedB", "crossing", "rotating")
 
 
@@ -56,10 +57,32 @@ def _judge(tracks: Sequence[Track], ids: Sequence[int], t: Array, truth: Array, 
             squared_error[place] = float(((track.mean[::2] - truth[place]) ** 2).sum())
 
 
-def run(
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    parser.add_argument(
+        "--runs", type=count, metavar="N", help=f"of every scene (default: {RUNS}; with --quick {QUICK_RUNS})"
+    )
+    parser.add_argument("--scans", type=count, default=5, metavar="N", help="of delay (default: %(default)s)")
+    parser.add_argument(
+        "--scene", action="extend", nargs="+", metavar="NAME", help=f"(default: {' '.join(SCENES)})"
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(
+        args.out,
+        runs=args.runs or (QUICK_RUNS if args.quick else RUNS),
+        scans=args.scans,
+        tracker=args.tracker,
+        scenes=args.scene or SCENES,
+    )
+
+
+def publish(
     out: Path, *, runs: int = 100, scans: int = 5, tracker: str = "mbm", scenes: Sequence[str] = SCENES
 ) -> dict[str, Any]:
-    """fixed_lag.json and fixed_lag.md into `out`; returns what is in the JSON. RMSE px: root of the mean over runs."""
+    """fixed-lag.json and fixed-lag.md into `out`; returns what is in the JSON. RMSE px: root of the mean over runs."""
     rng, rows = np.random.default_rng(0), []
     with report.progress("fixed lag", len(scenes)) as advance:
         for name in scenes:
@@ -85,30 +108,3 @@ def run(
     title = f"# Fixed lag\n\nTracker `{tracker}`, {runs} runs, RMSE.\n\n"
     report.write(out, NAME, result, title + report.table(header, table))
     return result
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="fixed_lag", description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="folder for the results")
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--scans", type=int, default=5, help="of delay")
-    parser.add_argument("--tracker", default="mbm")
-    parser.add_argument("--scene", nargs="+", default=list(SCENES))
-    options = parser.parse_args(arguments)
-    try:
-        run(
-            options.out,
-            runs=options.runs,
-            scans=options.scans,
-            tracker=options.tracker,
-            scenes=options.scene,
-        )
-    except SwarmtrackError as error:
-        print(f"fixed_lag: {error}", file=sys.stderr)
-        return 2
-    print((options.out / f"{NAME}.md").read_text(encoding="utf-8"))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,8 +9,8 @@ as many; resident memory also grows by how an allocator tears its heap, and gets
 
 from __future__ import annotations
 
+import argparse
 import gc
-import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.processes import rss_mb
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Track
@@ -89,7 +91,7 @@ def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
         not_a_probability += probability
         if 10 * (k + 1) // scans > len(resident_mb):
             gc.collect()  # what waits for its collector is no leak
-            resident_mb.append(_resident_mb())
+            resident_mb.append(rss_mb())
             blocks.append(sys.getallocatedblocks())
     faults = (not_finite, not_positive, not_a_probability)
     return Endurance(tracker_name, scans, seen, *faults, resident_mb, blocks)
@@ -131,12 +133,15 @@ def _faults(tracks: Sequence[Track]) -> tuple[int, int, int]:
     return int((~finite).sum()), int((~positive).sum()), int((~sound).sum())
 
 
-def _resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
 
 
-def run(out: Path, *, scans: int = SCANS, trackers: Sequence[str] = tuple(TRACKERS)) -> dict[str, Any]:
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, scans=QUICK_SCANS if args.quick else SCANS)
+
+
+def publish(out: Path, *, scans: int = SCANS, trackers: Sequence[str] = tuple(TRACKERS)) -> dict[str, Any]:
     """`scans` in all, shared by the trackers, each in a process of its own."""
     each = scans // len(trackers)
     with report.progress("soak", len(trackers)) as advance, ProcessPoolExecutor() as pool:

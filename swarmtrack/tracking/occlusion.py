@@ -10,7 +10,7 @@ from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import POSITION
 
 # Of their mean side: two boxes whose centres are closer than that are hardly told apart. At 0.38 sides the shipped
-# detector finds both in half the frames (`python -m swarmtrack.benchmarks.detection_noise`), and so does the model.
+# detector finds both in half the frames (`swarmtrack bench detection-noise`), and so does the model.
 OVERLAPPING = 0.45
 FAR = 4.0  # sigmas: what is further apart is resolved, to one part in three thousand
 

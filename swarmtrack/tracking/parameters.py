@@ -21,7 +21,7 @@ class CommonParameters:
     shipped detector is ten times better, but only this much keeps tracks whose boxes stay beside the drone."""
     size_noise: float = 0.008
     """What comes to it for a larger box, as a share of its side: of the shipped detector, surely seen. Measured by
-    `python -m swarmtrack.benchmarks.detection_noise`, as is the next one."""
+    `swarmtrack bench detection-noise`, as is the next one."""
     score_noise: float = 0.022
     """Likewise, times (1 − score) / score: of a box that is doubtful."""
     acceleration_psd: float = 10_000.0

@@ -2,12 +2,16 @@
 
 import csv
 import json
+import subprocess
+import sys
+from importlib import import_module
 
 import cv2
 import numpy as np
 import pytest
 
 from swarmtrack.agents import main as swarmtrack
+from swarmtrack.agents.bench import BENCHMARKS
 from swarmtrack.benchmarks import agent_budget, real_clips, report, rotating_observer
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.config import load_config
@@ -54,11 +58,12 @@ def test_json_lines_are_scored_from_the_first_second_on_confirmed_tracks_only(tm
     assert score.centre_rmse_px == pytest.approx(5.0 / np.sqrt(3.0))
 
 
-def test_one_file_is_scored_from_the_command_line(tmp_path, capsys):
+def test_one_file_is_scored_from_the_command_line(tmp_path):
     truth = write_truth(tmp_path / "a_gt.csv", [(k, 1, 90, 90, 20, 20) for k in range(40)])
     jsonl = write_tracks(tmp_path / "a.jsonl", {k: [track(1, 100, 100)] for k in range(0, 40, 2)})
-    assert real_clips.main(["--jsonl", str(jsonl), "--gt", str(truth), "--fps", "10"]) == 0
-    record = json.loads(capsys.readouterr().out)
+    files = ["--jsonl", str(jsonl), "--gt", str(truth), "--fps", "10"]
+    assert swarmtrack.main(["bench", "clips", *files, "--out", str(tmp_path)]) == 0
+    (record,) = json.loads((tmp_path / "clips.json").read_text(encoding="utf-8"))["clips"]
     assert (record["recall"], record["precision"], record["identity_switches"]) == (0.5, 1.0, 0)
 
 
@@ -89,6 +94,25 @@ def grey_clip(folder, frames=15):
         writer.write(np.full((64, 96, 3), 128, np.uint8))
     writer.release()
     write_truth(folder / "grey_gt.csv", [(k, 1, 40, 30, 8, 8) for k in range(frames)])
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_benchmark_of_the_table_says_its_arguments_and_writes_by_its_name(name, capsys):
+    pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    with pytest.raises(SystemExit, match="0"):
+        swarmtrack.main(["bench", name, "--help"])
+    assert "--quick" in capsys.readouterr().out
+    assert name == import_module(BENCHMARKS[name][0]).NAME
+
+
+def test_the_benchmarks_are_listed_without_importing_one():
+    list_them = (
+        "import contextlib, sys; from swarmtrack.agents import main\n"
+        "with contextlib.suppress(SystemExit): main.main(['bench', '--help'])\n"
+        "sys.exit(any(name.startswith('swarmtrack.benchmarks') for name in sys.modules))"
+    )
+    listed = subprocess.run([sys.executable, "-c", list_them], capture_output=True, text=True, check=True)
+    assert "fixed-lag" in listed.stdout
 
 
 def test_a_folder_for_results_that_cannot_be_made_is_refused_before_any_work(tmp_path, capsys):
@@ -128,7 +152,7 @@ def test_a_clip_runs_through_the_agent_and_is_reported(tmp_path):
 def test_an_agent_that_fails_is_quoted(tmp_path):
     grey_clip(tmp_path)
     with pytest.raises(BenchmarkError, match="p_detection"):
-        real_clips.run(tmp_path / "out", tmp_path, settings={"tracker.p_detection": "7"})
+        real_clips.publish(tmp_path / "out", tmp_path, settings={"tracker.p_detection": "7"})
 
 
 def test_the_gyro_keeps_a_turning_observer_s_tracks_where_the_drones_are(tmp_path):

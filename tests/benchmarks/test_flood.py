@@ -1,7 +1,7 @@
 """A valid member that floods, from a process of its own: the loop turns, memory stays, the others are heard.
 
 The limits are far above what is measured, for a machine that is busy; `pytest -s` shows the figures, and
-`python -m swarmtrack.benchmarks.flood` makes the table of docs/wire.md.
+`swarmtrack bench flood` makes the table of docs/wire.md.
 """
 
 from __future__ import annotations

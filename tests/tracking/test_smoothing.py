@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.trackers import fixed_lag
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
@@ -221,9 +222,9 @@ def test_a_lag_out_of_range_is_refused():
 
 
 def test_the_benchmark_of_the_lag_judges_both_at_the_same_places(tmp_path):
-    result = fixed_lag.run(tmp_path, runs=2, tracker="kalman", scenes=["noise.75"])
+    result = fixed_lag.publish(tmp_path, runs=2, tracker="kalman", scenes=["noise.75"])
     (row,) = result["rows"]
     assert 1.4 < row["at_once_px"] < 2.0
     assert 0.5 < row["ratio"]["value"] < 0.7
-    assert "noise.75" in (tmp_path / "fixed_lag.md").read_text(encoding="utf-8")
-    assert fixed_lag.main(["--out", str(tmp_path), "--scene", "births"]) == 2
+    assert "noise.75" in (tmp_path / "fixed-lag.md").read_text(encoding="utf-8")
+    assert swarmtrack.main(["bench", "fixed-lag", "--out", str(tmp_path), "--scene", "births"]) == 2

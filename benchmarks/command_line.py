@@ -1,0 +1,45 @@
+"""Arguments that several benchmarks take. `swarmtrack bench` hands what was told to the `run` of a benchmark."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from swarmtrack.arguments import count
+from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
+
+DEFAULT_OUT = Path("bench")
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """What every benchmark takes."""
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=DEFAULT_OUT,
+        metavar="DIR",
+        help="for the results (default: %(default)s)",
+    )
+    parser.add_argument("--quick", action="store_true", help="a fraction of the work, for orientation")
+
+
+def add_tracker(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
+    )
+
+
+def add_seeds(parser: argparse.ArgumentParser, usual: int, quick: int) -> None:
+    """--seeds: how many flights; None where nobody said."""
+    parser.add_argument(
+        "--seeds",
+        type=count,
+        metavar="N",
+        help=f"flights of each kind (default: {usual}; with --quick {quick})",
+    )
+
+
+def add_clips(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "data", type=Path, metavar="DATA", help="a folder with pairs of NAME.mp4 and NAME_gt.csv"
+    )
