@@ -1,0 +1,57 @@
+"""A drone's ID, assigned to a track."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from swarmtrack.identity.reprojection import LastSeen
+from swarmtrack.identity.standing import Standing
+
+# Of an assigned ID: how rarely a track jumps from one drone to another.
+HELD_LOG_ODDS = math.log(1e3)
+# Of one whose track met another, or came back from where it was not seen.
+HIDDEN_LOG_ODDS = math.log(3.0)
+
+
+@dataclass(slots=True)
+class Assignment:
+    """That a track is a drone, and what speaks for it."""
+
+    track_id: int
+    drone_id: int
+    probability: float
+    """That the track is the drone, by the last posterior that judged it."""
+    standing: Standing = Standing.SETTLED
+    scans: int = 0
+    """How many there were since it is challenged or doubted."""
+    log_odds: float = HELD_LOG_ODDS
+    """In its favour, before the posterior looks where the drones are."""
+    seen: LastSeen | None = None
+    """Where the drone was when it was last detected under a stated ID."""
+    met: set[int] = field(default_factory=set)
+    """The teammates that came near while the track was not detected: they may have been taken for one another."""
+    verified_t: float = -math.inf
+    """s: when these were last asked where they are."""
+
+    @property
+    def stated(self) -> bool:
+        """Whether the ID is published."""
+        return self.standing is not Standing.DOUBTED
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the posterior is to judge it."""
+        return self.standing in (Standing.CHALLENGED, Standing.DOUBTED)
+
+    def enter(self, standing: Standing) -> None:
+        """Take the state that the table gave. A judgement starts with no scans; one that is over leaves no doubt."""
+        self.standing = standing
+        if self.undecided:
+            self.scans = 0
+        elif standing is Standing.SETTLED:
+            self.log_odds = HELD_LOG_ODDS
+
+    def weaken(self, log_odds: float) -> None:
+        """There is reason to believe in it no more than this."""
+        self.log_odds = min(log_odds, self.log_odds)

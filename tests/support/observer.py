@@ -1,0 +1,76 @@
+"""Drone 1 and its tracks, which a test puts in the image by hand; no tracker, no camera."""
+
+import numpy as np
+
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import Identities
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.messages import Announcement, Track, TrackStatus
+from swarmtrack.motion.ego import TeamPose
+
+CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
+FORWARD = Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+SCAN_S = 0.1
+
+LEFT, MIDDLE, RIGHT = (170.0, 240.0), (320.0, 240.0), (470.0, 240.0)
+
+
+def at(pixel, metres=8.0):
+    """The place (3,) in the team frame that the observer, at the origin and facing north, sees there."""
+    u, v = pixel
+    return metres * np.array([1.0, (u - 320.0) / 430.0, (v - 240.0) / 430.0])
+
+
+def shifted(pixel, right=0.0, down=0.0):
+    return (pixel[0] + right, pixel[1] + down)
+
+
+class Observer:
+    """Drone 1: it hears announcements, and its tracks are what a test says."""
+
+    def __init__(self, **parameters):
+        self.identities = Identities(
+            1, camera=CAMERA, body_from_camera=FORWARD, parameters=IdentityParameters(**parameters)
+        )
+        self.t = 0.0
+        self.tracks = []
+        self.coasting = {}
+        self.wanted = []
+
+    def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0):
+        return self.identities.announce(
+            Announcement(
+                drone_id, boot, sequence, self.t, 0.0, at(pixel, metres), np.eye(3), 0.01 * np.eye(3)
+            )
+        )
+
+    def sees(self, seconds, coasting=(), tentative=(), **tracks):
+        """`a=(u, v)` is track 1 there, b track 2 … ; the IDs by name after so many seconds of scans."""
+        for _ in range(max(round(seconds / SCAN_S), 1)):
+            self.t = round(self.t + SCAN_S, 6)
+            self.coasting = {name: self.coasting.get(name, self.t) for name in coasting}
+            self.tracks = [self._track(name, pixel, name in tentative) for name, pixel in tracks.items()]
+            self.identities.observe(self.tracks, TeamPose(self.t, np.zeros(3), np.eye(3), 0.05, 0.01))
+            self.wanted += [(self.t, drone) for drone in self.identities.take_wanted()]
+        return self.names()
+
+    def names(self):
+        """Who is who now, by the names of the tracks."""
+        labels = self.identities.label(self.tracks)
+        return {chr(ord("a") - 1 + entry.track.id): entry.identity for entry in labels}
+
+    def _track(self, name, pixel, tentative):
+        since = self.coasting.get(name)
+        status = TrackStatus.CONFIRMED if since is None else TrackStatus.LOST
+        return Track(
+            id=ord(name) - ord("a") + 1,
+            t=self.t,
+            mean=np.array([pixel[0], 0.0, pixel[1], 0.0]),
+            cov=np.diag([4.0, 25.0, 4.0, 25.0]),
+            status=TrackStatus.TENTATIVE if tentative else status,
+            probability=1.0,
+            size=np.array([20.0, 20.0]),
+            coasting_since=since,
+        )
