@@ -54,24 +54,27 @@ FRD_FROM = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
 
 
 class Start(Section):
-    """Where the drone stands in the team frame when it announces itself: measured, or by its own autopilot."""
+    """Where the drone stands in the team frame when it announces itself: measured, or from its own autopilot."""
 
     position_m: Vector = Field(
         default=ORIGIN, description="[north, east, down] in the team frame, m; up is negative"
     )
-    yaw_deg: Number = Field(default=0.0, description="of the nose, clockwise from the team frame's north")
+    yaw_deg: Number = Field(
+        default=0.0, description="heading of the nose, clockwise from the team frame's north"
+    )
     position_sigma_m: Positive = Field(
         default=0.1,
-        description="standard deviation of the start's position, m per axis; by GPS: instead of the receiver's own",
+        description='standard deviation of the start position, m per axis; with from = "gps" it replaces the '
+        "receiver's own",
     )
     source: Literal["local", "gps"] | None = Field(
         default=None,
         alias="from",
-        description='"local": the pose is the autopilot\'s own, moved by offset_m; "gps": its global position, '
-        "counted from the origin in [team], and its heading from true north",
+        description='"local": the autopilot\'s own local pose, shifted by offset_m; "gps": its global position '
+        "relative to the origin in [team], and its heading from true north",
     )
     offset_m: Vector = Field(
-        default=ORIGIN, description="origin of the autopilot's local frame in the team frame, m"
+        default=ORIGIN, description="origin of the autopilot's local frame, in the team frame, m"
     )
 
     @model_validator(mode="after")
@@ -79,12 +82,12 @@ class Start(Section):
         measured = self.model_fields_set & {"position_m", "yaw_deg"}
         if self.source is not None and measured:
             raise ValueError(
-                f'{" and ".join(sorted(measured))} beside from = "{self.source}", expected only one way'
+                f'{" and ".join(sorted(measured))} together with from = "{self.source}", expected one or the other'
             )
         if self.source is None and "offset_m" in self.model_fields_set:
             raise ValueError('offset_m without from = "local", expected position_m instead')
         if self.source == "gps" and "offset_m" in self.model_fields_set:
-            raise ValueError('offset_m beside from = "gps", expected the origin in [team] to be moved')
+            raise ValueError('offset_m together with from = "gps", expected the origin in [team] to be moved')
         return self
 
     @property
@@ -94,7 +97,7 @@ class Start(Section):
 
     @property
     def frame_sigma_m(self) -> float:
-        """How well it is known where the autopilot's positions count from; by GPS that is the team's origin itself."""
+        """How well the origin of the autopilot's positions is known; with GPS it is the team's origin itself."""
         return 0.0 if self.source == "gps" else self.position_sigma_m
 
     def pose(self) -> Pose:
@@ -105,12 +108,14 @@ class Start(Section):
 class TeamOrigin(Section):
     """Where on the Earth the team frame begins."""
 
-    lat_deg: Annotated[Number, Field(ge=-90.0, le=90.0)] = Field(description="north positive, WGS-84 degrees")
+    lat_deg: Annotated[Number, Field(ge=-90.0, le=90.0)] = Field(
+        description="latitude, WGS-84 degrees; north is positive"
+    )
     lon_deg: Annotated[Number, Field(ge=-180.0, le=180.0)] = Field(
-        description="east positive, WGS-84 degrees"
+        description="longitude, WGS-84 degrees; east is positive"
     )
     alt_m: Annotated[Number, Field(ge=-500.0, le=9000.0)] = Field(
-        description="above mean sea level, as autopilots give it, m"
+        description="height above mean sea level, m, as autopilots report it"
     )
 
     def place(self) -> Geodetic:
@@ -118,10 +123,11 @@ class TeamOrigin(Section):
 
 
 class TeamSection(Section):
-    """[team]: what the team frame is; the same for every drone."""
+    """[team]: the team frame. The same for every drone."""
 
     origin: TeamOrigin | None = Field(
-        default=None, description="{ lat_deg, lon_deg, alt_m } of the team frame's origin, for starts by GPS"
+        default=None,
+        description="{ lat_deg, lon_deg, alt_m } of the team frame's origin; needed for starts by GPS",
     )
 
 
@@ -135,21 +141,21 @@ class Vehicle(Section):
 
 
 class Intrinsics(Section):
-    """Of a pinhole camera, for images of one size."""
+    """A pinhole camera, for images of one size."""
 
     fx: Positive = Field(description="focal length along a row, px")
     fy: Positive = Field(description="focal length along a column, px")
     cx: Number = Field(description="column of the optical axis, px; the first pixel's centre is 0")
     cy: Number = Field(description="row of the optical axis, px")
-    width: Count = Field(description="of the image, px")
-    height: Count = Field(description="of the image, px")
+    width: Count = Field(description="width of the image, px")
+    height: Count = Field(description="height of the image, px")
 
 
 class Lens(Section):
     """How a lens bends straight lines."""
 
     model: Literal["radtan", "equidistant"] = Field(
-        description="radtan (also called plumb_bob): ordinary lenses; equidistant: fisheyes"
+        description="radtan (also called plumb_bob) for ordinary lenses, equidistant for fisheyes"
     )
     coefficients: tuple[Number, ...] = Field(
         description="radtan: k1 k2 p1 p2 [k3 [k4 k5 k6]]; equidistant: k1 … k4"
@@ -165,12 +171,15 @@ class Lens(Section):
 
 
 class Mount(Section):
-    """Where a camera sits. Zero angles: it looks along the nose, upright."""
+    """Where a camera sits. With zero angles it looks along the nose, upright."""
 
     rpy_deg: Vector = Field(
-        default=ORIGIN, description="roll, pitch, yaw of the camera as if it were a body, degrees"
+        default=ORIGIN,
+        description="roll, pitch, yaw of the camera as if it were a body, degrees; zeros look along the nose",
     )
-    position_m: Vector = Field(default=ORIGIN, description="[forward, right, down] from the body's origin, m")
+    position_m: Vector = Field(
+        default=ORIGIN, description="[forward, right, down] from the origin of the body, m"
+    )
 
     def pose(self) -> Pose:
         """body_from_camera."""
@@ -179,33 +188,36 @@ class Mount(Section):
 
 
 class CameraSection(Section):
-    """[camera]: where its frames come from, what its lens does, how it sits on the drone."""
+    """[camera]: where frames come from, what the lens does, how the camera sits on the drone."""
 
     source: Text = Field(
         description="v4l2:///dev/video0, file://, images://, rtsp://, http://, detections:// or sim://"
     )
     calibration: Path | None = Field(
-        default=None, description="a Kalibr, ROS camera_info, OpenCV or EuRoC file"
+        default=None, description="calibration file of Kalibr, ROS camera_info, OpenCV or EuRoC"
     )
     calibration_camera: Text | None = Field(
-        default=None, description="which camera of a file with several, e.g. cam1"
+        default=None, description="which camera, where the file holds several, such as cam1"
     )
-    intrinsics: Intrinsics | None = Field(default=None, description="the numbers instead of a file, pixels")
-    distortion: Lens | None = Field(default=None, description="of the lens, beside intrinsics")
+    intrinsics: Intrinsics | None = Field(
+        default=None, description="the intrinsics as numbers, px, instead of a file"
+    )
+    distortion: Lens | None = Field(default=None, description="the distortion that goes with intrinsics")
     body_from_camera: Mount | None = Field(
-        default=None, description="where the camera sits; goes before the file's"
+        default=None, description="where the camera sits; overrides the file's"
     )
     imu_frame: Literal["frd", "flu"] = Field(
-        default="frd", description="axes of the IMU that the calibration file was made with"
+        default="frd", description="axes of the IMU used for the calibration file"
     )
     time_offset_s: Number | None = Field(
-        default=None, description="exposure on the IMU's clock = stamp + this; goes before the file's"
+        default=None, description="exposure on the IMU's clock = stamp + this; overrides the file's"
     )
     estimate_time_offset: Switch = Field(
-        default=True, description="find the offset in flight, from time_offset_s on; used once it is sure"
+        default=True,
+        description="estimate the offset in flight, starting at time_offset_s; used once it is certain",
     )
     max_age_s: Positive = Field(
-        default=0.5, description="a frame exposed longer ago when its turn comes is skipped"
+        default=0.5, description="a frame older than this when its turn comes is skipped, s since exposure"
     )
 
     @model_validator(mode="after")
@@ -231,28 +243,26 @@ class CameraSection(Section):
 
 
 class AutopilotSection(Section):
-    """[autopilot]: the MAVLink link, what it is asked for and what it is told."""
+    """[autopilot]: the MAVLink link, what we request on it and what we send."""
 
     link: Text = Field(
         default="none", description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE or none"
     )
     imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = Field(
-        default=200.0, description="asked of the autopilot"
+        default=200.0, description="IMU rate requested from the autopilot"
     )
     system_id: Annotated[int, Strict(), Field(ge=1, le=255)] | None = Field(
-        default=None, description="of our autopilot, 1 … 255, where several speak on one link"
+        default=None, description="system ID of our autopilot, where several share one link"
     )
-    signing_key: Path | None = Field(
-        default=None, description="a file with the 32 bytes of the key as 64 hex digits"
-    )
+    signing_key: Path | None = Field(default=None, description="file with the 32-byte key as 64 hex digits")
     component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
-        default=191, description="ours, 191 … 194, where another onboard computer speaks as 191"
+        default=191, description="our own component ID; change it where another onboard computer uses 191"
     )
     tell: tuple[Literal["status", "camera_tracking", "adsb"], ...] = Field(
         default=("status",),
-        description='what the ground station hears by way of the autopilot: "status": texts, and how many teammates '
-        'are identified; "camera_tracking": the box of one of them; "adsb": their places, but read '
-        "docs/telling.md first; []: nothing but our heartbeat",
+        description='what to send to the ground station through the autopilot; "status": texts, and how many '
+        'teammates are identified; "camera_tracking": the box of one teammate; "adsb": their positions, but read '
+        "docs/telling.md first; []: only our heartbeat",
     )
 
     @field_validator("tell", mode="before")
@@ -270,100 +280,118 @@ class AutopilotSection(Section):
 class DetectorSection(Section):
     """[detector]: which network looks at the frames, and how (docs/detector.md)."""
 
-    model: Text = Field(default="default", description='"default", the one that is shipped, or an .onnx file')
-    score_threshold: Probability | None = Field(default=None, description="instead of the model's own")
+    model: Text = Field(default="default", description='"default" for the shipped model, or an .onnx file')
+    score_threshold: Probability | None = Field(
+        default=None, description="overrides the model's own threshold"
+    )
     input_scale: Annotated[Positive, Field(le=4.0)] | None = Field(
         default=None,
-        description="size of the detector's input by the image's, where it sees the whole: below 1 faster, above 1 "
-        'farther; by default 0.5, and 1 with look = "whole"',
+        description="size of the detector's input relative to the image, for whole frames: below 1 is faster, above "
+        '1 sees farther; 0.5 by default, or 1 with look = "whole"',
     )
     look: Literal["auto", "whole", "guided"] = Field(
         default="auto",
-        description='"whole" frames; "guided": windows around tracks in every frame, the whole now and then; "auto": '
-        "guided where the whole frame would be shrunk",
+        description='"whole": whole frames; "guided": windows around the tracks in every frame, and the whole frame '
+        'every whole_every frames; "auto": guided where the whole frame would be shrunk',
     )
     whole_every: Count = Field(
-        default=5, description="frames, from a whole one to the next, where it is guided"
+        default=5, description="with guided looks: frames from one whole frame to the next"
     )
     target_px: Positive = Field(
-        default=24.0, description="windows are enlarged, up to three times, for a drone to be so wide in them"
+        default=24.0,
+        description="with guided looks: windows are enlarged, up to three times, until a drone is this wide",
     )
     tiles: Switch = Field(
         default=True,
-        description="guided, and shrunk as a whole: also a tile at full resolution with each frame",
+        description="with guided looks, where whole frames are shrunk: also one full-resolution tile per frame",
     )
     motion: Switch = Field(
         default=True,
-        description="what changed since the frame a tenth of a second before, as the gyro turned, counts as likelier",
+        description="compare with the frame a tenth of a second earlier, aligned by the gyro; a detection that moved "
+        "becomes more likely",
     )
-    threads: Count = Field(default=1, description="of inference; more than one is slower on a busy machine")
+    threads: Count = Field(
+        default=1, description="threads for inference; more than one is slower on a busy machine"
+    )
     providers: tuple[Literal["cpu", "xnnpack", "openvino", "cuda", "tensorrt", "qnn", "coreml"], ...] = Field(
         default=("cpu",),
         min_length=1,
-        description="of ONNX Runtime, best first; what is not installed is skipped",
+        description="ONNX Runtime providers, best first; those not installed are skipped",
     )
     engine_cache: Path | None = Field(
         default=None,
-        description="folder for engines that TensorRT or OpenVINO compile, instead of ~/.cache/swarmtrack",
+        description="folder for engines compiled by TensorRT or OpenVINO, instead of ~/.cache/swarmtrack",
     )
     head: Literal["auto", "centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr"] = Field(
-        default="auto", description="how the outputs of a foreign net are read"
+        default="auto", description="how to read the outputs of your own network"
     )
-    names: tuple[Text, ...] = Field(default=(), description="of a foreign net's classes, where it tells none")
-    classes: tuple[Text, ...] = Field(default=(), description="that are drones; by default those named so")
+    names: tuple[Text, ...] = Field(
+        default=(), description="class names, where the model file does not give them"
+    )
+    classes: tuple[Text, ...] = Field(
+        default=(), description="the classes that are drones; by default those with a drone's name"
+    )
     veto: tuple[Text, ...] = Field(
         default=(),
-        description="classes that speak against a drone in the same place; by default bird, airplane, ...",
+        description="classes that rule out a drone in the same place; by default bird, airplane, …",
     )
     channel_order: Literal["BGR", "RGB"] | None = Field(
-        default=None, description="that a foreign net was trained on"
+        default=None, description="channel order that your own network was trained on"
     )
     scale: tuple[Number, Number, Number] | None = Field(
-        default=None, description="a foreign net is fed scale * (pixel - mean) of each channel"
+        default=None, description="your own network gets scale * (pixel - mean) per channel"
     )
     mean: tuple[Number, Number, Number] | None = Field(default=None, description="see scale")
 
 
 class TrackerSection(ParameterSection):
-    """[tracker]: a name, and that tracker's own parameters (docs/tracking.md)."""
+    """[tracker]: which tracker, and its parameters (docs/tracking.md)."""
 
     name: Text = Field(default=DEFAULT_TRACKER, description="which tracker")
 
 
 class IdentitySection(ParameterSection):
-    """[identity]: when a track is given a drone's ID (docs/decisions/0008-who-is-who.md)."""
+    """[identity]: when a track gets a drone's ID (docs/decisions/0008-who-is-who.md)."""
 
 
 class NetworkSection(Section):
     """[network]: the team, and how drones reach each other (docs/security.md)."""
 
     team: str = Field(
-        default="swarm", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="letters, digits, - and _"
+        default="swarm",
+        pattern=r"^[A-Za-z0-9_-]{1,64}$",
+        description="letters, digits, - and _",
     )
-    transport: Literal["zenoh", "memory"] = Field(default="zenoh", description='"memory": within one process')
+    transport: Literal["zenoh", "memory"] = Field(
+        default="zenoh", description='"memory" works within one process only'
+    )
     keys: Text | None = Field(
         default=None,
-        description="folder that `swarmtrack keys issue` made for this drone; {id} in it is drone.id",
+        description="folder that `swarmtrack keys issue` made for this drone; {id} stands for drone.id",
     )
     topology: Literal["mesh", "routers"] = Field(
-        default="mesh", description='"mesh": each dials each; "routers": all dial routers, which relay'
+        default="mesh",
+        description='"mesh": each drone dials every other; "routers": all dial routers, which relay',
     )
     peers: dict[str, Text] = Field(
-        default={}, description='of a mesh: ID = "HOST" or "HOST:PORT" for every drone of the team'
+        default={}, description='for a mesh: ID = "HOST" or "HOST:PORT" for every drone of the team'
     )
     routers: tuple[Text, ...] = Field(
-        default=(), description='of topology "routers": HOST or HOST:PORT of each, in one order for all'
+        default=(),
+        description='for topology "routers": HOST or HOST:PORT of each, in the same order on every drone',
     )
     listen: tuple[Text, ...] = Field(
         default=(),
-        description="HOST, HOST:PORT or Zenoh endpoints to listen on, instead of one's own in peers",
+        description="HOST, HOST:PORT or Zenoh endpoints to listen on, instead of this drone's own entry in peers",
     )
-    connect: tuple[Text, ...] = Field(default=(), description="the same, to dial beside peers")
+    connect: tuple[Text, ...] = Field(
+        default=(), description="HOST, HOST:PORT or Zenoh endpoints to dial, in addition to peers"
+    )
     multicast: Switch = Field(default=False, description="also find teammates by multicast")
-    interface: Text = Field(default="auto", description="that multicast uses, such as wlan0")
-    insecure: Switch = Field(default=False, description="true: speak without TLS beyond this machine")
+    interface: Text = Field(default="auto", description="interface for multicast, such as wlan0")
+    insecure: Switch = Field(default=False, description="true allows traffic beyond this machine without TLS")
     lease_s: Annotated[Number, Field(ge=0.5, le=60.0)] = Field(
-        default=2.0, description="a teammate that is silent for so long is gone"
+        default=2.0, description="a teammate that is silent for this long is gone"
     )
 
     @field_validator("peers")
@@ -380,49 +408,49 @@ class NetworkSection(Section):
             raise ValueError('topology = "routers" without routers, expected routers = ["HOST:PORT", …]')
         if self.topology == "routers" and (self.listen or self.connect):
             raise ValueError(
-                'listen or connect beside topology = "routers", expected none: all dial the routers'
+                'listen or connect together with topology = "routers", expected neither: all dial the routers'
             )
         return self
 
     def keys_of(self, drone_id: int) -> Path | None:
-        """The folder of a drone's keys; the path with {id} may stand in the file of the team."""
+        """The folder of a drone's keys. The path with {id} may stand in the team's file."""
         return None if self.keys is None else Path(self.keys.replace("{id}", str(drone_id)))
 
 
 class OutputSection(Section):
-    """[output]: what is written for people, beside the network. Paths are relative to the working directory."""
+    """[output]: files for people, in addition to the network. Paths are relative to the working directory."""
 
-    jsonl: Path | None = Field(default=None, description="a line for each processed frame")
-    video: Path | None = Field(default=None, description="annotated frames, .mp4")
+    jsonl: Path | None = Field(default=None, description="JSON lines, one per processed frame")
+    video: Path | None = Field(default=None, description="video of the annotated frames, .mp4")
     health: Path | None = Field(
         default=None, description="the agent's health as JSON, replaced each second (`swarmtrack healthy`)"
     )
     tracks_hz: Annotated[Positive, Field(le=1000.0)] = Field(
-        default=50.0, description="of published tracks, at most"
+        default=50.0, description="highest rate of published tracks"
     )
 
 
 class RecordingSection(Section):
-    """[recording]: off unless a folder is named."""
+    """[recording]: off unless a folder is given."""
 
     dir: Path | None = Field(
         default=None,
-        description="folder of the recordings; each life of the agent makes one in drone-ID below it",
+        description="folder for recordings; each start of the agent makes a new one in its subfolder drone-ID",
     )
     frames: Literal["none", "jpeg"] = Field(
-        default="none", description='"jpeg": pictures too, at frames_hz, in most of the room'
+        default="none", description='"jpeg" also records images, at frames_hz; they take most of the space'
     )
     frames_hz: Annotated[Positive, Field(le=1000.0)] = Field(
-        default=5.0, description="of recorded pictures, at most"
+        default=5.0, description="highest rate of recorded images"
     )
     segment_s: Annotated[Number, Field(ge=1.0, le=3600.0)] = Field(
-        default=30.0, description="length of a file; what is complete survives a power cut"
+        default=30.0, description="length of one file; complete files survive a power cut"
     )
     max_mb: Annotated[Number, Field(ge=1.0, le=1e7)] = Field(
-        default=1000.0, description="of all recordings of this drone together, 10⁶ bytes"
+        default=1000.0, description="limit for all recordings of this drone together, 10⁶ bytes"
     )
     when_full: Literal["oldest", "stop"] = Field(
-        default="oldest", description='at max_mb: "oldest": the oldest files go; "stop": recording stops'
+        default="oldest", description='at max_mb: "oldest" deletes the oldest files, "stop" stops recording'
     )
 
 
@@ -430,17 +458,19 @@ class MotionSection(Section):
     """[motion]: the gyro that carries tracks from one exposure to the next."""
 
     history_s: Annotated[Number, Field(ge=0.1, le=60.0)] = Field(
-        default=2.0, description="how late a detection may come and still be placed at its exposure"
+        default=2.0, description="how late a detection may arrive and still be placed at its exposure"
     )
     gyro_noise_density_rad_s_sqrt_hz: Positive = Field(
-        default=2e-3, description="white noise of the gyro, vibration included"
+        default=2e-3, description="white noise of the gyro, including vibration"
     )
     angular_acceleration_psd_rad2_s3: Positive = Field(
-        default=1.0, description="of the drone, paid for in gaps of the gyro"
+        default=1.0,
+        description="angular acceleration of the drone, which adds uncertainty where gyro samples are missing",
     )
-    gyro_bias_rad_s: Vector = Field(default=ORIGIN, description="what the gyro says at rest, body FRD")
+    gyro_bias_rad_s: Vector = Field(default=ORIGIN, description="what the gyro reads at rest, body FRD")
     estimate_gyro_bias: Switch = Field(
-        default=True, description="find it in flight by the autopilot's attitude, from gyro_bias_rad_s on"
+        default=True,
+        description="estimate it in flight from the autopilot's attitude, starting at gyro_bias_rad_s",
     )
 
 
@@ -461,9 +491,9 @@ class LayeredConfig(Section):
 
     @contextmanager
     def blamed(self, *key: str) -> Iterator[None]:
-        """What goes wrong inside for the user to mend is said of this entry: a ConfigError with its file and line.
+        """Errors inside that the user can mend become a ConfigError on this entry, with its file and line.
 
-        An error that names an entry of the same table itself (`network.listen: found …`) is said of that one.
+        An error that names another entry of the same table (`network.listen: found …`) is reported on that one.
         """
         try:
             yield
@@ -479,7 +509,7 @@ class LayeredConfig(Section):
 
 
 class DroneConfig(LayeredConfig):
-    """Everything one agent is told at its start."""
+    """Everything one agent needs at its start."""
 
     team: TeamSection = TeamSection()
     drone: Vehicle = Field(description="a table [drone] with at least id")
@@ -495,7 +525,7 @@ class DroneConfig(LayeredConfig):
 
 
 class TeamConfig(LayeredConfig):
-    """What those need who are of the team and no drone: its network. The rest of the file is for agents to judge."""
+    """What team members other than drones need: the network. The rest of the file is for agents to judge."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -513,7 +543,7 @@ class MountedCamera(NamedTuple):
 def load_config(path: str | Path, over: Layer | None = None) -> DroneConfig:
     """Read a drone's config and all it extends. Raises ConfigError with every problem that was found.
 
-    over: what a command says goes before all files.
+    over: what the command line says; it overrides all files.
     """
     layers = read_layers(Path(path), _resolve_inputs)
     if over is not None:
@@ -522,14 +552,14 @@ def load_config(path: str | Path, over: Layer | None = None) -> DroneConfig:
 
 
 def config_of(layers: Layers) -> DroneConfig:
-    """A drone's config from what its files said. Raises ConfigError with every problem that was found."""
+    """A drone's config from the layers of its files. Raises ConfigError with every problem that was found."""
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
     problems += _start_problems(layers) + _telling_problems(layers)
     return _validated(DroneConfig, layers, problems)
 
 
 def load_team_config(path: str | Path) -> TeamConfig:
-    """Read the [network] of a team's file, or of a drone's. Raises ConfigError."""
+    """Read [network] from a team's file, or from a drone's. Raises ConfigError."""
     return _validated(TeamConfig, read_layers(Path(path), _resolve_inputs), [])
 
 
@@ -551,15 +581,15 @@ def _validated(kind: type[_C], layers: Layers, problems: list[Problem]) -> _C:
 
 
 def mount_camera(section: CameraSection) -> MountedCamera:
-    """The calibrated camera that [camera] describes; a simulated one is asked itself instead (`section.simulated`).
+    """The calibrated camera that [camera] describes. Not for a simulated one (`section.simulated`): ask the simulation.
 
-    What the config says of the mount and the time offset goes before what the file says; neither: a camera that
-    looks forward from the body's origin. Raises CalibrationError.
+    Mount and time offset in the config override those in the file. With neither, the camera looks forward from the
+    body's origin. Raises CalibrationError.
     """
     imu_from_camera: Pose | None = None
     file_offset_s: float | None = None
     if section.calibration is not None:
-        # Here, not above: a drone with its numbers in the config pays for no YAML.
+        # Here, not above: a drone with its numbers in the config does not pay for YAML.
         from swarmtrack.camera_files import load_calibration  # noqa: PLC0415
 
         file = load_calibration(section.calibration, section.calibration_camera)
@@ -607,7 +637,7 @@ def _beside(address: str, schemes: tuple[str, ...], folder: str) -> str:
 
 
 def _start_problems(layers: Layers) -> list[Problem]:
-    """What a start by the autopilot needs elsewhere."""
+    """What a start from the autopilot needs elsewhere in the config."""
     tables = {
         name: table if isinstance(table := layers.table.get(name), dict) else {}
         for name in ("drone", "team", "autopilot")
@@ -619,7 +649,7 @@ def _start_problems(layers: Layers) -> list[Problem]:
     wants = []
     link = tables["autopilot"].get("link", "none")
     if link == "none" or (link == "sim" and source == "gps"):
-        wants.append(f'without a MAVLink autopilot, expected autopilot.link beside it, found "{link}"')
+        wants.append(f'without a MAVLink autopilot, expected autopilot.link as well, found "{link}"')
     if source == "gps" and "origin" not in tables["team"]:
         wants.append(
             "without an origin of the team frame, expected [team] origin = { lat_deg = …, lon_deg = …, alt_m = … }"
@@ -629,12 +659,12 @@ def _start_problems(layers: Layers) -> list[Problem]:
 
 
 def _telling_problems(layers: Layers) -> list[Problem]:
-    """What places on the Earth need elsewhere."""
+    """What positions on the Earth need elsewhere in the config."""
     autopilot, team = layers.table.get("autopilot"), layers.table.get("team")
     tell = autopilot.get("tell") if isinstance(autopilot, dict) else None
     if not isinstance(tell, list) or "adsb" not in tell or (isinstance(team, dict) and "origin" in team):
         return []
-    text = "expected [team] origin = { lat_deg = …, lon_deg = …, alt_m = … } beside it"
+    text = "expected [team] origin = { lat_deg = …, lon_deg = …, alt_m = … } as well"
     return [
         layers.problem(
             ("autopilot", "tell"), f'autopilot.tell: "adsb" without an origin of the team frame, {text}'
@@ -643,7 +673,7 @@ def _telling_problems(layers: Layers) -> list[Problem]:
 
 
 def _tracker_problems(layers: Layers) -> list[Problem]:
-    """[tracker] holds the parameters of whichever tracker is named."""
+    """[tracker] holds the parameters of the tracker that it names."""
     section = layers.table.get("tracker", {})
     name = section.get("name", DEFAULT_TRACKER) if isinstance(section, dict) else None
     if not isinstance(name, str):

@@ -1,6 +1,6 @@
 """Scenarios as TOML files: read, checked, and turned into a `Scenario`. configs/scenarios holds those that are shipped.
 
-A file describes a formation, which makes as many drones as are asked for, or drones one by one (`[[drone]]`), or both.
+A file describes a formation, which makes as many drones as requested, or drones one by one (`[[drone]]`), or both.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ Heights = Annotated[tuple[Positive, ...], Field(min_length=1)]
 FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
     FaultKind.LOSS: (1.0, "the share of frames that are lost, 0 to 1"),
     FaultKind.LATENCY: (60.0, "a delay of 0 to 60 s"),
-    FaultKind.CLUTTER: (1000.0, "0 to 1000 false detections a frame"),
+    FaultKind.CLUTTER: (1000.0, "0 to 1000 false detections per frame"),
 }
 
 
@@ -89,30 +89,30 @@ class CameraSection(Section):
 
 
 class AgentsSection(Section):
-    """[agents]: what their configs say."""
+    """[agents]: values for the configs of the agents."""
 
     imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = 200.0
     tracks_hz: Annotated[Positive, Field(le=1000.0)] = 100.0
     position_sigma_m: Positive = Field(
-        default=0.05, description="how well the starts are measured, m per axis"
+        default=0.05, description="standard deviation of the measured starts, m per axis"
     )
     late: Annotated[int, Strict(), Field(ge=0)] = Field(
-        default=0, description="how many agents, those with the highest IDs, start late"
+        default=0, description="how many agents start late: those with the highest IDs"
     )
-    late_by_s: Positive = Field(default=8.0, description="by how much")
+    late_by_s: Positive = Field(default=8.0, description="how late they start, s")
 
 
 class ClocksSection(Section):
-    """[clocks]: lists that the drones take their values from in turn, in the order of their IDs."""
+    """[clocks]: lists of values. The drones take them in turn, in the order of their IDs."""
 
     utc_offset_s: tuple[Number, ...] = Field(
-        default=(), description="how wrong the companion's wall clock is"
+        default=(), description="error of the companion computer's wall clock, s"
     )
     autopilot_skew_ppm: tuple[Annotated[Number, Field(ge=-1000.0, le=1000.0)], ...] = Field(
-        default=(), description="how much too fast the autopilot's clock is"
+        default=(), description="how much too fast the autopilot's clock runs"
     )
     autopilot_boot_s: tuple[NotNegative, ...] = Field(
-        default=(), description="what that clock shows at world time 0"
+        default=(), description="reading of the autopilot's clock at world time 0, s"
     )
 
 
@@ -127,22 +127,24 @@ class RadioSection(Section):
 class RingSection(Section):
     """Stations on a circle; see `simulation.scenarios.ring`."""
 
-    radius_m: Positive = Field(description="at least, m")
+    radius_m: Positive = Field(description="smallest radius, m")
     spacing_m: Annotated[Number, Field(ge=1.5)] = Field(
-        default=1.8, description="at least, along the circle, m"
+        default=1.8, description="smallest distance along the circle, m"
     )
-    heights_m: Heights = Field(default=(5.0,), description="above the ground, in turn, m")
+    heights_m: Heights = Field(default=(5.0,), description="heights above the ground, taken in turn, m")
 
 
 class LanesSection(Section):
     """Two sides of lanes; see `simulation.scenarios.lanes`."""
 
-    gap_m: Positive = Field(description="between the two sides, m")
-    lane_step_m: Annotated[Number, Field(ge=1.2)] = Field(default=1.6, description="from lane to lane, m")
-    lanes_a_side: Count = Field(default=2, description="one behind the other")
-    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(default=2.5, description="within a lane, m")
+    gap_m: Positive = Field(description="distance between the two sides, m")
+    lane_step_m: Annotated[Number, Field(ge=1.2)] = Field(
+        default=1.6, description="distance from lane to lane, m"
+    )
+    lanes_a_side: Count = Field(default=2, description="lanes per side, one behind the other")
+    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(default=2.5, description="distance within a lane, m")
     heights_m: Heights = Field(
-        default=(5.0,), description="of the lanes of a side above the ground, in turn, m"
+        default=(5.0,), description="heights of a side's lanes above the ground, taken in turn, m"
     )
 
 
@@ -162,9 +164,9 @@ class SwingSection(Section):
 
 
 class FormationSection(Section):
-    """[formation]: a shape that makes any number of drones, and how they move once the hover is over."""
+    """[formation]: a shape for any number of drones, and how they move after the hover."""
 
-    drones: DroneCount = Field(description="how many, unless another number is asked for")
+    drones: DroneCount = Field(description="how many drones, unless the command asks for another number")
     ring: RingSection | None = None
     lanes: LanesSection | None = None
     sway: SwaySection | None = None
@@ -179,7 +181,7 @@ class FormationSection(Section):
             raise ValueError("both sway and weave, expected one of them")
         if self.weave is not None and self.lanes is None:
             raise ValueError(
-                "weave beside ring, expected sway, or lanes, whose drones can swing sideways together"
+                "weave with ring, expected sway, or lanes, whose drones can swing sideways together"
             )
         return self
 
@@ -205,7 +207,7 @@ class OscillationSection(Section):
 
 
 class WaypointSection(Section):
-    at_s: Number = Field(description="world time, s, later than the one before")
+    at_s: Number = Field(description="world time, s; later than the previous one")
     position_m: Vector = Field(description="[north, east, down], m")
 
 
@@ -215,25 +217,27 @@ class OwnSwingSection(Section):
 
 
 class DroneSection(Section):
-    """[[drone]]: one drone by itself, beside a formation or without."""
+    """[[drone]]: one drone by itself, with or without a formation."""
 
     id: DroneId = Field(description="1 … 65535, unique")
-    stranger: Switch = Field(default=False, description="true: it has no agent and is none of the team")
-    position_m: Vector = Field(description="where it hovers at first, [north, east, down], m; up is negative")
-    looks_at_m: Vector | None = Field(default=None, description="a point, from wherever it flies")
-    heading_deg: Number | None = Field(
-        default=None, description="clockwise from north, instead of looks_at_m"
+    stranger: Switch = Field(
+        default=False, description="true: it has no agent and does not belong to the team"
     )
-    swing: OwnSwingSection | None = Field(default=None, description="about its heading")
-    flight: OscillationSection | None = Field(default=None, description="after the hover, without end")
+    position_m: Vector = Field(description="where it hovers first, [north, east, down], m; up is negative")
+    looks_at_m: Vector | None = Field(default=None, description="a point that it faces wherever it flies")
+    heading_deg: Number | None = Field(
+        default=None, description="heading, clockwise from north, instead of looks_at_m"
+    )
+    swing: OwnSwingSection | None = Field(default=None, description="yaw to and fro about its heading")
+    flight: OscillationSection | None = Field(default=None, description="endless oscillation after the hover")
     waypoints: tuple[WaypointSection, ...] = Field(
-        default=(), description="instead of flight: from rest at the first of them to rest at the last"
+        default=(), description="instead of flight: from rest at the first to rest at the last"
     )
 
     @model_validator(mode="after")
     def _one_way_to_fly_and_to_look(self) -> DroneSection:
         if self.looks_at_m is not None and (self.heading_deg is not None or self.swing is not None):
-            raise ValueError("looks_at_m beside heading_deg or swing, expected either")
+            raise ValueError("looks_at_m with heading_deg or swing, expected one or the other")
         if self.flight is not None and self.waypoints:
             raise ValueError("both flight and waypoints, expected one of them")
         return self
@@ -275,19 +279,19 @@ class FaultSection(Section):
     """[[fault]]"""
 
     kind: FaultKind
-    at_s: NotNegative = Field(description="when it begins, world time, s")
+    at_s: NotNegative = Field(description="when it starts, world time, s")
     seconds: NotNegative = Field(
         default=0.0,
-        description="how long it lasts; of a kill: until the agent is restarted",
+        description="how long it lasts, s; for a kill: until the agent is restarted",
         validate_default=True,
     )
     drones: tuple[DroneId, ...] = Field(
         default=(),
-        description="those concerned; none: all; of a partition: one of its sides",
+        description="the drones affected, all by default; for a partition: one side of it",
         validate_default=True,
     )
     value: Number | None = Field(
-        default=None, description="of loss, latency and clutter: how much", validate_default=True
+        default=None, description="strength of loss, latency or clutter", validate_default=True
     )
 
     @field_validator("seconds")
@@ -324,11 +328,11 @@ class FaultSection(Section):
 class ScenarioFile(Section):
     """A whole file."""
 
-    about: Text = Field(description="a sentence that says what it shows")
-    seconds: Positive = Field(description="its natural length, s")
-    hover_s: NotNegative = Field(default=HOVER_S, description="how long everybody hovers at first, s")
+    about: Text = Field(description="one sentence: what it shows")
+    seconds: Positive = Field(description="length of the flight unless the command says otherwise, s")
+    hover_s: NotNegative = Field(default=HOVER_S, description="how long all drones hover first, s")
     drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
-        default=DRIFT_M, description="how badly a drone holds its position, RMS per axis, m"
+        default=DRIFT_M, description="error with which a drone holds its position, RMS per axis, m"
     )
     camera: CameraSection = CameraSection()
     agents: AgentsSection = AgentsSection()
@@ -342,14 +346,14 @@ class ScenarioFile(Section):
 
 
 def scenario_names() -> list[str]:
-    """The scenarios that are shipped."""
+    """The shipped scenarios."""
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
 def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None = None) -> Scenario:
-    """The scenario of a TOML file, or of a bare name: the one of that name that is shipped.
+    """The scenario of a TOML file, or the shipped scenario of that bare name.
 
-    seed ≥ 0 decides all that is left to chance. drones: how many of the team fly; None: as many as the file says.
+    seed ≥ 0 decides all that is random. drones: how many of the team fly; None: as many as the file says.
     Raises ConfigError with every problem that was found.
     """
     path = _path(name_or_path)
@@ -357,12 +361,12 @@ def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None
 
 
 def read_scenario(name_or_path: str | Path) -> Layers:
-    """What the files of a scenario say, unjudged. Raises ConfigError."""
+    """The layers of a scenario's files, not yet checked. Raises ConfigError."""
     return read_layers(_path(name_or_path), lambda table, folder: None)
 
 
 def scenario_of(layers: Layers, name: str, *, seed: int, drones: int | None) -> Scenario:
-    """As `load_scenario`, of what was read before."""
+    """As `load_scenario`, from layers that were read before."""
     problems = parameter_problems(layers, "detector", DetectorParameters)
     problems += parameter_problems(layers, "expected", Limits)
     try:
@@ -379,12 +383,12 @@ def scenario_of(layers: Layers, name: str, *, seed: int, drones: int | None) -> 
 
 
 def load_limits(name_or_path: str | Path) -> Limits:
-    """What a scenario's file expects of a flight, in [expected]; of a file that `load_scenario` has accepted."""
+    """What a scenario expects of a flight, from [expected] of a file that `load_scenario` has accepted."""
     return limits_of(read_scenario(name_or_path))
 
 
 def limits_of(layers: Layers) -> Limits:
-    """As `load_limits`, of what was read before."""
+    """As `load_limits`, from layers that were read before."""
     return Limits(**layers.table.get("expected", {}))
 
 
@@ -399,7 +403,7 @@ def _path(name_or_path: str | Path) -> Path:
 
 
 def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> list[Problem]:
-    """What is wrong with how many drones there are, and with the IDs that are named."""
+    """What is wrong with the number of drones, and with the IDs that are used."""
     problems: list[Problem] = []
 
     def wrong(key: Key, text: str) -> None:
@@ -448,7 +452,7 @@ def _team_size(file: ScenarioFile, drones: int | None) -> int:
 
 
 def _formation_ids(file: ScenarioFile, team: int) -> list[int]:
-    """The lowest IDs that no single drone has, for all of the team that are not described one by one."""
+    """The lowest free IDs, for all team members that are not described one by one."""
     taken = {drone.id for drone in file.drone}
     free = (drone_id for drone_id in itertools.count(1) if drone_id not in taken)
     return list(itertools.islice(free, team - sum(not drone.stranger for drone in file.drone)))

@@ -138,7 +138,7 @@ probability = 2
         (MINIMAL + 'distortion = { model = "radtan", coefficients = [1, 2] }', "expected finite numbers, 4"),
         (
             '[drone]\nid = 1\nstart = { from = "local", yaw_deg = 3 }' + CAMERA,
-            ":3: drone.start: yaw_deg beside",
+            ":3: drone.start: yaw_deg together with",
         ),
         (MINIMAL + "[network]\nlisten = 7447", ":8: network.listen: 7447, expected a list"),
         ("extends = 3\n" + MINIMAL, ":1: extends: 3, expected a file name"),

@@ -7,24 +7,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentityParameters:
-    """Beside the model itself, when it is sure enough."""
+    """Parameters of the identity model, and when it is certain enough."""
 
     profile: str = "default"
-    """`paper`: Algorithm 1 as printed, in one shot; `default`: the posterior, with "unknown"."""
+    """`paper`: Algorithm 1 as printed, in one shot. `default`: the posterior, which includes "unknown"."""
     probability: float = 0.95
-    """An ID is stated only above it."""
+    """An ID is stated only above this probability."""
     scans: int = 3
-    """A track must have been seen in so many."""
+    """A track must have been seen in this many scans."""
     window_s: float = 0.5
-    """s over which residuals are averaged."""
+    """Residuals are averaged over this time, s."""
     foreign_s: float = 3.0
-    """s after which a track that nothing explains is foreign."""
+    """A track that nothing explains is foreign after this time, s."""
     drift_speed: float = 0.5
-    """m/s: how fast an announced drone that has left its pose may be moving."""
+    """Speed that an announced drone may have once it has left its announced pose, m/s."""
     stay_s: float = 30.0
-    """s after which half of the announced drones have left their pose: they wait for take-off."""
+    """Time after which half of the announced drones have left their pose, s. Drones wait for take-off."""
     turn_rate: float = 0.1
-    """rad/s: how far the bearing of a drone out of sight may leave its course, for each second."""
+    """How far the bearing of an unseen drone may leave its course per second, rad/s."""
 
     def __post_init__(self) -> None:
         if self.profile not in ("default", "paper"):

@@ -44,18 +44,18 @@ LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GmPhdParameters(CommonParameters):
     gate_probability: float = 0.99999
-    """That a true detection falls inside its target's gate. Wide: the weights tell what is unlikely, and a target that
-    brakes out of its gate loses its label to the newcomer that its detection starts."""
+    """Probability that a true detection falls inside its target's gate. Wide on purpose: the weights express what is
+    unlikely. With a narrow gate, a target that brakes out of it would lose its label to a new one."""
     one_to_one: bool = True
-    """A label has one detection at most, as a detection has one label: the weights are those of one-to-one
-    associations, by loopy belief propagation where many compete. What penalised PHD filters aim at (Yazdian-Dehkordi,
-    Azimifar & Masnadi-Shirazi, Signal Processing 92, 2012). Not in the profile `paper`."""
+    """A label has at most one detection, and a detection at most one label. The weights are those of one-to-one
+    associations, by loopy belief propagation where many compete. Penalised PHD filters have the same aim
+    (Yazdian-Dehkordi, Azimifar & Masnadi-Shirazi, Signal Processing 92, 2012). Off in the profile `paper`."""
     prune_below: float = 1e-4
-    """Weight of a component that is given up, unless it is the heaviest of its label."""
+    """A component below this weight is dropped, unless it is the heaviest of its label."""
     merge_distance: float = 4.0
-    """Squared Mahalanobis distance up to which components of a label become one."""
+    """Squared Mahalanobis distance up to which components of a label are merged."""
     components_per_label: int = 5
-    """The heaviest are kept."""
+    """Components kept per label: the heaviest."""
 
     def __post_init__(self) -> None:
         CommonParameters.__post_init__(self)

@@ -41,13 +41,14 @@ SEEN = 0.5  # share of all detections, from which on a scan counts as having det
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JpdafParameters(CommonParameters):
     gate_probability: float = 0.99999
-    """That a true detection falls inside its target's gate. Wide: who is tempted away by clutter must be able to come
-    back, and a detection that fits badly has a small share anyway."""
+    """Probability that a true detection falls inside its target's gate. Wide on purpose: a track that clutter pulled
+    away must be able to come back, and a detection that fits badly has a small share anyway."""
     end_doubles: bool = True
-    """Of two confirmed tracks in one place of which the scans leave only one's existence, the older has it."""
+    """Where two confirmed tracks are in one place and the scans support only one, the older one stays."""
     exact_width: int = 10
-    """Tracks that compete at once: up to so many, shares are exact; beyond, they are beliefs (some of them off by 0.1),
-    and the scan is counted. Each one more doubles the time of the exact ones: half a millisecond at 10."""
+    """Shares are exact for up to this many competing tracks. Beyond it they are approximate (belief propagation, some
+    off by 0.1), and the scan is counted. Each further track doubles the time of the exact ones, which is half a
+    millisecond at 10."""
 
     def __post_init__(self) -> None:
         CommonParameters.__post_init__(self)

@@ -48,31 +48,33 @@ SAME = 0.25  # standard deviations within which two leaves of a track say the sa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MbmParameters(CommonParameters):
-    """Beside the common ones: how many hypotheses, and how targets manoeuvre."""
+    """In addition to the common ones: how many hypotheses, and how targets manoeuvre."""
 
     gate_probability: float = 0.99999
-    """Wide: at the onset of a manoeuvre a target is where no model expects it, and hypotheses weigh what fits badly."""
+    """Probability that a true detection falls inside its target's gate. Wide on purpose: at the onset of a manoeuvre a
+    target is where no model expects it, and the hypotheses weigh what fits badly."""
     hypotheses: int = 20
-    """Kept for each cluster of tracks in dispute; 1: the most likely one only."""
+    """Hypotheses kept per cluster of disputed tracks. 1 keeps only the most likely one."""
     least_weight: float = 1e-4
-    """A hypothesis so much less likely than the best is dropped."""
+    """A hypothesis whose weight relative to the best is below this is dropped."""
     changeover: float = 10.0
-    """Another hypothesis is published only once it is so many times as likely as the one that was."""
+    """Another hypothesis is published only once it is this many times as likely as the published one."""
     doubt_s: float = 10.0
-    """s: time constant with which the hypotheses beside the published one fade. Of two drones that met and parted no
-    detection tells any more who was who: without it they would stay in dispute as long as they fly."""
+    """Time constant with which hypotheses other than the published one fade, s. After two drones have met and parted,
+    no detection tells any longer which is which. Without fading they would stay disputed for the rest of the
+    flight."""
     interacting: bool = True
-    """Two models of motion; else one, constant velocity with `acceleration_psd`, as the other trackers have it."""
+    """Use two motion models. If false: constant velocity with `acceleration_psd`, as in the other trackers."""
     calm_share: float = 0.1
-    """Of `acceleration_psd`: what is left of it while a target keeps its velocity."""
+    """Factor on `acceleration_psd` while a target keeps its velocity."""
     agile_share: float = 15.0
-    """Likewise, while it manoeuvres."""
+    """Factor on `acceleration_psd` while it manoeuvres."""
     lasting_s: float = 2.0
-    """s: how long an acceleration lasts."""
+    """How long an acceleration lasts, s."""
     calm_s: float = 4.0
-    """s: how long a target keeps its velocity, on average."""
+    """How long a target keeps its velocity on average, s."""
     agile_s: float = 3.0
-    """s: how long it manoeuvres, on average."""
+    """How long it manoeuvres on average, s."""
 
     def __post_init__(self) -> None:
         # Not super(): dataclass(slots=True) makes a new class, and zero-argument super() would look for the old one.

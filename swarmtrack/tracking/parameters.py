@@ -1,4 +1,4 @@
-"""What every tracker is told about the sensor and the targets; each has more of its own."""
+"""What every tracker assumes about the sensor and the targets. Each tracker has more of its own."""
 
 from __future__ import annotations
 
@@ -14,52 +14,53 @@ class CommonParameters:
     """Every improvement on the paper's filters is a parameter, here or in the tracker's own: a benchmark ablates it."""
 
     profile: str = "default"
-    """`paper`: its motion model (optical flow instead of the exact rotation), and no use of scores, box sizes, overlaps
-    or a learned clutter rate."""
+    """`paper`: the paper's motion model (optical flow instead of the exact rotation), without scores, box sizes,
+    overlaps or a learned clutter rate."""
     measurement_sigma: float = 2.0
-    """px, per axis, where a scan brings no R of its own: of a point, or of the smallest box. From frame to frame the
-    shipped detector is ten times better, but only this much keeps tracks whose boxes stay beside the drone."""
+    """px per axis, for scans without an R of their own: of a point, or of the smallest box. From frame to frame the
+    shipped detector is ten times better, but a box can stay off the drone for several frames. This value keeps such
+    tracks."""
     size_noise: float = 0.008
-    """What comes to it for a larger box, as a share of its side: of the shipped detector, surely seen. Measured by
-    `swarmtrack bench detection-noise`, as is the next one."""
+    """Added for a larger box, as a share of its side. Holds for the shipped detector at high scores. This value and
+    the next one are measured by `swarmtrack bench detection-noise`."""
     score_noise: float = 0.022
-    """Likewise, times (1 − score) / score: of a box that is doubtful."""
+    """Likewise, times (1 − score) / score: added for a doubtful box."""
     acceleration_psd: float = 10_000.0
-    """px²/s³, continuous white noise: 3 m/s² for half a second at 10 m and f = 430 px."""
+    """px²/s³, continuous white noise. The default is 3 m/s² for half a second at 10 m and f = 430 px."""
     p_detection: float = 0.9
-    """That a target in view is detected in one scan."""
+    """Probability that a target in view is detected in one scan."""
     p_survival: float = 0.99
-    """That a target present now is still present in one second."""
+    """Probability that a target present now is still present in one second."""
     clutter_per_scan: float = 1.0
-    """Expected false detections in one image; where `learn_clutter`, to begin with."""
+    """Expected false detections per image. With `learn_clutter` it is the initial value."""
     learn_clutter: bool = True
-    """Follow the rate of false detections, within a factor of ten of the one told."""
+    """Learn the rate of false detections, within a factor of ten of `clutter_per_scan`."""
     learn_noise: bool = True
-    """Where detections lie further off than they should, take their noise for larger, by up to ten times R."""
+    """Where detections scatter more than they should, assume more noise, up to ten times R."""
     gate_probability: float = 0.999
-    """That a true detection falls inside its target's gate."""
+    """Probability that a true detection falls inside its target's gate."""
     birth_per_scan: float = 0.02
-    """Expected new targets in one image."""
+    """Expected new targets per image."""
     birth_speed_sigma: float = 100.0
-    """px/s, per axis, of a target just found."""
+    """px/s per axis, of a target just found."""
     birth_score: float = 0.55
-    """A track is confirmed only with a detection of this score: what looks a little like a drone is followed, so that
-    it tempts nobody, but not believed."""
+    """A track is confirmed only with a detection of at least this score. Weaker look-alikes are followed, so that
+    their detections do not disturb other tracks, but they are not reported as drones."""
     confirm_probability: float = 0.99
     """Existence above which a tentative track is confirmed."""
     max_coast_s: float = 1.0
-    """s: a confirmed track is dropped when it has not been detected for so long."""
+    """A confirmed track is dropped after so many seconds without a detection."""
     score_weight: float = 1.0
-    """How far a detection's score is believed: its clutter intensity is scaled by ((1 − s) / s) to this power."""
+    """How much a detection's score s counts: its clutter intensity is scaled by ((1 − s) / s) to this power."""
     size_sigma: float = 0.2
-    """Relative, of a box's sides from scan to scan: of two drones in one place the size tells the nearer one."""
+    """Relative noise of a box's sides from scan to scan. Size tells two drones in the same direction apart."""
     occlusion: bool = True
     """Expect fewer detections of targets that overlap."""
     resolution_px: float = 0.0
-    """Two points that are nearer may come back as one detection between them; boxes, also where they overlap by half
-    or more."""
+    """Two points nearer than this may come back as one detection between them, in px. Boxes may also do so where they
+    overlap by half or more."""
     lag_s: float = 0.0
-    """s: how much later than its scan a smoothed estimate comes (`Tracker.smoothed`); 0: none does."""
+    """Delay of the smoothed estimates behind their scan, s (`Tracker.smoothed`). 0 turns them off."""
 
     def __post_init__(self) -> None:
         if self.profile not in PROFILES:

@@ -244,10 +244,10 @@ async def test_agents_announce_where_gps_says_they_are_and_how_well_it_knows(tmp
     [
         ("lat_deg = 47.3977", "lat_deg = 91", "team.origin.lat_deg: 91, expected less than or equal to 90"),
         ("alt_m = 488.0", "alt_m = 488000.0", "team.origin.alt_m: 488000.0, expected less than or equal to"),
-        ("lon_deg = 8.5456,", "", "team.origin.lon_deg: missing, expected east positive"),
+        ("lon_deg = 8.5456,", "", "team.origin.lon_deg: missing, expected longitude"),
         ("origin =", "orgin =", 'team.orgin: unknown key, did you mean "origin"?'),
         ('link = "udpin', 'signing_key = "udpin', 'drone.start.from: "gps" without a MAVLink autopilot'),
-        ('"gps"', '"gps", offset_m = [1, 2, 3]', 'offset_m beside from = "gps"'),
+        ('"gps"', '"gps", offset_m = [1, 2, 3]', 'offset_m together with from = "gps"'),
     ],
 )
 def test_what_a_start_by_gps_needs_is_named_where_it_is_missing(tmp_path, old, new, problem):

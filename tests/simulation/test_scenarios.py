@@ -316,12 +316,12 @@ def test_drones_described_one_by_one_keep_their_ids_and_are_not_multiplied(write
         (RING.replace("ring", "rnig"), 'flight.toml:5: formation.rnig: unknown key, did you mean "ring"?'),
         (RING.replace("radius_m", "radius"), 'flight.toml:5: formation.ring.radius: unknown key, did you'),
         (RING.replace("= 3\n", '= "3"\n'), 'flight.toml:4: formation.drones: "3", expected a valid integer'),
-        (RING + "weave = { reach_m = 1, period_s = [5, 9] }\n", "flight.toml:3: formation: weave beside ring"),
+        (RING + "weave = { reach_m = 1, period_s = [5, 9] }\n", "flight.toml:3: formation: weave with ring"),
         (RING + "lanes = { gap_m = 5 }\n", "flight.toml:3: formation: neither or both of ring and lanes, expected"),
         ("about = 'x'\nseconds = 9\n", "flight.toml:1: formation: missing, expected a table [formation]"),
         (ONE_BY_ONE.replace("id = 7", "id = 3"), "flight.toml:9: drone[1].id: 3, expected an ID that no other"),
         (ONE_BY_ONE.replace("heading_deg", "heeding_deg"), 'flight.toml:11: drone[1].heeding_deg: unknown key'),
-        (ONE_BY_ONE + "looks_at_m = [0, 0, 0]\n", "flight.toml:8: drone[1]: looks_at_m beside heading_deg or swing"),
+        (ONE_BY_ONE + "looks_at_m = [0, 0, 0]\n", "flight.toml:8: drone[1]: looks_at_m with heading_deg or swing"),
         (
             ONE_BY_ONE + "waypoints = [{ at_s = 5, position_m = [1, 1, -9] }, { at_s = 4, position_m = [1, 2, -9] }]\n",
             "flight.toml:12: drone[1].waypoints: at_s [5.0, 4.0], expected each later than the one before",
@@ -350,7 +350,7 @@ def test_every_mistake_is_named_with_its_file_and_line(write, text, complaint):
         ("kind = 'loss'\nseconds = 1\nvalue = 0.5", None),
         ("kind = 'loss'\nseconds = 1\nvalue = 20", "value: 20, expected the share of frames that are lost, 0 to 1"),
         ("kind = 'latency'\nseconds = 1", "value: missing, expected a delay of 0 to 60 s"),
-        ("kind = 'clutter'\nseconds = 1\nvalue = -1", "value: -1, expected 0 to 1000 false detections a frame"),
+        ("kind = 'clutter'\nseconds = 1\nvalue = -1", "value: -1, expected 0 to 1000 false detections per frame"),
         ("kind = 'clutter'\nsecond = 1\nvalue = 1", 'second: unknown key, did you mean "seconds"?'),
     ],
 )  # fmt: skip

@@ -120,7 +120,7 @@ def test_a_router_finds_itself_by_its_address_where_that_is_plain() -> None:
         ("peers = ['10.0.0.1']", "2: network.peers: "),
         ("topology = 'routers'", 'topology = "routers" without routers'),
         ("topology = 'ring'", "2: network.topology: "),
-        ("topology = 'routers'\nrouters = ['a']\nlisten = ['b']", "listen or connect beside topology"),
+        ("topology = 'routers'\nrouters = ['a']\nlisten = ['b']", "listen or connect together with topology"),
         ("topologie = 'mesh'", 'did you mean "topology"?'),
         ("keys = 7", "2: network.keys: "),
     ],
