@@ -22,7 +22,7 @@ import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.agreement import Agreement, Disagreement, OwnView
+from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
 from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import (
@@ -116,7 +116,7 @@ class Onboard:
             drone_id, camera=camera, body_from_camera=mounting.body_from_camera, parameters=identity
         )
         self._drone_id = drone_id
-        self._agreement = Agreement()
+        self._consensus = Consensus()
         self._view: OwnView | None = None
         self._disagreements: list[Disagreement] = []
         self._orientation: Orientation | None = None  # of the camera at the tracker's time
@@ -158,12 +158,12 @@ class Onboard:
 
     def on_sightings(self, report: SightingReport) -> None:
         """Whom a teammate sees, and where it stands: do we see the same?"""
-        for disagreement in self._agreement.compare(report):
+        for disagreement in self._consensus.compare(report):
             self._disagreements.append(disagreement)
             if disagreement.overruled:
                 drone = disagreement.drone_id
                 self.counters.identities_overruled += 1
-                self._agreement.forget(drone)
+                self._consensus.forget(drone)
                 self._identities.overrule(drone, report.t)
 
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None:
@@ -284,8 +284,8 @@ class Onboard:
             "poses_without_place": ego.without_position,
             "heading_jumps": ego.heading_jumps,
             "attitudes_refused": self._bias.refused,
-            "sightings_agreed": self._agreement.agreed,
-            "sightings_disagreed": self._agreement.disagreed,
+            "sightings_agreed": self._consensus.agreed,
+            "sightings_disagreed": self._consensus.disagreed,
         }
 
     def take_reports(self) -> list[ScanReport]:
@@ -343,7 +343,7 @@ class Onboard:
             if observer.attitude_sigma < LOST_ATTITUDE
         }
         self._view = OwnView(observer.t, position, observer.position_sigma, sightings)
-        self._agreement.remember(self._view)
+        self._consensus.remember(self._view)
 
 
 def _scan(detections: Detections, t: float, camera: PinholeCamera, tracker: Tracker) -> Scan:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.identity.posterior import Residuals
+from swarmtrack.identity.posterior import ReprojectionResiduals
 
 Key = tuple[object, ...]
 
@@ -26,7 +26,9 @@ class Evidence:
         self._t = 0.0
         self._rows: list[int] = []
         self._columns: list[Key] = []
-        self.residuals = Residuals(np.zeros((0, 0, 2)), np.zeros((1, 0, 0, 2, 2)), np.zeros((1, 0)))
+        self.residuals = ReprojectionResiduals(
+            np.zeros((0, 0, 2)), np.zeros((1, 0, 0, 2, 2)), np.zeros((1, 0))
+        )
         self.scans: NDArray[np.int64] = np.zeros((0, 0), dtype=int)
         """(n, k): how many scans each pair was seen in."""
 
@@ -34,7 +36,9 @@ class Evidence:
         """How many scans there are of a row, with whichever column."""
         return int(self.scans[row].max(initial=0))
 
-    def add(self, t: float, rows: Sequence[int], columns: Sequence[Key], found: Residuals) -> None:
+    def add(
+        self, t: float, rows: Sequence[int], columns: Sequence[Key], found: ReprojectionResiduals
+    ) -> None:
         """The residuals of one scan: rows are track IDs, columns the keys of predictions."""
         mean, cov = found.mean.copy(), found.cov.copy()
         scans = np.ones(mean.shape[:2], dtype=int)
@@ -48,7 +52,7 @@ class Evidence:
             mean[i, j] += (1.0 - new) * (self.residuals.mean[was_i, was_j] - mean[i, j])
             cov[:, i, j] += (1.0 - new[..., None]) * (self.residuals.cov[:, was_i, was_j] - cov[:, i, j])
         self._t, self._rows, self._columns, self.scans = t, list(rows), list(columns), scans
-        self.residuals = Residuals(mean, cov, found.share)
+        self.residuals = ReprojectionResiduals(mean, cov, found.share)
 
 
 def _matched(now: Sequence[object], before: Sequence[object]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

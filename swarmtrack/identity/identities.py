@@ -24,9 +24,9 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.assignment import HELD_LOG_ODDS, HIDDEN_LOG_ODDS, Assignment
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.posterior import LOG_ANYWHERE, log_ratios, nearest, residuals
-from swarmtrack.identity.questions import Questions
-from swarmtrack.identity.reprojection import LastSeen, Predictions, View, joined, reproject, retrace
+from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, Predictions, joined, reproject, retrace
 from swarmtrack.identity.standing import Event, Standing, fire
 from swarmtrack.messages import (
     FOREIGN,
@@ -107,7 +107,7 @@ class Identities:
         """By drone: its assignment when its track ended."""
         self._alive: dict[int, Track] = {}
         self._evidence = Evidence(parameters.window_s)
-        self._questions = Questions()
+        self._pose_requests = PoseRequests()
 
     @property
     def announced(self) -> dict[int, Announcement]:
@@ -161,12 +161,12 @@ class Identities:
         """Others see it elsewhere: no track is this drone until it says anew where it is, or the dispute is old."""
         self._withdraw(drone_id, Event.OVERRULED)
         self._overruled[drone_id] = t
-        self._questions.put(drone_id)
+        self._pose_requests.put(drone_id)
 
     def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
         """Look at the tracks of a scan, with this drone's own pose at its exposure."""
         alive = self._alive = {track.id: track for track in tracks}
-        view = View.of(observer, self._camera, self._body_from_camera)
+        view = ObserverCamera.of(observer, self._camera, self._body_from_camera)
         self._end(alive, observer.t)
         self._forget(observer.t)
         if self._parameters.profile != "paper":
@@ -195,7 +195,7 @@ class Identities:
 
     def take_wanted(self) -> tuple[int, ...]:
         """The drones whose pose is wanted anew; each is told once."""
-        return self._questions.take()
+        return self._pose_requests.take()
 
     def _name(self, track_id: int) -> tuple[Identity, float]:
         assignment = self._assignments.get(track_id)
@@ -280,12 +280,12 @@ class Identities:
         """Ask it and those it met while one of them was not seen: their tracks may have changed places."""
         held.verified_t = t
         for drone in {*held.met, held.drone_id} if held.met else ():
-            self._questions.put(drone)
+            self._pose_requests.put(drone)
             holder = self._holder(drone)
             if holder is not None:
                 holder.weaken(HIDDEN_LOG_ODDS)
 
-    def _remember_rays(self, alive: Mapping[int, Track], view: View) -> None:
+    def _remember_rays(self, alive: Mapping[int, Track], view: ObserverCamera) -> None:
         detected = [
             held
             for held in self._assignments.values()
@@ -297,7 +297,7 @@ class Identities:
 
     # --- what is undecided ---
 
-    def _predict(self, view: View) -> Predictions:
+    def _predict(self, view: ObserverCamera) -> Predictions:
         """Where the drones should be that no track has for certain: by their pose, or by where they were seen
         since."""
         p = self._parameters
@@ -364,7 +364,7 @@ class Identities:
         elif p >= sure:
             self._fire(assignment, Event.CONFIRMED)
             assignment.probability = p
-            self._questions.answered(drone)
+            self._pose_requests.answered(drone)
         elif p < 0.5:
             self._fire(assignment, Event.REFUTED)
         else:
@@ -379,7 +379,7 @@ class Identities:
         self._withdraw(drone, Event.REASSIGNED)
         self._assignments[track_id] = Assignment(track_id, drone, candidates[drone])
         self._unassigned.pop(track_id, None)
-        self._questions.answered(drone)
+        self._pose_requests.answered(drone)
         if before is not None:
             self._verify(before, t)
 
@@ -399,7 +399,7 @@ class Identities:
             unassigned.unexplained_since = t
         unassigned.foreign = t - unassigned.unexplained_since >= self._parameters.foreign_s
         if not unassigned.asked:
-            asked = [self._questions.ask(drone, t) for drone in self._assigned_near(track)]
+            asked = [self._pose_requests.ask(drone, t) for drone in self._assigned_near(track)]
             unassigned.asked = all(asked)
 
     def _assigned_near(self, track: Track) -> list[int]:
@@ -414,7 +414,7 @@ class Identities:
         """Ask the likeliest; in a large swarm nearly everybody is possible."""
         for drone in sorted(candidates, key=candidates.__getitem__)[-ASKED:]:
             if candidates[drone] > LIKELY and t - self._announced[drone].t > NAMELESS_S:
-                self._questions.ask(drone, t)
+                self._pose_requests.ask(drone, t)
 
 
 def _of_bodies(tracks: Sequence[Track]) -> tuple[Array, Array]:
@@ -433,7 +433,7 @@ def _meet(one: Track, other: Track) -> bool:
     return bool((np.abs(one.mean[::2] - other.mean[::2]) < 0.5 * size + MEETING_PX).all())
 
 
-def _rays(named: Sequence[tuple[int, Track]], view: View) -> list[LastSeen]:
+def _rays(named: Sequence[tuple[int, Track]], view: ObserverCamera) -> list[LastSeen]:
     """The rays to tracks that are drones, and how these turn."""
     if not named:
         return []

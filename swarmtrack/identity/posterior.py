@@ -14,9 +14,11 @@ from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import LOG_TWO_PI
 from swarmtrack.tracking.marginals import matching_marginals
 
-IN_VIEW = 0.2  # prior: that a drone which may be anywhere is before this camera
+# Prior: that a drone which may be anywhere is in front of this camera.
+IN_VIEW = 0.2
 GATE_PROBABILITY = 0.9999
-FLATTEST = 1e-12  # of a covariance: its determinant over that without correlation; beyond it rounding is all there is
+# Of a covariance: its determinant over that without correlation; beyond it rounding is all there is.
+FLATTEST = 1e-12
 
 
 class Prior(NamedTuple):
@@ -38,7 +40,7 @@ LOG_ANYWHERE = PRIOR.log_ratio + math.log(IN_VIEW)
 """The log ratio of a drone that may be anywhere, and any track."""
 
 
-class Residuals(NamedTuple):
+class ReprojectionResiduals(NamedTuple):
     """Between n tracks and k predicted drones: mean (n, k, 2) px, and what it should be by each of c hypotheses on
     the drone's motion: cov (c, n, k, 2, 2) px², share (c, k)."""
 
@@ -47,16 +49,16 @@ class Residuals(NamedTuple):
     share: Array
 
 
-def residuals(mean: Array, cov: Array, predicted: Predictions) -> Residuals:
+def residuals(mean: Array, cov: Array, predicted: Predictions) -> ReprojectionResiduals:
     """Of one scan. mean (n, 4), cov (n, 4, 4) of the tracks."""
-    return Residuals(
+    return ReprojectionResiduals(
         mean[:, None, ::2] - predicted.pixel,
         cov[:, None, ::2, ::2] + predicted.cov[:, None],
         predicted.share,
     )
 
 
-def log_ratios(found: Residuals, camera: PinholeCamera, prior: Prior = PRIOR) -> Array:
+def log_ratios(found: ReprojectionResiduals, camera: PinholeCamera, prior: Prior = PRIOR) -> Array:
     """log (n, k) of how much more likely "track i is drone j" is than "i is a stranger, and j is not seen"; −inf
     outside every gate.
 
@@ -69,8 +71,10 @@ def log_ratios(found: Residuals, camera: PinholeCamera, prior: Prior = PRIOR) ->
     # Whoever announces a covariance like a needle must not make the determinant zero or negative, and all of this NaN.
     determinant = np.maximum(a * c - b * b, FLATTEST * a * c)
     distance = np.maximum(c * u * u - 2.0 * b * u * v + a * v * v, 0.0) / determinant
-    log_extent = LOG_TWO_PI + 0.5 * np.log(determinant)  # of the Gaussian, px²
-    with np.errstate(divide="ignore"):  # of a pose that is no second old nothing has flown off
+    # Of the Gaussian, px².
+    log_extent = LOG_TWO_PI + 0.5 * np.log(determinant)
+    # From a pose that is no time old, nothing has flown off: the logarithm of a share of zero.
+    with np.errstate(divide="ignore"):
         log_share = np.log(found.share)[:, None]
     log_density = log_share - 0.5 * distance - np.minimum(log_extent, log_area - math.log(IN_VIEW))
     log_density[distance > gate_threshold(GATE_PROBABILITY)] = -np.inf

@@ -19,17 +19,24 @@ from swarmtrack.messages import Announcement, Array
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.motion_model import optical_flow
 
-STAY_IN_FLIGHT = 0.1  # s
-SHARE_FAST = 0.2  # of the drones that have left their pose
-FAST = 10.0  # times drift_speed
-COURSE_S = 1.0  # s: how long a drone that went out of sight keeps its velocity
-LOST_SHARE = 0.1  # of the drones that went out of sight, those that may be nearly anywhere
-TURNED_AWAY = 0.3  # rad: how far these are at once
-NEAREST = 2.0  # m: no teammate is closer, so the observer's motion turns no bearing by more than one at it
+# s after which half of the drones that announced themselves in flight have left their pose.
+STAY_IN_FLIGHT = 0.1
+# Of the drones that have left their pose.
+SHARE_FAST = 0.2
+# Times drift_speed.
+FAST = 10.0
+# s that a drone which went out of sight keeps its velocity.
+COURSE_S = 1.0
+# Of the drones that went out of sight, those that may be nearly anywhere.
+LOST_SHARE = 0.1
+# rad: how far these are at once.
+TURNED_AWAY = 0.3
+# m: no teammate is closer, so the observer's motion turns no bearing by more than one at it.
+NEAREST = 2.0
 
 
 class Predictions(NamedTuple):
-    """Teammates that lie before the camera: key (k,) of whatever each was predicted from, its drone_id (k,), and
+    """Teammates that lie in front of the camera: key (k,) of whatever each was predicted from, its drone_id (k,), and
     pixel (k, 2), undistorted; a mixture of c Gaussians around it: share (c, k), cov (c, k, 2, 2) px²."""
 
     key: list[tuple[object, ...]]
@@ -59,7 +66,7 @@ class LastSeen:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class ObserverCamera:
     """An observer's camera at the time of a scan."""
 
     observer: TeamPose
@@ -67,7 +74,7 @@ class View:
     team_from_camera: Pose
 
     @classmethod
-    def of(cls, observer: TeamPose, camera: PinholeCamera, body_from_camera: Pose) -> View:
+    def of(cls, observer: TeamPose, camera: PinholeCamera, body_from_camera: Pose) -> ObserverCamera:
         return cls(observer, camera, Pose(observer.world_from_body, observer.position) @ body_from_camera)
 
     def rays(self, pixel: Array) -> Array:
@@ -77,7 +84,7 @@ class View:
 
 
 def reproject(
-    announcements: Sequence[Announcement], view: View, *, drift_speed: float, stay_s: float
+    announcements: Sequence[Announcement], view: ObserverCamera, *, drift_speed: float, stay_s: float
 ) -> Predictions:
     """Announced positions in the observer's image.
 
@@ -102,17 +109,17 @@ def reproject(
     p_still = stay / (stay + age)
     share = np.stack([p_still, (1.0 - p_still) * (1.0 - SHARE_FAST), (1.0 - p_still) * SHARE_FAST])
     cov = np.stack([still, still + drifted, still + FAST**2 * drifted])
-    before = [a for a, good in zip(announcements, valid, strict=True) if good]
+    in_front = [a for a, good in zip(announcements, valid, strict=True) if good]
     return Predictions(
-        [(a.drone_id, a.boot, a.sequence) for a in before],
-        [a.drone_id for a in before],
+        [(a.drone_id, a.boot, a.sequence) for a in in_front],
+        [a.drone_id for a in in_front],
         pixel[valid],
         share[:, valid],
         cov[:, valid],
     )
 
 
-def retrace(seen: Sequence[LastSeen], view: View, *, turn_rate: float) -> Predictions:
+def retrace(seen: Sequence[LastSeen], view: ObserverCamera, *, turn_rate: float) -> Predictions:
     """Drones that went out of sight, where they should come back: on along their course, as seen from here.
 
     turn_rate [rad/s]: how far their bearing may have left that course, for each second, or for a tenth of them `FAST`
@@ -138,10 +145,10 @@ def retrace(seen: Sequence[LastSeen], view: View, *, turn_rate: float) -> Predic
     per_radian = _per_radian(pixel, camera)
     cov = np.stack([off_course, lost])[:, :, None, None] * per_radian
     share = np.repeat([[1.0 - LOST_SHARE], [LOST_SHARE]], len(seen), axis=1)
-    before = [s for s, good in zip(seen, valid, strict=True) if good]
+    in_front = [s for s, good in zip(seen, valid, strict=True) if good]
     return Predictions(
-        [(s.drone_id, s.t) for s in before],
-        [s.drone_id for s in before],
+        [(s.drone_id, s.t) for s in in_front],
+        [s.drone_id for s in in_front],
         pixel[valid],
         share[:, valid],
         cov[:, valid],

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from swarmtrack.identity.agreement import GATE, SPEED, OwnView, miss_of_point, miss_of_rays
+from swarmtrack.identity.consensus import GATE, SPEED, OwnView, miss_of_point, miss_of_rays
 from swarmtrack.messages import Array, Sighting, SightingReport
 
 MEMORY_S = 4.0  # s of reports of each drone

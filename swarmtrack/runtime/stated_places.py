@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
-from swarmtrack.identity.agreement import stands_there
+from swarmtrack.identity.consensus import stands_there
 from swarmtrack.messages import SightingReport
 
 FRESH = 2.5  # s: everybody reports once a second

@@ -10,7 +10,7 @@ from collections import Counter
 import numpy as np
 
 from swarmtrack.clock import UTC_SIGMA
-from swarmtrack.identity.agreement import Disagreement
+from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     Announcement,
     AnnouncementRequested,

@@ -16,7 +16,7 @@ import numpy as np
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.identity.agreement import Disagreement
+from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     Array,
     IdClash,

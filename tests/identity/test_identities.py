@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
 from swarmtrack.identity.identities import DEPARTED_S
-from swarmtrack.identity.questions import Questions
+from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted
 
 
@@ -223,10 +223,10 @@ def test_drones_that_cannot_be_told_apart_are_asked_to_announce_themselves_more_
 
 
 def test_whoever_is_asked_in_vain_is_asked_again_within_a_minute_however_long_it_takes():
-    questions, asked = Questions(), []
+    requests, asked = PoseRequests(), []
     for second in range(3600):
-        questions.ask(2, float(second))
-        asked += [second for _ in questions.take()]
+        requests.ask(2, float(second))
+        asked += [second for _ in requests.take()]
     assert 60 < len(asked) < 120
     assert np.diff(asked).max() < 60
 

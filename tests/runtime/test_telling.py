@@ -22,7 +22,7 @@ from support.fake_autopilot import FakeAutopilot, serve_udp
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError
-from swarmtrack.identity.agreement import Disagreement
+from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     Announcement,
     IdClash,

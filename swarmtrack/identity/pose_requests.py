@@ -1,11 +1,13 @@
-"""Whom to ask to announce itself anew."""
+"""Which drones to ask to announce their pose again."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-FIRST_WAIT_S = 3.0  # s between two questions to one drone that did not settle the matter, doubled with each
-LAST_WAIT_S = 48.0  # s: no longer, since what could not be told apart may have flown apart meanwhile
+# s between two requests to one drone that did not settle the matter, doubled with each.
+FIRST_WAIT_S = 3.0
+# s: no longer, since what could not be told apart may have flown apart meanwhile.
+LAST_WAIT_S = 48.0
 
 
 @dataclass(slots=True)
@@ -14,8 +16,8 @@ class _Asked:
     wait_s: float
 
 
-class Questions:
-    """Collects questions until they are taken; one asked in vain is repeated, more and more rarely but for ever."""
+class PoseRequests:
+    """Collects requests until they are taken. One that settles nothing is repeated, more and more rarely."""
 
     def __init__(self) -> None:
         self._waiting: set[int] = set()
@@ -26,7 +28,7 @@ class Questions:
         self._waiting.add(drone_id)
 
     def ask(self, drone_id: int, t: float) -> bool:
-        """Ask unless it was asked not long ago; whether it is."""
+        """Ask unless it was asked not long ago. Returns whether it is asked."""
         before = self._asked.get(drone_id)
         if before is not None and t - before.t < before.wait_s:
             return False

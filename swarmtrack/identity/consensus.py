@@ -1,14 +1,14 @@
 """Do the others see the same drone where this one sees it?
 
-Theory of operation. Every drone tells on which rays it sees whom, and where it stands. Two rays to one drone must
-meet ahead of both observers; a ray to the reporter itself must pass through where it says it stands. Each report is
-one vote of its sender on each drone that both see, as heavy as the log odds of the sender's own belief. Whoever is
-outvoted gives its hypothesis up, whoever is not keeps it: since both compare the same two numbers, one of them
-yields, without a master.
+Theory of operation. Every drone reports on which rays it sees which drones, and where it stands itself. Two rays to one
+drone must meet in front of both observers; a ray to the reporter itself must pass through where it says it stands. Each
+report is one vote of its sender on each drone that both see, and weighs as much as the log odds of the sender's own
+belief. A drone that is outvoted gives its hypothesis up; one that is not keeps it. Both sides compare the same two
+numbers, so one of them yields, and no master is needed.
 
-Whoever lies may speak first and often, the rest once a second. So the votes on a third drone are counted only once
-all had time to speak, that drone among them, whose word on its own place outweighs any single other. Votes age by our
-clock, not by what a report says of the time, and a report too vague to be wrong is none.
+A liar may speak first and often, the others once a second. So the votes on a third drone are counted only when all had
+time to vote, that drone among them: its own report of its place outweighs any other single vote. Votes age by our
+clock, not by the time that a report states. A report too vague to be wrong is no vote.
 """
 
 from __future__ import annotations
@@ -22,18 +22,28 @@ import numpy as np
 
 from swarmtrack.messages import Array, Sighting, SightingReport
 
-MEMORY_S = 2.0  # s of own rays: a report arrives within it
-SIMULTANEOUS = 0.3  # s between two rays that may be compared
-SPEED = 1.5  # m/s: how far a drone goes in between
-FRAME_SIGMA = 0.03  # rad: how well two autopilots agree on north, and cameras on their mounting
-GATE = 16.0  # squared: 4 σ
-NEAREST, FARTHEST = 0.3, 300.0  # m along a ray
-SURE = math.log(1e3)  # the log odds that no single vote exceeds
-OWN_WORD = math.log(1e4)  # of a drone on where it stands itself
-VOTE_S = 3.0  # s that a vote counts, on our clock
-HEARING_S = 1.5  # s from the first vote against to the verdict: everybody reports once a second
-# Vaguer than this a report agrees with everything:
-VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 10.0, 0.3  # s, m, rad
+# s of own rays: a report arrives within it.
+MEMORY_S = 2.0
+# s between two rays that may be compared.
+SIMULTANEOUS = 0.3
+# m/s: how far a drone goes in between.
+SPEED = 1.5
+# rad: how well two autopilots agree on north, and cameras on their mounting.
+FRAME_SIGMA = 0.03
+# Squared Mahalanobis distance: 4 σ.
+GATE = 16.0
+# m along a ray.
+NEAREST, FARTHEST = 0.3, 300.0
+# Log odds that no single vote on a third drone exceeds.
+MAX_VOTE = math.log(1e3)
+# Log odds of a drone's vote on where it stands itself.
+SELF_VOTE = math.log(1e4)
+# s that a vote counts, on our clock.
+VOTE_S = 3.0
+# s from the first vote against to the verdict: everybody reports once a second.
+VOTING_S = 1.5
+# Vaguer than this a report agrees with everything: s, m, rad.
+VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 10.0, 0.3
 
 
 class Disagreement(NamedTuple):
@@ -56,11 +66,13 @@ class OwnView:
 
 
 class _Vote(NamedTuple):
+    """weight: log odds, negative against."""
+
     t: float
-    weight: float  # log odds, negative against
+    weight: float
 
 
-class _Case:
+class _Ballot:
     """The votes on one hypothesis of ours."""
 
     def __init__(self) -> None:
@@ -73,21 +85,21 @@ class _Case:
             self._disputed_since = t
         self._votes[observer] = _Vote(t, weight)
 
-    def is_heard(self, t: float) -> bool:
-        """Whether all had time to speak since somebody spoke against it."""
-        return t - self._disputed_since >= HEARING_S
+    def is_complete(self, t: float) -> bool:
+        """Whether all had time to vote since the first vote against it."""
+        return t - self._disputed_since >= VOTING_S
 
     @property
     def balance(self) -> float:
         return sum(vote.weight for vote in self._votes.values())
 
 
-class Agreement:
+class Consensus:
     """Compares reports with this drone's own rays, and counts the votes."""
 
     def __init__(self) -> None:
         self._views: deque[OwnView] = deque()
-        self._cases: dict[int, _Case] = {}
+        self._ballots: dict[int, _Ballot] = {}
         self.agreed = 0
         self.disagreed = 0
 
@@ -98,8 +110,8 @@ class Agreement:
             self._views.popleft()
 
     def forget(self, drone_id: int) -> None:
-        """Our hypothesis on this drone is given up: votes on it count no more, and it is not compared again."""
-        self._cases.pop(drone_id, None)
+        """Our hypothesis on this drone is given up: its votes no longer count, and it is not compared again."""
+        self._ballots.pop(drone_id, None)
         self._views = deque(_without(view, drone_id) for view in self._views)
 
     def compare(self, report: SightingReport) -> list[Disagreement]:
@@ -116,23 +128,23 @@ class Agreement:
         for drone_id, ours in view.sightings.items():
             if drone_id == report.observer:
                 miss, distance = miss_of_point(view, ours, report, moved)
-                weight = OWN_WORD
+                weight = SELF_VOTE
             elif drone_id in reported:
                 theirs = reported[drone_id]
                 miss, distance = miss_of_rays(view, ours, report, theirs, moved)
                 weight = _log_odds(theirs.probability)
             else:
                 continue
-            case = self._cases.setdefault(drone_id, _Case())
+            ballot = self._ballots.setdefault(drone_id, _Ballot())
             if distance <= GATE:
                 self.agreed += 1
-                case.vote(report.observer, now, weight)
+                ballot.vote(report.observer, now, weight)
                 continue
             self.disagreed += 1
-            case.vote(report.observer, now, -weight)
+            ballot.vote(report.observer, now, -weight)
             # Ties go against us as against them: then both ask again.
-            outvoted = _log_odds(ours.probability) + case.balance <= 0.0
-            overruled = outvoted and (drone_id == report.observer or case.is_heard(now))
+            outvoted = _log_odds(ours.probability) + ballot.balance <= 0.0
+            overruled = outvoted and (drone_id == report.observer or ballot.is_complete(now))
             found.append(Disagreement(report.observer, drone_id, miss, overruled))
         return found
 
@@ -143,7 +155,7 @@ def _without(view: OwnView, drone_id: int) -> OwnView:
 
 def _log_odds(probability: float) -> float:
     p = min(max(probability, 1e-9), 1.0 - 1e-9)
-    return min(max(math.log(p / (1.0 - p)), 0.0), SURE)
+    return min(max(math.log(p / (1.0 - p)), 0.0), MAX_VOTE)
 
 
 def stands_there(own: SightingReport, ray: Sighting, report: SightingReport) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmtrack.identity.agreement import HEARING_S, MEMORY_S, SIMULTANEOUS, VOTE_S, Agreement, OwnView
+from swarmtrack.identity.consensus import MEMORY_S, SIMULTANEOUS, VOTE_S, VOTING_S, Consensus, OwnView
 from swarmtrack.messages import Sighting, SightingReport
 
 NORTH, EAST, DOWN = np.eye(3)
@@ -32,32 +32,32 @@ def report(*sightings, t=10.0, observer=2, position=THERE, t_sigma=0.0):
 
 def judge(ours, theirs):
     """What observer 1, with its own view, makes of a report."""
-    agreement = Agreement()
-    agreement.remember(ours)
-    return agreement, agreement.compare(theirs)
+    consensus = Consensus()
+    consensus.remember(ours)
+    return consensus, consensus.compare(theirs)
 
 
-def hear(ours, *theirs, agreement=None):
+def hear(ours, *theirs, consensus=None):
     """What is found of each report when all are repeated once everybody had time to speak."""
-    agreement = agreement or Agreement()
-    for late in (0.0, HEARING_S):
-        agreement.remember(replace(ours, t=ours.t + late))
-        found = [agreement.compare(replace(one, t=one.t + late)) for one in theirs]
+    consensus = consensus or Consensus()
+    for late in (0.0, VOTING_S):
+        consensus.remember(replace(ours, t=ours.t + late))
+        found = [consensus.compare(replace(one, t=one.t + late)) for one in theirs]
     return found
 
 
 def test_rays_that_meet_agree():
-    agreement, found = judge(own_view(sighting(3, HERE, TARGET)), report(sighting(3, THERE, TARGET)))
+    consensus, found = judge(own_view(sighting(3, HERE, TARGET)), report(sighting(3, THERE, TARGET)))
     assert found == []
-    assert (agreement.agreed, agreement.disagreed) == (1, 0)
+    assert (consensus.agreed, consensus.disagreed) == (1, 0)
 
 
 def test_rays_that_miss_each_other_disagree_by_their_distance():
     theirs = report(sighting(3, THERE, TARGET + 3.0 * DOWN))
-    agreement, (found,) = judge(own_view(sighting(3, HERE, TARGET)), theirs)
+    consensus, (found,) = judge(own_view(sighting(3, HERE, TARGET)), theirs)
     assert (found.observer, found.drone_id) == (2, 3)
     assert 1.0 < found.miss_m < 3.0
-    assert (agreement.agreed, agreement.disagreed) == (0, 1)
+    assert (consensus.agreed, consensus.disagreed) == (0, 1)
 
 
 def test_the_errors_of_position_mounting_and_time_are_allowed_for():
@@ -149,76 +149,75 @@ def test_whoever_is_outvoted_yields_and_whoever_is_supported_keeps():
 def test_who_supported_another_hypothesis_says_nothing_of_a_new_one():
     ours = own_view(sighting(3, HERE, TARGET, 0.97))
     against = report(sighting(3, THERE, ELSEWHERE, 0.99))
-    agreement = Agreement()
-    hear(ours, report(sighting(3, ABOVE, TARGET, 0.97), observer=4, position=ABOVE), agreement=agreement)
-    agreement.forget(3)
-    assert hear(ours, against, agreement=agreement) == [
-        []
-    ]  # of the view that was given up, nothing is compared
-    ((found,),) = hear(replace(ours, t=13.0), replace(against, t=13.0), agreement=agreement)
+    consensus = Consensus()
+    hear(ours, report(sighting(3, ABOVE, TARGET, 0.97), observer=4, position=ABOVE), consensus=consensus)
+    consensus.forget(3)
+    # Nothing is compared of the view that was given up.
+    assert hear(ours, against, consensus=consensus) == [[]]
+    ((found,),) = hear(replace(ours, t=13.0), replace(against, t=13.0), consensus=consensus)
     assert found.overruled
 
 
 def test_an_observer_has_one_vote_however_often_it_speaks():
-    agreement = Agreement()
+    consensus = Consensus()
     for t in np.arange(10.0, 14.0, 0.2):
-        agreement.remember(own_view(sighting(3, HERE, TARGET, 0.995), t=t))
-        (found,) = agreement.compare(report(sighting(3, THERE, ELSEWHERE, 0.97), t=t))
+        consensus.remember(own_view(sighting(3, HERE, TARGET, 0.995), t=t))
+        (found,) = consensus.compare(report(sighting(3, THERE, ELSEWHERE, 0.97), t=t))
         assert not found.overruled
 
 
 def test_a_vote_of_long_ago_no_longer_counts():
-    agreement = Agreement()
+    consensus = Consensus()
     ours = own_view(sighting(3, HERE, TARGET, 0.97))
-    hear(ours, report(sighting(3, ABOVE, TARGET, 0.99), observer=4, position=ABOVE), agreement=agreement)
-    later = 10.0 + HEARING_S + VOTE_S + 0.1
+    hear(ours, report(sighting(3, ABOVE, TARGET, 0.99), observer=4, position=ABOVE), consensus=consensus)
+    later = 10.0 + VOTING_S + VOTE_S + 0.1
     against = report(sighting(3, THERE, ELSEWHERE, 0.99), t=later)
-    ((found,),) = hear(own_view(sighting(3, HERE, TARGET, 0.97), t=later), against, agreement=agreement)
+    ((found,),) = hear(own_view(sighting(3, HERE, TARGET, 0.97), t=later), against, consensus=consensus)
     assert found.overruled
 
 
 @pytest.mark.parametrize(("ahead", "t_sigma"), [(0.0, 0.0), (0.7, 0.45), (4.0, 4.0)])
 def test_one_liar_that_speaks_first_and_often_takes_nobody_s_name(ahead, t_sigma):
     """Ten times a second, whatever time it states; drone 3 tells where it is only once a second, and later."""
-    agreement = Agreement()
+    consensus = Consensus()
     for k in range(100):
         t = 10.0 + 0.1 * k
-        agreement.remember(own_view(sighting(3, HERE, TARGET), t=t))
+        consensus.remember(own_view(sighting(3, HERE, TARGET), t=t))
         lie = report(sighting(3, THERE, ELSEWHERE, 1.0), t=t + ahead, t_sigma=t_sigma)
-        assert not any(found.overruled for found in agreement.compare(lie))
+        assert not any(found.overruled for found in consensus.compare(lie))
         if k % 10 == 9:
-            assert agreement.compare(report(t=t, observer=3, position=TARGET)) == []
+            assert consensus.compare(report(t=t, observer=3, position=TARGET)) == []
 
 
 @pytest.mark.parametrize("vague", [{"t_sigma": 1e9}, {"position_sigma": 1e7}, {"sigma": 3.0}])
 def test_a_report_that_agrees_with_everything_supports_nothing(vague):
     theirs = sighting(3, THERE, ELSEWHERE, sigma=vague.pop("sigma", 0.005))
-    agreement, found = judge(own_view(sighting(3, HERE, TARGET)), replace(report(theirs), **vague))
-    assert (found, agreement.agreed, agreement.disagreed) == ([], 0, 0)
+    consensus, found = judge(own_view(sighting(3, HERE, TARGET)), replace(report(theirs), **vague))
+    assert (found, consensus.agreed, consensus.disagreed) == ([], 0, 0)
 
 
 def test_only_views_of_nearly_the_same_instant_are_compared():
     ours, theirs = own_view(sighting(3, HERE, TARGET), t=10.0), sighting(3, THERE, ELSEWHERE)
     for late in (SIMULTANEOUS + 0.05, 5.0, -SIMULTANEOUS - 0.05):
-        agreement, found = judge(ours, report(theirs, t=10.0 + late))
+        consensus, found = judge(ours, report(theirs, t=10.0 + late))
         assert found == []
-        assert (agreement.agreed, agreement.disagreed) == (0, 0)
+        assert (consensus.agreed, consensus.disagreed) == (0, 0)
     assert len(judge(ours, report(theirs, t=10.0 + 0.1))[1]) == 1
 
 
 def test_of_all_views_remembered_that_of_the_report_s_instant_is_compared():
     """The drone flew off; a report that was a second under way is compared with what was seen then."""
-    agreement = Agreement()
-    agreement.remember(own_view(sighting(3, HERE, TARGET), t=10.0))
-    agreement.remember(own_view(sighting(3, HERE, ELSEWHERE), t=11.0))
-    assert agreement.compare(report(sighting(3, THERE, TARGET), t=10.0)) == []
-    assert len(agreement.compare(report(sighting(3, THERE, TARGET), t=11.0))) == 1
-    agreement.remember(own_view(t=11.0 + MEMORY_S))
-    assert agreement.compare(report(sighting(3, THERE, ELSEWHERE), t=10.0)) == []  # forgotten by now
+    consensus = Consensus()
+    consensus.remember(own_view(sighting(3, HERE, TARGET), t=10.0))
+    consensus.remember(own_view(sighting(3, HERE, ELSEWHERE), t=11.0))
+    assert consensus.compare(report(sighting(3, THERE, TARGET), t=10.0)) == []
+    assert len(consensus.compare(report(sighting(3, THERE, TARGET), t=11.0))) == 1
+    consensus.remember(own_view(t=11.0 + MEMORY_S))
+    assert consensus.compare(report(sighting(3, THERE, ELSEWHERE), t=10.0)) == []  # forgotten by now
 
 
 def test_what_only_one_of_them_sees_is_no_matter_of_dispute():
     ours = own_view(sighting(3, HERE, TARGET))
     assert judge(ours, report(sighting(4, THERE, ELSEWHERE)))[1] == []
     assert judge(own_view(), report(sighting(3, THERE, TARGET)))[1] == []
-    assert Agreement().compare(report(sighting(3, THERE, TARGET))) == []
+    assert Consensus().compare(report(sighting(3, THERE, TARGET))) == []
