@@ -7,6 +7,7 @@ import asyncio
 import json
 import signal
 import sys
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from swarmtrack.calibration.board import Board
     from swarmtrack.calibration.intrinsics import Fit
     from swarmtrack.calibration.views import Views
+    from swarmtrack.messages import Frame
 
 DONE, FAILED = 0, 1
 SECONDS = 180.0
@@ -161,11 +163,10 @@ async def _intrinsics(args: argparse.Namespace, board: Board) -> int:
 
 
 async def _collect(args: argparse.Namespace, board: Board) -> Views | None:
-    """Look until nothing is missing, the source ends, time is up, or Ctrl-C."""
+    """Look until nothing is missing, the source ends, time is up, or Ctrl-C. None, and why on stderr: saw no board."""
     from rich.console import Console
     from rich.live import Live
 
-    from swarmtrack.calibration.views import Views
     from swarmtrack.clock import SystemClock
     from swarmtrack.sensors.camera_address import parse_address
     from swarmtrack.sensors.cameras import open_camera
@@ -182,44 +183,49 @@ async def _collect(args: argparse.Namespace, board: Board) -> Views | None:
 
     async def look() -> None:
         nonlocal views
-        async for frame in camera.frames():
-            size = (frame.image.shape[1], frame.image.shape[0])
-            if views is None:
-                views = Views(size, still=address.scheme != "images")
-            if size != views.size:
-                continue
-            views.offer(await asyncio.to_thread(board.find, frame.image))
+        async for views in _found(board, camera.frames(), still=address.scheme != "images"):
             live.update(_progress(views))
             if not recorded and not views.missing():
                 return
 
-    console = Console(stderr=True)
-    with Live(console=console, transient=True) as live:
-        looking = asyncio.create_task(look())
-        waiting = asyncio.create_task(stop.wait())
-        await asyncio.wait(
-            [looking, waiting],
-            timeout=None if recorded else args.seconds,
-            return_when=asyncio.FIRST_COMPLETED,
-        )
-        for task in (looking, waiting):
+    with Live(console=Console(stderr=True), transient=True) as live:
+        tasks = [asyncio.create_task(look()), asyncio.create_task(stop.wait())]
+        patience = None if recorded else args.seconds
+        await asyncio.wait(tasks, timeout=patience, return_when=asyncio.FIRST_COMPLETED)
+        for task in tasks:
             task.cancel()
-        results = await asyncio.gather(looking, waiting, return_exceptions=True)
+        looked, _ = await asyncio.gather(*tasks, return_exceptions=True)
     status = camera.status()
     await camera.close()
-    if isinstance(results[0], Exception):
-        raise results[0]
-    if views is None or not views.kept:
-        what = (
-            "no frame"
-            if views is None
-            else f"the board in {views.boards} frames, none of them kept still enough"
-        )
-        print(f"calibrate intrinsics: {what} from {address}: {status.text}", file=sys.stderr)
-        if views is not None and not views.boards:
-            print(f"expected {args.board} of {args.columns} x {args.rows} squares", file=sys.stderr)
-        return None
-    return views
+    if isinstance(looked, Exception):
+        raise looked
+    if views is not None and views.kept:
+        return views
+    _say_nothing(args, views, f"{address}: {status.text}")
+    return None
+
+
+async def _found(board: Board, frames: AsyncIterator[Frame], *, still: bool) -> AsyncIterator[Views]:
+    """The views so far, after each frame that has the size of the first."""
+    from swarmtrack.calibration.views import Views
+
+    views: Views | None = None
+    async for frame in frames:
+        size = (frame.image.shape[1], frame.image.shape[0])
+        if views is None:
+            views = Views(size, still=still)
+        if size == views.size:
+            views.offer(await asyncio.to_thread(board.find, frame.image))
+            yield views
+
+
+def _say_nothing(args: argparse.Namespace, views: Views | None, source: str) -> None:
+    what = "no frame"
+    if views is not None:
+        what = f"the board in {views.boards} frames, none of them kept still enough"
+    print(f"calibrate intrinsics: {what} from {source}", file=sys.stderr)
+    if views is not None and not views.boards:
+        print(f"expected {args.board} of {args.columns} x {args.rows} squares", file=sys.stderr)
 
 
 def _progress(views: Views) -> str:

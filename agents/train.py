@@ -20,6 +20,13 @@ MINUTES = 150.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    _add_files(parser)
+    _add_start(parser)
+    _add_settings(parser)
+
+
+def _add_files(parser: argparse.ArgumentParser) -> None:
+    """What is read and written."""
     parser.add_argument(
         "--out",
         type=Path,
@@ -48,6 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="keep a third of the clips without drones for validation",
     )
+    parser.add_argument(
+        "--licence", default="", metavar="TEXT", help="of the training data, written into the model"
+    )
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    """How it is trained."""
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--minutes", type=positive, metavar="M", help=f"how long to train (default: {MINUTES:g})"
@@ -56,12 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--iterations", type=count, metavar="N", help="instead of minutes: the same weights each time"
     )
     parser.add_argument("--network", choices=NETWORKS, default="plain", help="(default: %(default)s)")
-    parser.add_argument(
-        "--resume", action="store_true", help="go on from the checkpoint beside --out, with the same options"
-    )
-    parser.add_argument(
-        "--start", type=Path, metavar="FILE", help="begin with the weights of a checkpoint (.pt)"
-    )
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="(default: %(default)s)"
     )
@@ -84,8 +92,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes that draw samples; a GPU wants several (default: %(default)s)",
     )
+
+
+def _add_start(parser: argparse.ArgumentParser) -> None:
+    """With which weights it begins."""
     parser.add_argument(
-        "--licence", default="", metavar="TEXT", help="of the training data, written into the model"
+        "--resume", action="store_true", help="go on from the checkpoint beside --out, with the same options"
+    )
+    parser.add_argument(
+        "--start", type=Path, metavar="FILE", help="begin with the weights of a checkpoint (.pt)"
     )
 
 

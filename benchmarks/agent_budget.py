@@ -416,12 +416,10 @@ def _markdown(lines: list[Line]) -> str:
         for line in lines
     ]
     header = ["what", "found", "budget", "", "found / budget"]
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Agent",
-            "",
             f"Agent: {IMU_HZ} Hz of gyro by MAVLink over UDP, {FPS:g} Hz of frames, tracks and health on Zenoh.",
-            "",
             report.table(header, rows),
         ]
     )

@@ -291,28 +291,19 @@ def _markdown(result: dict[str, Any]) -> str:
         [name, *(number(result[name][key], 4) for key in ("value", "low", "high"))]
         for name in ("floor_px", "size_noise", "score_noise")
     ]
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Detection noise",
-            "",
             f"{result['drones']} labelled drones in {len(result['clips'])} clips, frame to frame, per axis.",
-            "",
             f"By the box's side, of score {SURE:g} and more:",
-            "",
             report.table(
                 ["side, px", "pairs", "σ of boxes, px", "σ of labels, px", "shaking of both, px"], sides
             ),
-            "",
             "By score, all sizes, beside the error of the frames around:",
-            "",
             report.table(["score", "pairs", "σ, % of the side"], scores),
-            "",
             "σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²), 95 % over drones:",
-            "",
             report.table(["", "fit", "from", "to"], fitted),
-            "",
             "Of two labelled drones, by their distance, both found:",
-            "",
             report.table(["mean sides apart", "pairs", "both found, %"], apart),
         ]
     )

@@ -312,15 +312,13 @@ def _markdown(result: dict[str, Any]) -> str:
     told = (
         [f"tracker `{result['tracker']}`", *changed] if result["tracker"] else ["JSON lines from elsewhere"]
     )
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Real clips",
-            "",
             f"Confirmed tracks of `swarmtrack-agent` ({', '.join(told)})"
             f" against the labelled boxes, every frame after the first {START_S:g} s. A hit lies within max(6 px, half"
             " the longer box side) of the box's centre. Aim of a clip: recall"
             f" {AIMS['recall']}, precision {AIMS['precision']}, at most {AIMS['identity_switches']} switches.",
-            "",
             report.table(
                 ["clip", "frames", "recall", "precision", "switches", "centre RMSE, px", "aim"], rows
             ),

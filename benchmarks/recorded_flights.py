@@ -167,16 +167,13 @@ def _markdown(killed: Sequence[Killed], replays: Sequence[Replays]) -> str:
         ]
         for one in replays
     ]
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Recording and replay",
-            "",
             f"SIGKILL at {len(killed)} moments: {min(lost):.2f} to {max(lost):.2f} s lost (median "
             f"{statistics.median(lost):.2f}; at most {LOST_MOST_S:g} is wanted), {readable} of {len(killed)} "
             "recordings readable to the end after `swarmtrack log repair`.",
-            "",
             f"`swarmtrack replay`, the whole command, median of {TURNS} ({SPEED_LEAST:g} times real time are wanted):",
-            "",
             report.table(["replayed", "flight, s", "took, s", "times real time", "bit for bit"], rows),
         ]
     )

@@ -306,18 +306,15 @@ def _markdown(result: dict[str, Any]) -> str:
             _verdict(ablation),
         ],
     ]
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Rotating observer",
-            "",
             f"Yaw ±2 rad/s, {e['detections_hz']:g} Hz detections {1e3 * e['latency_s']:.0f} ms late,"
             f" σ {e['centre_sigma_px']:g} px, tracker `{result['tracker']}`, {result['seeds']} seeds, tracks read at"
             f" {READ_HZ:g} Hz for the instant of reading; 95 % intervals over seeds.",
-            "",
             report.table(
                 ["observer", "error between detections, px RMSE", "median, px", "in view, not tracked"], rows
             ),
-            "",
             report.table(["ratio", "found", "claim", ""], claims),
         ]
     )

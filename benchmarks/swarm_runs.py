@@ -176,13 +176,11 @@ def _markdown(p: Programme, result: dict[str, Any]) -> str:
         ]
         for n, found in result["sizes"].items()
     ]
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Local swarms",
-            "",
             f"{p.drones} drones, {p.seconds:g} s, {p.seeds} seeds a scenario, `--detector oracle`, tracker"
             f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
-            "",
             report.table(
                 [
                     "scenario", "passed", "correct", "wrong", "unknown", "agreement, worst run",
@@ -190,9 +188,7 @@ def _markdown(p: Programme, result: dict[str, Any]) -> str:
                 ],
                 recognition,
             ),
-            "",
             f"Scenario `{p.size_scenario}` with its rates, {p.size_seconds:g} s; means over the agents.",
-            "",
             report.table(
                 [
                     "drones", "all announcements known, s after the last start", "bytes of one announcement",
@@ -201,6 +197,6 @@ def _markdown(p: Programme, result: dict[str, Any]) -> str:
                 ],
                 sizes,
             ),
-            *(f"\nLost: {line}" for line in result["lost"]),
+            *(f"Lost: {line}" for line in result["lost"]),
         ]
     )  # fmt: skip

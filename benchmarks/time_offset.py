@@ -384,23 +384,16 @@ def _markdown(result: dict[str, Any]) -> str:
         for name, entry in result["by_condition"].items()
         for b in [entry["bias"]]
     ]
-    return "\n".join(
+    return "\n\n".join(
         [
             "# The camera's time offset and the gyro's bias, found in flight",
-            "",
             f"After {result['seconds']:g} s of simulated flight, {result['seeds']} seeds; 95 % intervals. NEES: mean"
             " squared error over claimed variance, 1 where σ is honest, less where it is modest.",
-            "",
             f"## Time offset, {result['by_offset']['condition']}",
-            "",
             report.table(header, [_row(name, entry) for name, entry in by_offset.items()]),
-            "",
             "## Time offset by flight, one of the offsets each",
-            "",
             report.table(header, [_row(name, entry) for name, entry in result["by_condition"].items()]),
-            "",
             "## Gyro bias",
-            "",
             report.table(bias_header, biases),
         ]
     )

@@ -135,30 +135,22 @@ def _markdown(found: Found, claims: Sequence[Claim], seconds: float, window_s: f
     windows = found.judged
     broken = [claim for claim in claims if not claim.ok]
     sim = "passed" if found.flown["passed"] else f"failed ({'; '.join(found.flown['shortfalls'])})"
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Endurance",
-            "",
             f"{DRONES} drones of `{flight.SCENARIO}`, `--detector oracle`, tracker `{tracker}`, monitor with one"
             f" viewer, recording; {seconds / 60.0:g} min in windows of {window_s:g} s, judged from"
             f" {found.settled_s:g} s on.",
-            "",
             f"**{_sentence(claims, broken)}**",
-            "",
             report.table(["what", "who", "found", "at most", ""], [_claim(claim) for claim in _worst(claims, broken)]),
-            "",
             "Of each process, over the judged time:",
-            "",
             report.table(
                 ["process", "memory settled → end, MB", "grown", "CPU, % of a core: mean", "busiest window"],
                 [_process(windows, name) for name in verdict.processes(windows)],
             ),
-            "",
             f"`{JUDGE}` is `swarmtrack sim` itself, which keeps what it heard until it has judged it."
             f" Whatever else ran on the machine took {_mean([w.elsewhere_percent for w in windows]):.0f} % of a core.",
-            "",
             "Of each agent, over the judged time; lag is of the event loop, looked at twenty times a second:",
-            "",
             report.table(
                 [
                     "agent", "tracks, Hz", "detections, Hz", "IMU, Hz", "IMU samples", "expected by the rate", "lost",
@@ -166,10 +158,8 @@ def _markdown(found: Found, claims: Sequence[Claim], seconds: float, window_s: f
                 ],
                 [_agent(windows, drone_id) for drone_id in sorted({i for w in windows for i in w.agents})],
             ),
-            "",
             _viewer(windows),
             f"Recording: {found.recorded_mb:.0f} MB. Verdict of `swarmtrack sim`: {sim}.",
-            "",
             f"![memory, lag and rates over time]({NAME}.png)",
         ]
     )  # fmt: skip

@@ -102,64 +102,38 @@ def markdown(result: Result) -> str:
         for name, method in methods.items()
         if name.startswith("posterior")
     )
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Who is who from one look",
-            "",
             f"{result.layouts} random layouts a cell, {CAMERA.width}×{CAMERA.height} px, true projections uniform in"
             f" the image and as near to each other as they fall; error σ per axis between track and projection, in all"
             f" (of it the track's own {TRACK_SIGMA_PX:g} px), known to the observer; one look; IDs at {PROBABILITY:g}."
             " In percent with 95 % intervals over layouts: *wrong* of all tracks, *unknown* of the team's tracks,"
             ' *twice* of layouts in which an ID was given twice. argmin and Hungarian know no "unknown".',
-            "",
             "*posterior*: with the prior that agents have (a drone in view has a track with 0.9; one stranger in an"
             " image). *told*: with the prior that holds under this sky.",
-            "",
             f"Layouts in which the posterior gave an ID twice: {round(duplicates)}.",
-            "",
-            *_aims(result),
-            "",
+            _aims(result),
             "## Every drone has a track, nobody else flies",
-            "",
             _cells(result, [COMPLETE.name]),
-            "",
             f"*too wide*: layouts whose sweep would have more than {WIDEST} rows open, so that pairs were left out.",
-            "",
             "## Strangers and missed drones",
-            "",
             f"*{AS_EXPECTED.name}*: a drone has a track with {AS_EXPECTED.p_seen:g}, strangers are Poisson with mean"
             f" {AS_EXPECTED.strangers:g}: the prior that agents have. *{CROWDED.name}*: {CROWDED.p_seen:g} and"
             f" {CROWDED.strangers:g}.",
-            "",
             _cells(result, [AS_EXPECTED.name, CROWDED.name]),
-            "",
             "## Calibration",
-            "",
             "Of all pairs with p ≥ 0.5: how likely they were said to be, and the share that is right. *expected"
             " error*: how far the two are apart in a bin of p, mean over statements.",
-            "",
             _calibrations(result),
-            "",
             "Of the IDs given at or above a threshold (all cells): stated → right.",
-            "",
             _thresholds(result),
-            "",
             "## Sweeps that are too wide",
-            "",
             f"Layouts of the widest cell with {WIDEST + 1} to {COMPARED_WIDTH} rows open, beside the exact marginals."
             " *off*: the largest error of a probability in a layout, median and worst.",
-            "",
             _thinned(result.thinned),
-            "",
             "## Time of one posterior",
-            "",
-            report.table(
-                ["drones", "error, px", "median, ms", "95 %, ms"],
-                [
-                    [str(c.drones), f"{c.error_px:g}", report.number(c.median_ms), report.number(c.p95_ms)]
-                    for c in result.costs
-                ],
-            ),
+            _costs(result),
         ]
     )
 
@@ -173,7 +147,7 @@ def _percent(value: Interval) -> str:
     return f"{report.number(100.0 * value.value, digits)} ({low} … {high})"
 
 
-def _aims(result: Result) -> list[str]:
+def _aims(result: Result) -> str:
     rows = [
         [
             f"{aim.drones} drones, {aim.error_px:g} px, {name}",
@@ -186,7 +160,7 @@ def _aims(result: Result) -> list[str]:
         for name, method in result.cells[Cell(COMPLETE, aim.drones, aim.error_px)].items()
         if name.startswith("posterior")
     ]
-    return [report.table(["beside a first trial", "wrong", "then", "unknown", "then"], rows)]
+    return report.table(["beside a first trial", "wrong", "then", "unknown", "then"], rows)
 
 
 def _cells(result: Result, skies: list[str]) -> str:
@@ -257,6 +231,14 @@ def _thresholds(result: Result) -> str:
 def _in_order(found: dict[Pool, Calibration]) -> list[tuple[Pool, Calibration]]:
     """Pools of all errors before those of one."""
     return sorted(found.items(), key=lambda item: (item[0].sky, item[0].method, item[0].error_px or 0.0))
+
+
+def _costs(result: Result) -> str:
+    rows = [
+        [str(cost.drones), f"{cost.error_px:g}", report.number(cost.median_ms), report.number(cost.p95_ms)]
+        for cost in result.costs
+    ]
+    return report.table(["drones", "error, px", "median, ms", "95 %, ms"], rows)
 
 
 def _thinned(entries: Iterable[Thinned]) -> str:

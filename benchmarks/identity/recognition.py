@@ -156,14 +156,12 @@ def _markdown(result: dict[str, Any]) -> str:
         "scenario", *(f"{share}, %" for share in SHARES), "flights with a wrong name", "slowest to identify, s",
         "announcements of a drone",
     ]  # fmt: skip
-    return "\n".join(
+    return "\n\n".join(
         [
             "# Who is who over many flights",
-            "",
             f"{result['drones']} drones (and strangers), {result['seconds']:g} s, {result['seeds']} seeds a scenario, "
             f"synthetic detections, tracker `{result['tracker']}`, no processes; shares of (observer, drone in view, "
             "tenth of a second) with 95 % intervals over flights.",
-            "",
             report.table(header, rows),
         ]
     )

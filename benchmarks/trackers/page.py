@@ -126,9 +126,7 @@ def _preface(result: Result) -> str:
 def _verdict_table(found: Sequence[Verdict]) -> str:
     words = {True: "holds", False: "**fails**", None: "not measured"}
     rows = [[str(v.number), v.claim, v.tracker, v.found, words[v.holds]] for v in found]
-    return "\n".join(
-        f"| {' | '.join(line)} |" for line in [["", "claim", "tracker", "found", ""], ["---"] * 5, *rows]
-    )
+    return report.table(["", "claim", "tracker", "found", ""], rows, numbers=False)
 
 
 def _choice(result: Result) -> str:
@@ -163,8 +161,8 @@ def _choice(result: Result) -> str:
         cheapest = min(enough, key=lambda cell: cell["ms_per_scan"])
         rows.append([situation, scene, _in_short(best), _in_short(cheapest)])
     header = ["situation", "scene", "best", "cheapest within 10 % and 1 % more failures"]
-    text = "\n".join(f"| {' | '.join(line)} |" for line in [header, ["---"] * 4, *rows])
-    return f"{text}\n\nmedian RMSE; share of runs with a swap or a loss; ms of a scan."
+    table = report.table(header, rows, numbers=False)
+    return f"{table}\n\nmedian RMSE; share of runs with a swap or a loss; ms of a scan."
 
 
 def _badness(cell: Row) -> tuple[float, float]:
