@@ -17,6 +17,8 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.records import as_record
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,10 +89,10 @@ def line(sample: Sample) -> Mapping[str, Any]:
     address = keys.parse(sample.key)
     if not sample.alive or (address is not None and address.kind == Kind.ALIVE):
         return {"key": sample.key, "alive": sample.alive}
-    decode = None if address is None else keys.DECODERS.get(address.kind)
-    if decode is None:
+    kind = None if address is None else keys.MESSAGES.get(address.kind)
+    if kind is None:
         return {"key": sample.key, "error": "no message of ours is on this key", "bytes": len(sample.payload)}
     try:
-        return {"key": sample.key, **codec.as_record(decode(sample.payload))}
-    except codec.DecodeError as error:
+        return {"key": sample.key, **as_record(codec.decode(kind, sample.payload))}
+    except DecodeError as error:
         return {"key": sample.key, "error": str(error), "bytes": len(sample.payload)}

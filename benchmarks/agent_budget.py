@@ -45,6 +45,8 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.tracks import TracksMessage
 
 NAME = "agent"
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
@@ -177,7 +179,7 @@ class Measured(NamedTuple):
     cpu_percent: float
     rss_mb: float
     latency_ms: tuple[float, float]
-    health: codec.HealthMessage
+    health: HealthMessage
 
 
 @dataclass
@@ -186,15 +188,15 @@ class Heard:
 
     first_track_at: float | None = None
     latencies: list[float] = field(default_factory=list)
-    health: codec.HealthMessage | None = None
+    health: HealthMessage | None = None
     _exposure: float = 0.0
 
     def take(self, kind: Kind, payload: bytes) -> None:
         arrived_utc, arrived = time.time(), time.monotonic()
         if kind is Kind.HEALTH:
-            self.health = codec.decode_health(payload)
+            self.health = codec.decode(HealthMessage, payload)
         elif kind is Kind.TRACKS:
-            message = codec.decode_tracks(payload)
+            message = codec.decode(TracksMessage, payload)
             exposure = message.t_utc_s - message.scan_age_s
             if any(track.status == "confirmed" for track in message.tracks) and self.first_track_at is None:
                 self.first_track_at = arrived

@@ -43,6 +43,9 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import announcement_message, sign_announcement
+from swarmtrack.wire.fields import MAX_BYTES, SIGNATURE_BYTES
+from swarmtrack.wire.sightings import sightings_message
 
 NAME = "flood"
 RATE_HZ: Final = 10_000.0  # of the flood
@@ -251,13 +254,15 @@ def sender(sort: Sort, session: zenoh.Session, team: str, boot: str) -> Callable
             return lambda: None
         case Sort.ANNOUNCEMENTS | Sort.FORGERIES:
             sign = signing_key(FLOODER).sign if sort == Sort.ANNOUNCEMENTS else _no_signature
-            data = numbered(codec.encode_announcement(announcement(FLOODER, boot, _FIRST, 0.0), 1.7e9, 0.0))
-            return lambda: session.put(pose, codec.sign_announcement(next(data), pose, sign))
+            data = numbered(
+                codec.encode(announcement_message(announcement(FLOODER, boot, _FIRST, 0.0), 1.7e9, 0.0))
+            )
+            return lambda: session.put(pose, sign_announcement(next(data), pose, sign))
         case Sort.SIGHTINGS:
-            data = numbered(codec.encode_sightings(sightings(boot, _FIRST), 1.7e9, 0.0))
+            data = numbered(codec.encode(sightings_message(sightings(boot, _FIRST), 1.7e9, 0.0)))
             return lambda: session.put(identities, next(data))
         case Sort.GARBAGE | Sort.LARGE:
-            noise = os.urandom(1024 if sort == Sort.GARBAGE else codec.MAX_BYTES)
+            noise = os.urandom(1024 if sort == Sort.GARBAGE else MAX_BYTES)
             turns = [keys.key(team, kind, FLOODER) for kind in Kind if kind != Kind.ALIVE]
             turns.append(keys.key(team, Kind.ALIVE, FLOODER, boot))
             number = count()
@@ -324,7 +329,7 @@ def verify(drone_id: int, signed: bytes, signature: bytes) -> bool:
 
 
 def _no_signature(signed: bytes) -> bytes:
-    return bytes(codec.SIGNATURE_BYTES)
+    return bytes(SIGNATURE_BYTES)
 
 
 # --- the table -----------------------------------------------------------------------------------

@@ -44,7 +44,7 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
-from swarmtrack.wire import codec
+from swarmtrack.wire.video import VideoMessage, lens_message
 
 NAME = "monitor"
 FPS = 20.0
@@ -111,9 +111,7 @@ async def measure_agent(seconds: float) -> Watched:
 
 def picture_ms(image: np.ndarray[Any, np.dtype[np.uint8]], times: int = 100) -> tuple[float, float]:
     """CPU time of one picture [ms] in the thread that encodes, and its size [kB]."""
-    view = codec.VideoMessage(
-        1, 1.7e9, 0.05, 1, CAMERA.width, CAMERA.height, b"", codec.lens_message(CAMERA), None, None
-    )
+    view = VideoMessage(1, 1.7e9, 0.05, 1, CAMERA.width, CAMERA.height, b"", lens_message(CAMERA), None, None)
     sent = with_picture(view, image)
     assert sent is not None
     began = time.thread_time()

@@ -32,6 +32,11 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import announcement_message
+from swarmtrack.wire.health import HealthMessage, LatencyHealth, LinkHealth, RateHealth
+from swarmtrack.wire.sightings import sightings_message
+from swarmtrack.wire.tracks import tracks_message
+from swarmtrack.wire.video import VideoMessage, lens_message
 
 CLOCK = SystemClock()
 FOCAL = 180.0  # px: 83 degrees, so that three on a circle see each other
@@ -115,7 +120,7 @@ class ScriptedDrone:
                 self._say_sightings(now, offset, seen)
             if tick % 10 == 0:
                 self._announce(now, offset)
-                self._say(Kind.HEALTH, codec.encode_health(self._health()))
+                self._say(Kind.HEALTH, codec.encode(self._health()))
             self._say_tracks(now, offset, seen)
             if self.is_watched:
                 self._say_video(now, offset, seen)
@@ -126,7 +131,7 @@ class ScriptedDrone:
         pose = Announcement(
             self.drone_id, self._boot, 1, now, 0.05, self.position(now), np.eye(3), 0.01 * np.eye(3)
         )
-        self._say(Kind.POSE, codec.encode_announcement(pose, offset, now))
+        self._say(Kind.POSE, codec.encode(announcement_message(pose, offset, now)))
 
     def _in_view(self, now: float) -> dict[int, np.ndarray]:
         """Vectors in the camera's frame, by true ID."""
@@ -156,7 +161,7 @@ class ScriptedDrone:
             (),
             tuple(named.values()),
         )
-        self._say(Kind.IDENTITIES, codec.encode_sightings(report, offset, now))
+        self._say(Kind.IDENTITIES, codec.encode(sightings_message(report, offset, now)))
 
     def _say_tracks(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
         tracks = []
@@ -173,10 +178,8 @@ class ScriptedDrone:
                 size,
             )
             tracks.append(IdentifiedTrack(track, self.calls.get(who, who), 0.99))
-        message = codec.tracks_message(
-            TrackList(now, now - 0.02, tuple(tracks)), self._sequence, offset, 0.05
-        )
-        self._say(Kind.TRACKS, codec.encode_tracks(message))
+        message = tracks_message(TrackList(now, now - 0.02, tuple(tracks)), self._sequence, offset, 0.05)
+        self._say(Kind.TRACKS, codec.encode(message))
 
     def _say_video(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
         picture = self._scene.copy()
@@ -194,26 +197,26 @@ class ScriptedDrone:
             )
         jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
         camera = self.camera(now)
-        view = codec.VideoMessage(
-            1, now + offset, 0.05, self._sequence, CAMERA.width, CAMERA.height, jpeg, codec.lens_message(CAMERA),
+        view = VideoMessage(
+            1, now + offset, 0.05, self._sequence, CAMERA.width, CAMERA.height, jpeg, lens_message(CAMERA),
             tuple(self.position(now).tolist()), tuple(to_quaternion(camera).tolist()),
         )  # fmt: skip
-        self._say(Kind.VIDEO, codec.encode_video(view))
+        self._say(Kind.VIDEO, codec.encode(view))
         self.pictures += 1
 
-    def _health(self) -> codec.HealthMessage:
+    def _health(self) -> HealthMessage:
         rng = np.random.default_rng(self._sequence)
-        return codec.HealthMessage(
+        return HealthMessage(
             1, CLOCK.utc(), self._boot, 60.0, 12.0 + rng.normal(), 90.0,
             {
-                "imu": codec.RateHealth(200.0, self.imu_hz), "detections": codec.RateHealth(None, 15.0 + rng.normal()),
-                "tracks": codec.RateHealth(50.0, 49.8),
+                "imu": RateHealth(200.0, self.imu_hz), "detections": RateHealth(None, 15.0 + rng.normal()),
+                "tracks": RateHealth(50.0, 49.8),
             },
             {
-                "detector": codec.LatencyHealth(0.012, 0.019, 0.03),
-                "exposure_to_detector": codec.LatencyHealth(0.01, 0.02, 0.03),
+                "detector": LatencyHealth(0.012, 0.019, 0.03),
+                "exposure_to_detector": LatencyHealth(0.01, 0.02, 0.03),
             },
-            0.0123, 0.0004, (codec.LinkHealth("autopilot", True, "ArduPilot, 200 Hz", {}),), {"stale_frames": 2},
+            0.0123, 0.0004, (LinkHealth("autopilot", True, "ArduPilot, 200 Hz", {}),), {"stale_frames": 2},
             ("drone 1 announced itself",),
         )  # fmt: skip
 

@@ -32,6 +32,7 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
+from swarmtrack.wire.health import HealthMessage
 
 SCENARIO = "hover-triangle"
 PATIENCE_S = 90.0  # for a swarm to stand, on a machine that is busy
@@ -170,10 +171,10 @@ class Healths:
     """The agents' health since the last `take`."""
 
     def __init__(self) -> None:
-        self._news: dict[int, list[codec.HealthMessage]] = {}
-        self._last: dict[int, codec.HealthMessage] = {}
+        self._news: dict[int, list[HealthMessage]] = {}
+        self._last: dict[int, HealthMessage] = {}
 
-    def add(self, drone_id: int, health: codec.HealthMessage) -> None:
+    def add(self, drone_id: int, health: HealthMessage) -> None:
         self._news.setdefault(drone_id, []).append(health)
 
     def take(self) -> dict[int, AgentWindow]:
@@ -188,7 +189,7 @@ class Healths:
         return found
 
 
-def agent_window(before: codec.HealthMessage, healths: list[codec.HealthMessage]) -> AgentWindow:
+def agent_window(before: HealthMessage, healths: list[HealthMessage]) -> AgentWindow:
     """before: the last message of the window before; healths: those of this one, at least one."""
     last = healths[-1]
     uptimes = [before.uptime_s, *(health.uptime_s for health in healths)]
@@ -218,11 +219,11 @@ def agent_window(before: codec.HealthMessage, healths: list[codec.HealthMessage]
     )
 
 
-def _counter(health: codec.HealthMessage, link: str, counter: str) -> float:
+def _counter(health: HealthMessage, link: str, counter: str) -> float:
     return next((one.counters.get(counter, 0.0) for one in health.links if one.name == link), 0.0)
 
 
-def _frames_dropped(health: codec.HealthMessage) -> int:
+def _frames_dropped(health: HealthMessage) -> int:
     """Overtaken while the agent was busy, too old when their turn came, or behind the tracker's time."""
     cameras = [link.counters for link in health.links if {"frames", "dropped"} <= link.counters.keys()]
     overtaken = int(
@@ -301,7 +302,7 @@ async def measure(
         async for sample in listener.samples():
             address = keys.parse(sample.key)
             if address is not None and address.kind is Kind.HEALTH and sample.payload:
-                healths.add(address.drone_id, codec.decode_health(sample.payload))
+                healths.add(address.drone_id, codec.decode(HealthMessage, sample.payload))
 
     others = [
         asyncio.create_task(listen(), name="the listener"),

@@ -24,6 +24,8 @@ from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.transport.settings import Mode, parse_endpoint
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.checks import DecodeError
 
 INTERFACES = Path("/sys/class/net")
 IFF_UP, IFF_LOOPBACK, IFF_MULTICAST = 0x1, 0x8, 0x1000
@@ -97,9 +99,9 @@ def _note(sample: Sample, clock: Clock, alive: dict[int, set[str]], clocks: dict
         if not alive[address.drone_id]:
             del alive[address.drone_id]
     elif address.kind == Kind.POSE:
-        with contextlib.suppress(codec.DecodeError):
+        with contextlib.suppress(DecodeError):
             clocks[address.drone_id].time_of(
-                codec.decode_announcement(sample.payload),
+                codec.decode(AnnouncementMessage, sample.payload),
                 arrived=sample.arrived,
                 utc_offset=clock.utc() - clock.now(),
                 tolerance=CLOCKS_AGREE,

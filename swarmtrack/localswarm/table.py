@@ -17,7 +17,7 @@ from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.localswarm.watch import AgentView, Watch
 from swarmtrack.messages import FOREIGN, Identity
 from swarmtrack.simulation.scenarios import Fault
-from swarmtrack.wire.codec import HealthMessage
+from swarmtrack.wire.health import HealthMessage
 
 LARGE_TEAM = 8  # from here on a line has no room for everybody
 LAG_WORTH_A_WORD = 2.0  # s by which judging may be behind

@@ -24,6 +24,12 @@ from swarmtrack.simulation.scenarios import Fault, Scenario
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.codec import Message
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.tracks import TracksMessage
 
 JUDGING_SHARE = 0.15  # of one core, in flight
 MAX_JUDGED_IN_FLIGHT = 10  # drones: of more the judge would be behind anyway
@@ -54,7 +60,7 @@ class AgentView:
     scan_t: float = math.nan
     sequence: int = -1
     latencies: list[float] = field(default_factory=list)
-    health: list[tuple[float, codec.HealthMessage]] = field(default_factory=list)
+    health: list[tuple[float, HealthMessage]] = field(default_factory=list)
     seen: list[Seen] = field(default_factory=list)
     """Its tracks when last judged."""
     judged_t: float = math.nan
@@ -151,12 +157,12 @@ class Watch:
                 if sample.alive and len(address.rest) == 1:
                     await self._on_boot(agent, address.rest[0])
                 continue
-            decode = keys.DECODERS.get(address.kind)
-            if decode is None:
+            kind = keys.MESSAGES.get(address.kind)
+            if kind is None:
                 continue
             try:
-                message = decode(sample.payload)
-            except codec.DecodeError:
+                message = codec.decode(kind, sample.payload)
+            except DecodeError:
                 self.unreadable += 1
                 continue
             self._on_message(address.drone_id, agent, message, len(sample.payload))
@@ -183,22 +189,22 @@ class Watch:
         async with self._arrivals:
             self._arrivals.notify_all()
 
-    def _on_message(self, drone_id: int, agent: AgentView, message: codec.Message, size: int) -> None:
+    def _on_message(self, drone_id: int, agent: AgentView, message: Message, size: int) -> None:
         match message:
-            case codec.TracksMessage():
+            case TracksMessage():
                 self._on_tracks(drone_id, agent, message)
-            case codec.HealthMessage():
+            case HealthMessage():
                 agent.health.append((self._heard_t, message))
-            case codec.AnnouncementMessage():
+            case AnnouncementMessage():
                 agent.announcement_bytes = size
                 self.scorer.announced(drone_id, self._heard_t)
-            case codec.SightingsMessage():
+            case SightingsMessage():
                 for teammate in message.known:
                     self.scorer.knows(drone_id, message.boot, teammate, self._heard_t)
                     if message.boot == agent.boot:
                         self._known[drone_id].setdefault(teammate, self._heard_t)
 
-    def _on_tracks(self, drone_id: int, agent: AgentView, message: codec.TracksMessage) -> None:
+    def _on_tracks(self, drone_id: int, agent: AgentView, message: TracksMessage) -> None:
         if agent.boot is None or message.scan_age_s == 0.0:
             return  # before its first frame, or the last words of a process that was ended
         t = self._world_time(drone_id, message.t_utc_s)
@@ -342,7 +348,7 @@ class Watch:
         )
 
 
-def _announcements_sent(health: list[tuple[float, codec.HealthMessage]]) -> int:
+def _announcements_sent(health: list[tuple[float, HealthMessage]]) -> int:
     """Over all lives of the agent: the counter begins anew with each."""
     by_boot = {
         message.boot: int(link.counters["announcements_sent"])

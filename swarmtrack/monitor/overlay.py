@@ -6,19 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from swarmtrack.wire import codec
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.tracks import TracksMessage, track_cov
+from swarmtrack.wire.video import VideoMessage, camera_from
 
 AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
 SIGMAS = 3.0  # of an ellipse
 
 
-def boxes(view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> list[dict[str, Any]]:
+def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, Any]]:
     """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad)."""
     if tracks is None or not tracks.tracks:
         return []
     try:
-        camera = codec.lens(view.lens)
-    except codec.DecodeError:
+        camera = camera_from(view.lens)
+    except DecodeError:
         return []
     shown = [track for track in tracks.tracks if track.status != "tentative"]
     ideal = np.array([(track.u_px, track.v_px) for track in shown]).reshape(-1, 2)
@@ -31,7 +33,7 @@ def boxes(view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> list[
         if not (np.isfinite(uv).all() and np.isfinite(J).all()):
             continue  # outside what the lens can show
         by_ideal = np.linalg.inv(J)
-        cov = by_ideal @ codec.track_cov(track)[::2, ::2] @ by_ideal.T
+        cov = by_ideal @ track_cov(track)[::2, ::2] @ by_ideal.T
         variances, axes = np.linalg.eigh(cov)
         minor, major = share * SIGMAS * np.sqrt(np.maximum(variances, 0.0))
         u, v_px = share * uv

@@ -35,6 +35,14 @@ from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import announcement_message
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.fields import VERSION
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.records import from_record
+from swarmtrack.wire.sightings import sightings_message
+from swarmtrack.wire.tracks import TracksMessage, tracks_message
+from swarmtrack.wire.video import VideoMessage, lens_message
 
 HEALTH_TOPIC = "/health"
 HEEDED_INPUTS = frozenset(
@@ -67,7 +75,7 @@ class OwnWords:
         settings, _ = read_settings(recording)
         self._camera = settings.mounted.camera
         self._body_from_camera = settings.mounted.body_from_camera
-        self._lens = codec.lens_message(self._camera)
+        self._lens = lens_message(self._camera)
         self._ego = make_ego_history(settings.config, settings.start, history_s=EGO_HISTORY_S)
         self.tracked = Tracked(self._tracks)
         self._first = self._last = math.nan
@@ -75,8 +83,8 @@ class OwnWords:
         self._heard: list[tuple[float, Heard]] = []
         self._health: list[tuple[float, bytes]] = []
         self._reports: list[tuple[float, SightingReport]] = []
-        self._scans: list[tuple[float, codec.VideoMessage, Blob | None]] = []
-        self._pictures: list[tuple[float, codec.VideoMessage, Blob | None]] = []
+        self._scans: list[tuple[float, VideoMessage, Blob | None]] = []
+        self._pictures: list[tuple[float, VideoMessage, Blob | None]] = []
         self._frame_t = math.nan
 
     def read(self) -> None:
@@ -88,7 +96,7 @@ class OwnWords:
             try:
                 self.hearsay.note(message)
                 self._take(message, t)
-            except (RecordingError, codec.DecodeError, msgspec.MsgspecError, ValueError, KeyError, TypeError):
+            except (RecordingError, DecodeError, msgspec.MsgspecError, ValueError, KeyError, TypeError):
                 self.refused += 1
 
     # --- reading ------------------------------------------------------------------------
@@ -103,9 +111,9 @@ class OwnWords:
             self._on_sign_of_life(t)
             self._on_scan(message.data, t)
         elif topic == HEALTH_TOPIC:
-            health = codec.from_record(codec.HealthMessage, msgspec.json.decode(message.data))
+            health = from_record(HealthMessage, msgspec.json.decode(message.data))
             self._on_sign_of_life(t)
-            self._health.append((t, codec.encode_health(health)))
+            self._health.append((t, codec.encode(health)))
         elif topic == FRAMES_TOPIC:
             self._frame_t = float(msgspec.json.decode(message.data)["t_s"])
         elif topic == IMAGES_TOPIC:
@@ -140,12 +148,12 @@ class OwnWords:
                 tracks = outputs.decode_report(data)[1].tracks
                 self._reports.append((t, self._report(tracks, observer)))
 
-    def _view(self, exposed: float) -> codec.VideoMessage:
+    def _view(self, exposed: float) -> VideoMessage:
         """Without its picture. exposed: on our own clock."""
         ego = self._ego.at(exposed)
         pose = None if ego is None else Pose(ego.world_from_body, ego.position) @ self._body_from_camera
-        return codec.VideoMessage(
-            version=codec.VERSION,
+        return VideoMessage(
+            version=VERSION,
             t_utc_s=exposed + self._offset,
             t_sigma_s=UTC_SIGMA,
             frame=0,
@@ -185,9 +193,9 @@ class OwnWords:
             sightings=tuple(sightings.values()),
         )
 
-    def _tracks(self, data: bytes) -> codec.TracksMessage:
+    def _tracks(self, data: bytes) -> TracksMessage:
         tracks = outputs.decode_report(data)[1].tracks
-        return codec.tracks_message(tracks, 0, self._offset, UTC_SIGMA)
+        return tracks_message(tracks, 0, self._offset, UTC_SIGMA)
 
     # --- telling ------------------------------------------------------------------------
 
@@ -195,7 +203,7 @@ class OwnWords:
         """Where its camera looked, with pictures where it recorded any."""
         for t, view, picture in self._pictures or self._scans:
             try:
-                payload = codec.encode_video(view)
+                payload = codec.encode(view)
             except ValueError:
                 self.refused += 1
                 continue
@@ -228,9 +236,11 @@ class OwnWords:
         drone_id = event.observer if isinstance(event, SightingReport) else event.drone_id
         match event:
             case Announcement():
-                yield self._word(Kind.POSE, drone_id, t, codec.encode_announcement(event, offset, t - offset))
+                yield self._word(
+                    Kind.POSE, drone_id, t, codec.encode(announcement_message(event, offset, t - offset))
+                )
             case SightingReport():
-                payload = codec.encode_sightings(event, offset, t - offset)
+                payload = codec.encode(sightings_message(event, offset, t - offset))
                 yield self._word(Kind.IDENTITIES, drone_id, t, payload)
             case PeerArrived(boot=boot) | PeerDeparted(boot=boot) if (drone_id, boot) not in lives:
                 yield self._token(drone_id, boot, t, alive=isinstance(event, PeerArrived))
@@ -269,5 +279,5 @@ class _Time(msgspec.Struct):
 _DECODE_TIME = msgspec.json.Decoder(_Time).decode
 
 
-def _is_due(views: list[tuple[float, codec.VideoMessage, Blob | None]], t: float) -> bool:
+def _is_due(views: list[tuple[float, VideoMessage, Blob | None]], t: float) -> bool:
     return not views or t - views[-1][0] >= 1.0 / VIEWS_HZ - JITTER_S

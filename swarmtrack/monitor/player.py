@@ -19,7 +19,8 @@ import msgspec
 from swarmtrack.monitor.server import Audience
 from swarmtrack.monitor.team import VIEW_S, Team
 from swarmtrack.monitor.timeline import Blob, Timeline
-from swarmtrack.wire import codec
+from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.video import VideoMessage
 
 STEP_S = 0.1
 STEPS_PER_CHECKPOINT = 100
@@ -45,7 +46,7 @@ class View:
     """The newest of one drone. picture: where it lies."""
 
     t: float
-    message: codec.VideoMessage
+    message: VideoMessage
     picture: Blob | None
 
 
@@ -98,7 +99,7 @@ class Playback:
         while self.step < step:
             self._take_step(self.step + 1)
 
-    def seen(self, drone_id: int) -> tuple[codec.VideoMessage, codec.TracksMessage | None] | None:
+    def seen(self, drone_id: int) -> tuple[VideoMessage, TracksMessage | None] | None:
         """What a drone's camera shows now, with its picture, and what it tracked then."""
         view = self.views.get(drone_id)
         if view is None:

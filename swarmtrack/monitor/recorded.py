@@ -10,6 +10,7 @@ the first recording's as `swarmtrack log merge` does, by the numbers of what was
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,12 +26,16 @@ from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, Heard, read_heard
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.video import VideoMessage
 
 FLIGHTS_APART_S = 60.0  # s without a word of anybody: what comes after it is another flight
 
 
 class _TracksHead(msgspec.Struct, array_like=True):
-    """As much of `codec.TracksMessage` as tells its time."""
+    """As much of `TracksMessage` as tells its time."""
 
     version: int
     t_utc_s: float
@@ -114,7 +119,7 @@ class _HeardWords:
                 address = keys.parse(heard.key)
                 if address is not None:
                     self._words.append((address, self._word(heard, address, heard.t + offset)))
-            except (RecordingError, codec.DecodeError, msgspec.MsgspecError):
+            except (RecordingError, DecodeError, msgspec.MsgspecError):
                 self.refused += 1
 
     def words(self, shift: float, seen_by_themselves: set[int]) -> Iterator[Word]:
@@ -127,16 +132,16 @@ class _HeardWords:
         drone_id, sample = address.drone_id, Sample(heard.key, heard.payload, heard.alive, t)
         match address.kind:
             case Kind.IDENTITIES:
-                said = codec.decode_sightings(heard.payload)
+                said = codec.decode(SightingsMessage, heard.payload)
                 self.hearsay.heard[said.drone_id, said.boot, said.sequence] = heard.t - said.age_s
             case Kind.TRACKS:
                 head = msgspec.msgpack.decode(heard.payload, type=_TracksHead)
-                tracked = self.tracked.setdefault(drone_id, Tracked(codec.decode_tracks))
+                tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))
                 tracked.add(head.t_utc_s, self._shelf.put(heard.payload))
                 return Word(t, drone_id, None)
             case Kind.VIDEO:
-                view = codec.decode_video(heard.payload)
-                payload = codec.encode_video(msgspec.structs.replace(view, jpeg=b""))
+                view = codec.decode(VideoMessage, heard.payload)
+                payload = codec.encode(msgspec.structs.replace(view, jpeg=b""))
                 picture = self._shelf.put(view.jpeg) if view.jpeg else None
                 return Word(t, drone_id, sample._replace(payload=payload), picture)
         return Word(t, drone_id, sample)

@@ -24,7 +24,8 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from swarmtrack.monitor.access import Door
 from swarmtrack.monitor.overlay import boxes
-from swarmtrack.wire import codec
+from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.video import VideoMessage
 
 PAGE = Path(__file__).parent / "page" / "index.html"
 STATE_HZ = 5.0
@@ -46,7 +47,7 @@ class Audience(Protocol):
         """Whose pictures somebody has on the screen."""
 
     def tell(self, state: dict[str, Any]) -> None: ...
-    def show(self, drone_id: int, view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> None: ...
+    def show(self, drone_id: int, view: VideoMessage, tracks: TracksMessage | None) -> None: ...
 
 
 class Feed(Protocol):
@@ -144,7 +145,7 @@ class MonitorServer:
         for viewer in self._viewers:
             viewer.give("state", text)
 
-    def show(self, drone_id: int, view: codec.VideoMessage, tracks: codec.TracksMessage | None) -> None:
+    def show(self, drone_id: int, view: VideoMessage, tracks: TracksMessage | None) -> None:
         header = {
             "drone": drone_id,
             "width": view.width,

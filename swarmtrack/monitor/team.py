@@ -16,6 +16,13 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.sender_clock import REPORTED_CLOCKS_AGREE_S, SenderClock
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.codec import Message
+from swarmtrack.wire.health import HealthMessage, LatencyHealth, RateHealth
+from swarmtrack.wire.sightings import SightingsMessage, report_from
+from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.video import VideoMessage
 
 MAX_DRONES = 1024  # beyond it is an attack or a mistake
 SILENT_S = 2.0  # s without a word: gone, whatever its token says
@@ -39,11 +46,11 @@ class Drone:
     heard: float = -math.inf
     gone_since: float | None = None
     clock: SenderClock = field(default_factory=SenderClock)
-    announcement: codec.AnnouncementMessage | None = None
-    tracks: deque[codec.TracksMessage] = field(default_factory=lambda: deque(maxlen=TRACKS_KEPT))
-    health: codec.HealthMessage | None = None
+    announcement: AnnouncementMessage | None = None
+    tracks: deque[TracksMessage] = field(default_factory=lambda: deque(maxlen=TRACKS_KEPT))
+    health: HealthMessage | None = None
     history: deque[tuple[float, ...]] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    view: codec.VideoMessage | None = None
+    view: VideoMessage | None = None
     view_at: float = -math.inf
     told_events: tuple[str, ...] = ()
 
@@ -63,7 +70,7 @@ class Team:
         self._verdict = Verdict((), ())
         self._judged_at = -math.inf
 
-    def on_sample(self, sample: Sample) -> codec.VideoMessage | None:
+    def on_sample(self, sample: Sample) -> VideoMessage | None:
         """Take it in; a view is also handed back."""
         address = keys.parse(sample.key)
         if address is None or address.team != self.name:
@@ -82,8 +89,8 @@ class Team:
             )  # nobody looks at its pictures: thirty drones' tracks are dear to read
             return None
         try:
-            message = keys.DECODERS[address.kind](sample.payload)
-        except codec.DecodeError:
+            message = codec.decode(keys.MESSAGES[address.kind], sample.payload)
+        except DecodeError:
             self.unreadable += 1
             return None
         self._on_word(address.drone_id, drone, sample.arrived)
@@ -95,7 +102,7 @@ class Team:
         if drone is not None:
             self._on_word(drone_id, drone, arrived)
 
-    def tracks_at(self, drone_id: int, t_utc_s: float) -> codec.TracksMessage | None:
+    def tracks_at(self, drone_id: int, t_utc_s: float) -> TracksMessage | None:
         """What a drone tracked at the instant of a frame, by its own clock, or nearest to it."""
         drone = self._drones.get(drone_id)
         if drone is None:
@@ -162,32 +169,32 @@ class Team:
             self._note(drone_id, "is back", "ok")
 
     def _on_message(
-        self, drone_id: int, drone: Drone, message: codec.Message, arrived: float
-    ) -> codec.VideoMessage | None:
+        self, drone_id: int, drone: Drone, message: Message, arrived: float
+    ) -> VideoMessage | None:
         match message:
-            case codec.AnnouncementMessage() if message.drone_id == drone_id:
+            case AnnouncementMessage() if message.drone_id == drone_id:
                 drone.announcement = message
-            case codec.SightingsMessage() if message.drone_id == drone_id:
+            case SightingsMessage() if message.drone_id == drone_id:
                 self._on_sightings(drone, message, arrived)
-            case codec.TracksMessage():
+            case TracksMessage():
                 drone.tracks.append(message)
-            case codec.HealthMessage():
+            case HealthMessage():
                 self._on_health(drone_id, drone, message)
-            case codec.VideoMessage():
+            case VideoMessage():
                 drone.view, drone.view_at = message, arrived
                 return message
         return None
 
-    def _on_sightings(self, drone: Drone, message: codec.SightingsMessage, arrived: float) -> None:
+    def _on_sightings(self, drone: Drone, message: SightingsMessage, arrived: float) -> None:
         if message.boot != drone.boot:
             drone.boot, drone.clock = message.boot, SenderClock()
         offset = self._clock.utc() - self._clock.now()
         t, t_sigma = drone.clock.time_of(
             message, arrived=arrived, utc_offset=offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )
-        self._reports.add(codec.sighting_report(message, t, t_sigma))
+        self._reports.add(report_from(message, t, t_sigma))
 
-    def _on_health(self, drone_id: int, drone: Drone, message: codec.HealthMessage) -> None:
+    def _on_health(self, drone_id: int, drone: Drone, message: HealthMessage) -> None:
         old = drone.told_events if drone.health and drone.health.boot == message.boot else ()
         for line in _new_lines(old, message.events):
             self._note(drone_id, line, "note")
@@ -291,7 +298,7 @@ class Team:
         }
 
 
-def troubles(health: codec.HealthMessage | None) -> list[str]:
+def troubles(health: HealthMessage | None) -> list[str]:
     """What is wrong with a drone by its own word, in words that follow its name."""
     if health is None:
         return []
@@ -316,12 +323,12 @@ def troubles(health: codec.HealthMessage | None) -> list[str]:
     return found
 
 
-def _rates(health: codec.HealthMessage) -> list[codec.RateHealth]:
-    none = codec.RateHealth(None, 0.0)
+def _rates(health: HealthMessage) -> list[RateHealth]:
+    none = RateHealth(None, 0.0)
     return [health.rates.get(name, none) for name in ("imu", "detections", "tracks")]
 
 
-def _health_state(health: codec.HealthMessage) -> dict[str, Any]:
+def _health_state(health: HealthMessage) -> dict[str, Any]:
     latency = health.latencies.get("exposure_to_detector")
     detector = health.latencies.get("detector")
     published = health.latencies.get("detections_to_published")
@@ -339,7 +346,7 @@ def _health_state(health: codec.HealthMessage) -> dict[str, Any]:
     }
 
 
-def _ms(*spreads: codec.LatencyHealth | None) -> float | None:
+def _ms(*spreads: LatencyHealth | None) -> float | None:
     """The 95th percentiles, one after the other."""
     known = [spread.p95_s for spread in spreads if spread is not None]
     return round(1e3 * sum(known), 1) if known else None

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from swarmtrack.errors import RecordingError
 from swarmtrack.transport.base import Sample
-from swarmtrack.wire import codec
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.tracks import TracksMessage
 
 
 class Blob(NamedTuple):
@@ -62,7 +63,7 @@ class Word(NamedTuple):
 class Tracked:
     """What one life of a drone tracked. times: by its own UTC, ascending [s]; read: what a blob says."""
 
-    read: Callable[[bytes], codec.TracksMessage]
+    read: Callable[[bytes], TracksMessage]
     times: list[float] = field(default_factory=list)
     blobs: list[Blob] = field(default_factory=list)
 
@@ -96,7 +97,7 @@ class Timeline:
     def seconds(self) -> float:
         return self.words[-1].t - self.words[0].t
 
-    def tracks_at(self, drone_id: int, t_utc_s: float) -> codec.TracksMessage | None:
+    def tracks_at(self, drone_id: int, t_utc_s: float) -> TracksMessage | None:
         """What a drone tracked at the instant of a frame, or nearest to it; None also where it cannot be read."""
         found = [(*near, life) for life in self.tracked.get(drone_id, ()) if (near := life.nearest(t_utc_s))]
         if not found:
@@ -104,5 +105,5 @@ class Timeline:
         _, blob, life = min(found, key=lambda one: one[0])
         try:
             return life.read(self.shelf.get(blob))
-        except (codec.DecodeError, RecordingError):
+        except (DecodeError, RecordingError):
             return None

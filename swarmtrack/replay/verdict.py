@@ -31,6 +31,8 @@ from swarmtrack.toml.layers import Layer, Layers
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.tracks import TracksMessage, tracks_message, tracks_sequence
 
 TOPICS = frozenset({HEARD_TOPIC, FLIGHT_TOPIC, TRUTH_TOPIC, VERDICT_TOPIC})
 SAME_PLACE_M = 1e-6  # of a pose computed again
@@ -159,7 +161,7 @@ class _Stage:
             return heard.sample  # before its process was known to live; the judge pays no heed to it
         life = (address.drone_id, self._boots[address.drone_id])
         try:
-            number = codec.tracks_sequence(heard.payload)
+            number = tracks_sequence(heard.payload)
             self.numbers.setdefault(life, []).append(number)
             if self._answers is None:
                 return heard.sample
@@ -168,14 +170,14 @@ class _Stage:
                 return None
             if published.changed is None:
                 return heard.sample
-            message = codec.decode_tracks(heard.payload)
-        except codec.DecodeError:
+            message = codec.decode(TracksMessage, heard.payload)
+        except DecodeError:
             return heard.sample  # the judge counts it
         answer = published.changed[number - 1]
-        fresh = codec.tracks_message(answer, number, 0.0, message.t_sigma_s)
+        fresh = tracks_message(answer, number, 0.0, message.t_sigma_s)
         said = msgspec.structs.replace(fresh, t_utc_s=message.t_utc_s)
         try:
-            return heard.sample._replace(payload=codec.encode_tracks(said))
+            return heard.sample._replace(payload=codec.encode(said))
         except ValueError:  # as in flight: what no reader would accept is not said
             return None
 

@@ -28,7 +28,10 @@ from swarmtrack.runtime.telling import Teller
 from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.sensors.mavlink.notices import Severity
 from swarmtrack.transport.base import Kind
-from swarmtrack.wire.codec import HealthMessage, as_record, encode_health, encode_tracks, tracks_message
+from swarmtrack.wire import codec
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.records import as_record
+from swarmtrack.wire.tracks import tracks_message
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
@@ -244,7 +247,7 @@ class Agent:
         self._sequence += 1
         message = tracks_message(tracks, self._sequence, parts.clock.utc() - now, UTC_SIGMA)
         try:
-            parts.transport.publish(Kind.TRACKS, encode_tracks(message))
+            parts.transport.publish(Kind.TRACKS, codec.encode(message))
             self.health.published.tick()
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self.health.drops["unsendable_tracks"] += 1
@@ -272,7 +275,7 @@ class Agent:
                 self._parts.recorder.health(message)
             self._teller.see_links(message.links)
             try:
-                self._parts.transport.publish(Kind.HEALTH, encode_health(message))
+                self._parts.transport.publish(Kind.HEALTH, codec.encode(message))
             except ValueError:
                 self.health.drops["unsendable_health"] += 1
             self._write_health(message)

@@ -13,8 +13,8 @@ from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDep
 from swarmtrack.onboard import Onboard
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
-from swarmtrack.wire.codec import (
-    VERSION,
+from swarmtrack.wire.fields import VERSION
+from swarmtrack.wire.health import (
     ConsistencyHealth,
     GyroBiasHealth,
     HealthMessage,

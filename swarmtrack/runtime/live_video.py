@@ -19,6 +19,8 @@ from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.health import Health
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec
+from swarmtrack.wire.fields import MAX_JPEG, VERSION
+from swarmtrack.wire.video import VideoMessage, lens_message
 
 MAX_HZ = 10.0
 JITTER_S = (
@@ -36,10 +38,10 @@ class LiveVideo:
         self._parts = parts
         self._health = health
         self._wall = SystemClock()
-        self._lens = codec.lens_message(parts.lens)
+        self._lens = lens_message(parts.lens)
         self._last = -math.inf
         self._worker: ThreadPoolExecutor | None = None
-        self._encoding: asyncio.Future[codec.VideoMessage | None] | None = None
+        self._encoding: asyncio.Future[VideoMessage | None] | None = None
 
     def offer(self, t: float, frame: int, image: Image | None) -> None:
         """A frame with its stamp; image None: of a camera that sends no pictures. Returns at once."""
@@ -52,8 +54,8 @@ class LiveVideo:
         self._last = now
         exposed = t + parts.onboard.clock.used_s
         pose = parts.onboard.camera_pose(exposed)
-        view = codec.VideoMessage(
-            version=codec.VERSION,
+        view = VideoMessage(
+            version=VERSION,
             t_utc_s=float(exposed + parts.clock.utc() - parts.clock.now()),
             t_sigma_s=UTC_SIGMA,
             frame=frame,
@@ -76,7 +78,7 @@ class LiveVideo:
         if self._worker is not None:
             self._worker.shutdown(wait=False, cancel_futures=True)
 
-    def _on_encoded(self, done: asyncio.Future[codec.VideoMessage | None]) -> None:
+    def _on_encoded(self, done: asyncio.Future[VideoMessage | None]) -> None:
         self._encoding = None
         if done.cancelled():
             return
@@ -86,14 +88,14 @@ class LiveVideo:
         else:
             self._publish(view)
 
-    def _publish(self, view: codec.VideoMessage) -> None:
+    def _publish(self, view: VideoMessage) -> None:
         try:
-            self._parts.transport.publish(Kind.VIDEO, codec.encode_video(view))
+            self._parts.transport.publish(Kind.VIDEO, codec.encode(view))
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._health.drops["unsendable_video"] += 1
 
 
-def with_picture(view: codec.VideoMessage, image: Image) -> codec.VideoMessage | None:
+def with_picture(view: VideoMessage, image: Image) -> VideoMessage | None:
     """The view with its image, small enough for one message; None where it cannot be. In a thread of its own."""
     import cv2  # noqa: PLC0415 - not above: an agent without pictures does not pay for it
 
@@ -104,8 +106,8 @@ def with_picture(view: codec.VideoMessage, image: Image) -> codec.VideoMessage |
         # Area averaging costs three times as much, and nearest neighbour loses small drones.
         small = image if w == width else cv2.resize(image, (w, h), interpolation=cv2.INTER_LINEAR)
         good, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(small), [cv2.IMWRITE_JPEG_QUALITY, quality])
-        if good and jpeg.size <= codec.MAX_JPEG:
-            return codec.VideoMessage(
+        if good and jpeg.size <= MAX_JPEG:
+            return VideoMessage(
                 view.version, view.t_utc_s, view.t_sigma_s, view.frame, w, h, jpeg.tobytes(),
                 view.lens, view.position_m, view.quaternion_wxyz,
             )  # fmt: skip

@@ -19,7 +19,8 @@ from swarmtrack.recording.settings import FlightSettings, attachments, preface
 from swarmtrack.recording.writer import Bounds, Preface, Topic
 from swarmtrack.runtime.recorded_views import Views
 from swarmtrack.runtime.recording_thread import Job, RecordingThread, Write, name_of_life
-from swarmtrack.wire.codec import HealthMessage, as_record
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.records import as_record
 
 _INPUTS = {form.kind: Topic.of_json(form.topic, schemas.of_form(form)) for form in inputs.FORMS}
 TRACKS = Topic.of_json(outputs.TRACKS_TOPIC, schemas.TRACKS)

@@ -25,6 +25,9 @@ from swarmtrack.runtime.recording_thread import RecordingThread, Write, name_of_
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.records import as_record
+from swarmtrack.wire.video import VideoMessage
 
 HEARD_TOPIC, FLIGHT_TOPIC, TRUTH_TOPIC, VERDICT_TOPIC = "/heard", "/flight", "/truth", "/verdict"
 HEARD = Topic(HEARD_TOPIC, "swarmtrack.Heard", b"", "msgpack", "")
@@ -149,15 +152,15 @@ class SwarmRecorder:
         if address is None:
             return
         record: Mapping[str, Any] = {"key": heard.key, "alive": heard.alive}
-        decode = keys.DECODERS.get(address.kind)
-        if decode is not None and heard.alive:
+        kind = keys.MESSAGES.get(address.kind)
+        if kind is not None and heard.alive:
             try:
-                message = decode(heard.payload)
-                if isinstance(message, codec.VideoMessage):
+                message = codec.decode(kind, heard.payload)
+                if isinstance(message, VideoMessage):
                     _write_picture(address.drone_id, message, write, log_time)
                     return
-                record = codec.as_record(message)
-            except codec.DecodeError as error:
+                record = as_record(message)
+            except DecodeError as error:
                 record = {"key": heard.key, "error": str(error), "bytes": len(heard.payload)}
         write(self._topic(address.drone_id, address.kind), log_time, msgspec.json.encode(record))
 
@@ -169,7 +172,7 @@ class SwarmRecorder:
         return topic
 
 
-def _write_picture(drone_id: int, view: codec.VideoMessage, write: Write, log_time: int) -> None:
+def _write_picture(drone_id: int, view: VideoMessage, write: Write, log_time: int) -> None:
     """As viewers show pictures; one without is in `/heard` only."""
     if view.jpeg:
         exposed = round(view.t_utc_s * 1e9)

@@ -24,7 +24,8 @@ from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.telling import Teller
 from swarmtrack.transport.base import Kind, Transport
-from swarmtrack.wire.codec import encode_sightings
+from swarmtrack.wire import codec
+from swarmtrack.wire.sightings import sightings_message
 
 log = logging.getLogger(__name__)
 
@@ -111,7 +112,7 @@ class Teamwork:
         self._reports += 1
         self._reported, self._reported_at = whom, now
         try:
-            payload = encode_sightings(report, parts.clock.utc() - now, now)
+            payload = codec.encode(sightings_message(report, parts.clock.utc() - now, now))
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._health.drops["unsendable_identities"] += 1
             return

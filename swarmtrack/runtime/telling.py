@@ -33,7 +33,7 @@ from swarmtrack.runtime.stated_places import StatedPlaces
 from swarmtrack.runtime.status_lines import Lasting, StatusLines
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
-from swarmtrack.wire.codec import LinkHealth
+from swarmtrack.wire.health import LinkHealth
 
 PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
 NUMBER_EVERY = 1.0  # s between two of the number of identified teammates, and two looks for news

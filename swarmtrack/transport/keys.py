@@ -1,15 +1,19 @@
-"""Where things are said: `swarmtrack/<team>/v1/<kind>/<id>[/…]`, and how each kind is read."""
+"""Where things are said: `swarmtrack/<team>/v1/<kind>/<id>[/…]`, and which message each kind is."""
 
 from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
 from swarmtrack.transport.base import Kind
-from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.codec import Message
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.video import VideoMessage
 
 ROOT = "swarmtrack"
 VERSION = "v1"
@@ -24,12 +28,12 @@ ENCODINGS: dict[Kind, str] = {
     Kind.VIDEO: "application/msgpack;swarmtrack.Video/1",
 }
 
-DECODERS: dict[Kind, Callable[[bytes], codec.Message]] = {
-    Kind.POSE: codec.decode_announcement,
-    Kind.IDENTITIES: codec.decode_sightings,
-    Kind.TRACKS: codec.decode_tracks,
-    Kind.HEALTH: codec.decode_health,
-    Kind.VIDEO: codec.decode_video,
+MESSAGES: dict[Kind, type[Message]] = {
+    Kind.POSE: AnnouncementMessage,
+    Kind.IDENTITIES: SightingsMessage,
+    Kind.TRACKS: TracksMessage,
+    Kind.HEALTH: HealthMessage,
+    Kind.VIDEO: VideoMessage,
 }
 
 _KEY = re.compile(

@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 
 from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted, PeerEvent
 from swarmtrack.transport.sender_clock import SenderClock
-from swarmtrack.wire.codec import AnnouncementMessage, SightingsMessage
+from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.sightings import SightingsMessage
 
 MAX_PEERS = 1024  # live IDs; beyond it is an attack or a mistake
 MAX_BOOTS = 4  # of one ID at a time

@@ -12,6 +12,7 @@ from swarmtrack.messages import Announcement
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import announcement_message, sign_announcement
 
 Sign = Callable[[bytes], bytes]
 """Bytes to an Ed25519 signature."""
@@ -109,6 +110,6 @@ class Outgoing:
 
     def _encode(self, announcement: Announcement) -> None:
         now = self._clock.now()
-        data = codec.encode_announcement(announcement, self._clock.utc() - now, now)
-        self._encoded = data if self._sign is None else codec.sign_announcement(data, self.key, self._sign)
+        data = codec.encode(announcement_message(announcement, self._clock.utc() - now, now))
+        self._encoded = data if self._sign is None else sign_announcement(data, self.key, self._sign)
         self._encoded_at = now

@@ -20,6 +20,9 @@ from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.outgoing import REQUEST_S
 from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, signed_part
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.sightings import SightingsMessage, report_from
 
 Verify = Callable[[int, bytes, bytes], bool]
 """Whether the drone of this ID signed these bytes with this signature."""
@@ -77,7 +80,7 @@ class Peers:
                 self._on_announcement(address.drone_id, key, payload, arrived)
             else:
                 self._on_sightings(address.drone_id, payload, arrived)
-        except codec.DecodeError as error:
+        except DecodeError as error:
             self._counters[f"{SUBSCRIBED[address.kind]}_malformed"] += 1
             log.debug("message refused key=%s: %s", key, error)
 
@@ -86,7 +89,7 @@ class Peers:
         self._tell([AnnouncementRequested()])
 
     def _on_announcement(self, drone_id: int, key: str, payload: bytes, arrived: float) -> None:
-        message = codec.decode_announcement(payload)
+        message = codec.decode(AnnouncementMessage, payload)
         life = self._membership.life(drone_id, message)
         if life is None or not self._is_genuine(drone_id, key, payload):
             return
@@ -94,11 +97,11 @@ class Peers:
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=ANNOUNCED_CLOCKS_AGREE_S
         )
         self._counters["clocks_off"] += abs(life.clock.apart_s) > ANNOUNCED_CLOCKS_AGREE_S
-        life.announcement = codec.announcement(message, t, t_sigma)
+        life.announcement = announcement_from(message, t, t_sigma)
         self._tell([life.announcement])
 
     def _on_sightings(self, drone_id: int, payload: bytes, arrived: float) -> None:
-        message = codec.decode_sightings(payload)
+        message = codec.decode(SightingsMessage, payload)
         life = self._membership.life(drone_id, message)
         if life is None:
             return
@@ -106,13 +109,13 @@ class Peers:
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )
         life.sightings = message.sequence
-        self._tell([codec.sighting_report(message, t, t_sigma)])
+        self._tell([report_from(message, t, t_sigma)])
 
     def _is_genuine(self, drone_id: int, key: str, payload: bytes) -> bool:
         """Whether an announcement is signed by whom it names, where that is asked for."""
         if self._verify is None:
             return True
-        part = codec.signed_part(payload, key)
+        part = signed_part(payload, key)
         if part is None:
             self._counters["announcements_unsigned"] += 1
             return False

@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Final, NamedTuple
 
-from swarmtrack.wire.codec import AnnouncementMessage, SightingsMessage
+from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.sightings import SightingsMessage
 
 # s, how far apart two clocks that somebody keeps may seem: an announcement may have been on its way for so long,
 # and it is the only one; of many reports one was quick.

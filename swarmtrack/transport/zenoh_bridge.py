@@ -18,7 +18,7 @@ import zenoh
 
 from swarmtrack.clock import Clock, SystemClock
 from swarmtrack.transport.base import Sample
-from swarmtrack.wire.codec import MAX_BYTES
+from swarmtrack.wire.fields import MAX_BYTES
 
 BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached while the loop turns
 _HANDFUL: Final = 32  # samples taken in one turn of the loop: at 0.2 ms for the dearest, 6 ms

@@ -16,7 +16,8 @@ from swarmtrack.benchmarks import agent_budget, real_clips, report, rotating_obs
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.config import load_config
 from swarmtrack.transport.base import Kind
-from swarmtrack.wire.codec import TrackMessage, TracksMessage, encode_tracks
+from swarmtrack.wire import codec
+from swarmtrack.wire.tracks import TrackMessage, TracksMessage
 
 FPS = 10.0
 
@@ -184,7 +185,7 @@ def test_the_error_of_a_drone_is_that_of_the_nearest_free_track():
 def message(t_utc, exposure, sequence, status="confirmed"):
     unit = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
     one = TrackMessage(1, None, 0.0, 10.0, 0.0, 20.0, 0.0, unit, 5.0, 5.0, status, 0.9, None)
-    return encode_tracks(TracksMessage(1, t_utc, 0.01, sequence, t_utc - exposure, (one,)))
+    return codec.encode(TracksMessage(1, t_utc, 0.01, sequence, t_utc - exposure, (one,)))
 
 
 def test_latency_is_taken_at_the_first_message_with_a_new_scan(monkeypatch):

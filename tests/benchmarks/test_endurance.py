@@ -17,7 +17,7 @@ from swarmtrack.benchmarks.endurance import verdict
 from swarmtrack.benchmarks.endurance.flight import agent_window
 from swarmtrack.benchmarks.endurance.plot import draw
 from swarmtrack.benchmarks.endurance.verdict import AgentWindow, ViewerWindow, Window
-from swarmtrack.wire import codec
+from swarmtrack.wire.health import HealthMessage, LatencyHealth, LinkHealth, RateHealth
 
 RATES = {"tracks": 20.0, "detections": 7.0, "imu": 200.0}
 STEADY = AgentWindow(10, RATES, 0.002, 0.01, 2000, 2000.0, 0, 0, 0, 3000, 0)
@@ -100,23 +100,21 @@ def test_what_happens_before_a_flight_has_settled_is_not_judged():
 
 
 def health(uptime_s: float, tracks_hz: float, imu: int, lost: int, *, lag_s: float = 0.001):
-    return codec.HealthMessage(
+    return HealthMessage(
         version=1,
         t_utc_s=1.7e9,
         boot="0123abcd",
         uptime_s=uptime_s,
         cpu_percent=5.0,
         rss_mb=90.0,
-        rates={"tracks": codec.RateHealth(20.0, tracks_hz), "imu": codec.RateHealth(200.0, 200.0)},
-        latencies={"loop_lag": codec.LatencyHealth(0.0, lag_s / 2, lag_s)},
+        rates={"tracks": RateHealth(20.0, tracks_hz), "imu": RateHealth(200.0, 200.0)},
+        latencies={"loop_lag": LatencyHealth(0.0, lag_s / 2, lag_s)},
         clock_offset_s=None,
         clock_offset_sigma_s=None,
         links=(
-            codec.LinkHealth("autopilot", True, "", {"imu_samples": imu, "imu_lost": lost, "gaps": 7 * lost}),
-            codec.LinkHealth(
-                "detections://localhost:9/1", True, "", {"frames": 50 * lost, "dropped": 2 * lost}
-            ),
-            codec.LinkHealth("recording", True, "", {"written": 10 * imu, "lost": 2}),
+            LinkHealth("autopilot", True, "", {"imu_samples": imu, "imu_lost": lost, "gaps": 7 * lost}),
+            LinkHealth("detections://localhost:9/1", True, "", {"frames": 50 * lost, "dropped": 2 * lost}),
+            LinkHealth("recording", True, "", {"written": 10 * imu, "lost": 2}),
         ),
         drops={"stale_frames": lost, "late_scans": 4, "scans": 100 * lost},
         events=(),

@@ -48,7 +48,8 @@ from swarmtrack.messages import IdClash, LinkStatus, PeerDeparted, StampKind
 from swarmtrack.motion.hand_eye import Agreement, HandEye
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import Health
-from swarmtrack.wire.codec import decode_health, encode_health
+from swarmtrack.wire import codec
+from swarmtrack.wire.health import HealthMessage
 
 DOCS = ROOT / "docs" / "troubleshooting.md"
 FORWARD = rotation.BODY_FROM_FORWARD_CAMERA
@@ -317,7 +318,7 @@ def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
     )
     parts = assemble(load_config(path))
     health = Health(parts)
-    sent = decode_health(encode_health(health.message())).readiness
+    sent = codec.decode(HealthMessage, codec.encode(health.message())).readiness
     assert sent is not None
     assert not sent.ready
     assert sent.reasons[0].startswith("the camera is open but gave no frame")

@@ -17,7 +17,8 @@ from support.places import ROOT
 from swarmtrack.config import load_config
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import Health
-from swarmtrack.wire.codec import GyroBiasHealth, TimeOffsetHealth, decode_health, encode_health
+from swarmtrack.wire import codec
+from swarmtrack.wire.health import GyroBiasHealth, HealthMessage, TimeOffsetHealth
 
 CLIP = ROOT.parent / "shared" / "data" / "drones_real" / "tracks" / "V_DRONE_106.mp4"
 TLOG = ROOT.parent / "shared" / "data" / "mavlink" / "ardupilot_sitl.tlog"
@@ -369,7 +370,7 @@ def test_its_health_can_be_sent_before_the_autopilot_was_ever_heard(tmp_path):
         """,
     )
     health = Health(assemble(load_config(config)))
-    sent = decode_health(encode_health(health.message()))
+    sent = codec.decode(HealthMessage, codec.encode(health.message()))
     assert sent.clock_offset_s is None
     assert sent.clock_offset_sigma_s is None
     assert sent.time_offset == TimeOffsetHealth(None, None, 0.012)

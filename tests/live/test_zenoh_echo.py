@@ -24,6 +24,7 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 from swarmtrack.wire import codec
+from swarmtrack.wire.tracks import tracks_message
 
 PATIENCE = 15.0  # s
 PROGRAM = (
@@ -67,7 +68,7 @@ async def ended(process: asyncio.subprocess.Process) -> tuple[int | None, list[d
 async def keep_publishing(drone: ZenohTransport) -> None:
     track = Track(3, 0.0, np.array([320.0, 1, 256, 2]), np.eye(4), TrackStatus.CONFIRMED, 0.9, np.ones(2))
     tracks = TrackList(0.0, 0.0, (IdentifiedTrack(track, 2, 0.99),))
-    payload = codec.encode_tracks(codec.tracks_message(tracks, 1, 1.7e9, 0.01))
+    payload = codec.encode(tracks_message(tracks, 1, 1.7e9, 0.01))
     while True:
         drone.publish(Kind.TRACKS, payload)
         drone.publish(Kind.HEALTH, b"garbage")

@@ -20,10 +20,13 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
+from swarmtrack.wire.fields import MAX_BYTES
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.video import VideoMessage, lens_message
 
 PATIENCE = 30.0  # s
 LENS = PinholeCamera(600.0, 600.0, 320.0, 256.0, 640, 512)
-VIEW = codec.VideoMessage(1, 1.7e9, 0.05, 1, 640, 512, b"", codec.lens_message(LENS), None, None)
+VIEW = VideoMessage(1, 1.7e9, 0.05, 1, 640, 512, b"", lens_message(LENS), None, None)
 
 
 @pytest.mark.parametrize("size", [(480, 640, 3), (3000, 4000, 3), (100, 4000), (1, 1), (480, 100, 3)])
@@ -31,7 +34,7 @@ def test_any_image_fits_into_one_message(size):
     noise = np.random.default_rng(1).integers(0, 256, size, dtype=np.uint8)  # what JPEG shrinks least
     sent = with_picture(VIEW, noise)
     assert sent is not None
-    assert len(codec.encode_video(sent)) <= codec.MAX_BYTES
+    assert len(codec.encode(sent)) <= MAX_BYTES
     picture = cv2.imdecode(np.frombuffer(sent.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     assert picture.shape[:2] == (sent.height, sent.width)
@@ -61,9 +64,9 @@ async def test_an_agent_says_video_only_while_somebody_listens() -> None:
             address = keys.parse(sample.key)
             assert address is not None
             if address.kind is Kind.VIDEO:
-                frames.append(codec.decode_video(sample.payload).frame)
+                frames.append(codec.decode(VideoMessage, sample.payload).frame)
             elif address.kind is Kind.HEALTH:
-                counters = codec.decode_health(sample.payload).links[-1].counters
+                counters = codec.decode(HealthMessage, sample.payload).links[-1].counters
                 sent.append(counters.get("video_sent", 0.0))
 
     async def until(what: object) -> None:

@@ -41,7 +41,7 @@ from swarmtrack.runtime.status_lines import Lasting, StatusLines
 from swarmtrack.runtime.telling import Teller
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_value, status_text
-from swarmtrack.wire.codec import link_health
+from swarmtrack.wire.health import link_health
 
 TIMEOUT = 60.0  # s: a hang, not a speed
 CONFIG = """

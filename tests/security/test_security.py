@@ -44,6 +44,7 @@ from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_config import zenoh_config
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message, sign_announcement
 
 GHOST_BOOT = "0badc0de"
 RANDOM = os.urandom(64 * 1024)
@@ -158,14 +159,14 @@ async def pair(field: Field) -> tuple[Drone, Drone]:
 def signed(credentials: Credentials, team: str, drone_id: int, boot: str, sequence: int = 1) -> bytes:
     """The bytes of an announcement by drone_id, signed by whoever's credentials these are."""
     assert credentials.sign is not None
-    return codec.sign_announcement(
+    return sign_announcement(
         unsigned(drone_id, boot, sequence), keys.key(team, Kind.POSE, drone_id), credentials.sign
     )
 
 
 def unsigned(drone_id: int, boot: str, sequence: int = 1) -> bytes:
     made = announcement(drone_id, boot, sequence)
-    return codec.encode_announcement(made, CLOCK.utc() - CLOCK.now(), CLOCK.now())
+    return codec.encode(announcement_message(made, CLOCK.utc() - CLOCK.now(), CLOCK.now()))
 
 
 async def counted(drone: Drone, counter: str, times: int = 1) -> None:
@@ -296,7 +297,7 @@ async def test_a_member_cannot_speak_as_another(
     await one.until(lambda told: PeerArrived(3, own_boot) in told)
     # What was asked for is answered by the drone itself, and by nobody else.
     asking = await field.intruder(field.team.credentials("monitor"))
-    answers = [codec.decode_announcement(data) for data in await asking.ask(2)]
+    answers = [codec.decode(AnnouncementMessage, data) for data in await asking.ask(2)]
     assert [(a.boot, a.sequence) for a in answers] == [(two.boot, 1)]
     assert of(one.told, 2) == before
     refused = (
@@ -360,7 +361,7 @@ async def test_a_monitor_may_ask_but_not_speak(field: Field, pair: tuple[Drone, 
         monitor.token(drone_id, GHOST_BOOT)
         monitor.answer(drone_id, unsigned(drone_id, GHOST_BOOT))
         await monitor.put(Kind.POSE, drone_id, payload=unsigned(drone_id, GHOST_BOOT))
-    answers = [codec.decode_announcement(data) for data in await monitor.ask(1)]
+    answers = [codec.decode(AnnouncementMessage, data) for data in await monitor.ask(1)]
     assert [a.boot for a in answers] == [one.boot]
     await two.announce(2)
     await one.knows(two, sequence=2)

@@ -14,6 +14,10 @@ from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
+from swarmtrack.wire.fields import VERSION
+from swarmtrack.wire.sightings import sightings_message
+from swarmtrack.wire.tracks import TrackMessage, TracksMessage
+from swarmtrack.wire.video import VideoMessage, lens_message
 
 TEAM = "red"
 UTC = 1.8e9
@@ -67,20 +71,16 @@ def _sightings(observer: int, t: float, k: int) -> bytes:
         (),
         tuple(Sighting(names.get(w, w), 0.99, ray / np.linalg.norm(ray), 0.01) for w, ray in rays.items()),
     )
-    return codec.encode_sightings(report, UTC, t)
+    return codec.encode(sightings_message(report, UTC, t))
 
 
 def _tracks(t: float, k: int) -> bytes:
     cov = (4.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 4.0, 0.0, 9.0)
-    one = codec.TrackMessage(
-        1, 2, 0.99, 100.0 + 5.0 * t, 5.0, 200.0, 0.0, cov, 30.0, 20.0, "confirmed", 0.99, None
-    )
-    return codec.encode_tracks(codec.TracksMessage(codec.VERSION, UTC + t, 0.05, k, 0.0, (one,)))
+    one = TrackMessage(1, 2, 0.99, 100.0 + 5.0 * t, 5.0, 200.0, 0.0, cov, 30.0, 20.0, "confirmed", 0.99, None)
+    return codec.encode(TracksMessage(VERSION, UTC + t, 0.05, k, 0.0, (one,)))
 
 
 def _view(t: float, k: int) -> bytes:
     _, jpeg = cv2.imencode(".jpg", np.full((120, 160, 3), k % 256, np.uint8))
-    lens = codec.lens_message(CAMERA)
-    return codec.encode_video(
-        codec.VideoMessage(codec.VERSION, UTC + t, 0.05, k, 160, 120, jpeg.tobytes(), lens, None, None)
-    )
+    lens = lens_message(CAMERA)
+    return codec.encode(VideoMessage(VERSION, UTC + t, 0.05, k, 160, 120, jpeg.tobytes(), lens, None, None))

@@ -38,6 +38,7 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.topology import of_monitor
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
+from swarmtrack.wire.tracks import TracksMessage
 
 PATIENCE = 60.0  # s: far beyond every promise, for a machine that is busy
 MAX_FRAME_AGE_S = 1.0  # where processes wait for each other, a late frame is better than none
@@ -241,13 +242,13 @@ class Team:
         async for sample in self._listener.samples():
             address = keys.parse(sample.key)
             assert address is not None
-            message = codec.decode_tracks(sample.payload)
+            message = codec.decode(TracksMessage, sample.payload)
             async with self._looked:
                 look = self._look(address.drone_id, message)
                 self.looks.setdefault(address.drone_id, []).append(look)
                 self._looked.notify_all()
 
-    def _look(self, observer: int, message: codec.TracksMessage) -> Look:
+    def _look(self, observer: int, message: TracksMessage) -> Look:
         off = self._clock_off_s.get(observer, 0.0)
         t = message.t_utc_s - off - self.epoch - (time.time() - time.monotonic())  # world time
         view = self._truth.view(observer, t)

@@ -12,7 +12,8 @@ from swarmtrack.runtime.health import Health
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.consistency import FEWEST, WINDOW, InnovationWindow, of_sure_pairs
-from swarmtrack.wire.codec import decode_health, encode_health
+from swarmtrack.wire import codec
+from swarmtrack.wire.health import HealthMessage
 
 ONE_MODEL = {"mbm": {"interacting": False}}  # that moves as the targets here; a mixture does not, by design
 CAMERA = PinholeCamera(430.0, 430.0, 5000.0, 5000.0, 10_000, 10_000)
@@ -148,14 +149,14 @@ def test_health_tells_it_and_all_that_the_tracker_and_onboard_refused(tmp_path):
     config.write_text(AGENT, encoding="utf-8")
     parts = assemble(load_config(config))
     health = Health(parts)
-    assert decode_health(encode_health(health.message())).consistency is None
+    assert codec.decode(HealthMessage, codec.encode(health.message())).consistency is None
     rng = np.random.default_rng(0)
     for k in range(200):
         centre = np.array([[300.0, 200.0], [9e9, 0.0]]) + rng.normal(0.0, 4.0, (2, 2))
         for t in (k / 15, 0.0):  # each is followed by a late one
             seen = Detections(t, k, centre, np.full((2, 2), 30.0), np.full(2, 0.9))
             parts.onboard.on_detections(seen)
-    told = decode_health(encode_health(health.message()))
+    told = codec.decode(HealthMessage, codec.encode(health.message()))
     assert told.consistency.nis > told.consistency.high
     assert told.drops["unusable_detections"] == 200
     assert told.drops["late_scans"] == 200

@@ -34,6 +34,8 @@ from swarmtrack.transport.outgoing import Outgoing
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.transport.settings import NetworkSettings, check
 from swarmtrack.wire import codec
+from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message
+from swarmtrack.wire.sightings import SightingsMessage, sightings_message
 
 PATIENCE = 10.0  # s: far beyond what any of this takes; only a broken promise waits it out
 
@@ -72,10 +74,12 @@ class Agent:
         await self.transport.announce(announcement(self.drone_id, self.boot, sequence, t))
 
     def report(self, sequence: int = 0, t: float = 0.0) -> None:
-        payload = codec.encode_sightings(
-            report(self.drone_id, self.boot, sequence, t),
-            self.clock.utc() - self.clock.now(),
-            self.clock.now(),
+        payload = codec.encode(
+            sightings_message(
+                report(self.drone_id, self.boot, sequence, t),
+                self.clock.utc() - self.clock.now(),
+                self.clock.now(),
+            )
         )
         self.transport.publish(Kind.IDENTITIES, payload)
 
@@ -331,7 +335,7 @@ async def test_a_report_on_a_key_or_of_a_boot_that_is_not_its_own_is_refused(
         async with asyncio.timeout(PATIENCE):
             while listener.counter(counter) == 0:  # again: what is put before the links stand is lost
                 await world.put(
-                    keys.key(team, Kind.IDENTITIES, key_id), codec.encode_sightings(said, 1.7e9, 0.0)
+                    keys.key(team, Kind.IDENTITIES, key_id), codec.encode(sightings_message(said, 1.7e9, 0.0))
                 )
                 await asyncio.sleep(0.01)
 
@@ -434,7 +438,7 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
     await friend.announce(sequence=0)
     await victim.hears(2, friend.boot)
     noise = os.urandom(64 * 1024)
-    stolen = codec.encode_announcement(announcement(3, friend.boot), 1.7e9, 0.0)
+    stolen = codec.encode(announcement_message(announcement(3, friend.boot), 1.7e9, 0.0))
     async with asyncio.timeout(PATIENCE):
         # Again until counted: what the intruder puts before its own links stand is lost.
         while (
@@ -536,15 +540,15 @@ def test_a_flood_of_questions_is_answered_within_bounds_and_signed_once() -> Non
     clock.set(60.0)  # a later second: answered again, with the age as of then
     later = outgoing.answer()
     assert later is not None
-    assert codec.decode_announcement(later).age_s == pytest.approx(12.0)
+    assert codec.decode(AnnouncementMessage, later).age_s == pytest.approx(12.0)
 
 
 # --- the sender's clock, pure ---
 
 
-def message(sent_utc: float, age: float = 0.5) -> codec.SightingsMessage:
+def message(sent_utc: float, age: float = 0.5) -> SightingsMessage:
     said = report(2, "0000000b", t=sent_utc - age)
-    return codec.decode_sightings(codec.encode_sightings(said, 0.0, sent_utc))
+    return codec.decode(SightingsMessage, codec.encode(sightings_message(said, 0.0, sent_utc)))
 
 
 def tell_time(clock: SenderClock, sent_utc: float, arrived: float) -> float:
@@ -589,7 +593,7 @@ happenings = st.lists(
 
 def hear(membership: Membership, key_id: int, said: Announcement) -> list[PeerEvent]:
     """As the transport does once an announcement is decoded."""
-    message = codec.decode_announcement(codec.encode_announcement(said, 1.7e9, 0.0))
+    message = codec.decode(AnnouncementMessage, codec.encode(announcement_message(said, 1.7e9, 0.0)))
     life = membership.life(key_id, message)
     if life is None:
         return []

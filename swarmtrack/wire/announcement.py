@@ -1,0 +1,119 @@
+"""`pose/<id>`, the announcement: who I am and where I started; with its signature in a team that has keys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from msgspec import Meta
+
+from swarmtrack.geometry.rotation import from_quaternion, is_rotation, to_quaternion
+from swarmtrack.messages import Announcement
+from swarmtrack.wire.checks import check_covariances, check_unit, symmetric, upper_triangle
+from swarmtrack.wire.fields import (
+    SIGNATURE_BYTES,
+    VERSION,
+    Boot,
+    DroneId,
+    Moment,
+    Position,
+    Quaternion,
+    Record,
+    Seconds,
+    Sequence,
+    UtcSeconds,
+)
+
+
+class AnnouncementMessage(Record, frozen=True):
+    """`pose/<id>`: who I am and where I started, in the team's NED frame.
+
+    t_utc_s: when the pose held, by the sender's UTC; age_s: how long ago that was when these bytes were made.
+    quaternion_wxyz: world from body; position_cov_m2: upper triangle, row by row. signature: see `signed_part`.
+    """
+
+    what: ClassVar[str] = "announcement"
+    version: Literal[1]
+    drone_id: DroneId
+    boot: Boot
+    sequence: Sequence
+    t_utc_s: UtcSeconds
+    t_sigma_s: Seconds
+    position_m: Position
+    quaternion_wxyz: Quaternion
+    position_cov_m2: Annotated[tuple[Moment, ...], Meta(min_length=6, max_length=6)]
+    age_s: Seconds
+    signature: Annotated[bytes, Meta(min_length=SIGNATURE_BYTES, max_length=SIGNATURE_BYTES)] | None = None
+
+
+def announcement_message(announcement: Announcement, utc_offset: float, now: float) -> AnnouncementMessage:
+    """Ours as it goes on the wire at `now`, unsigned. Raises ValueError where its attitude is none."""
+    a = announcement
+    if not is_rotation(a.world_from_body):
+        raise ValueError("announcement: world_from_body is no rotation")
+    return AnnouncementMessage(
+        version=VERSION,
+        drone_id=a.drone_id,
+        boot=a.boot,
+        sequence=a.sequence,
+        t_utc_s=float(a.t + utc_offset),
+        t_sigma_s=float(a.t_sigma),
+        position_m=tuple(a.position.tolist()),
+        quaternion_wxyz=tuple(to_quaternion(a.world_from_body).tolist()),
+        position_cov_m2=upper_triangle(a.position_cov),
+        age_s=max(0.0, float(now - a.t)),
+    )
+
+
+def check(message: AnnouncementMessage) -> None:
+    """Raises DecodeError. Its signature, if any, is left unchecked."""
+    check_unit("announcement: quaternion_wxyz", message.quaternion_wxyz, "a unit quaternion")
+    check_covariances("announcement: position_cov_m2", [message.position_cov_m2], 3)
+
+
+def announcement_from(message: AnnouncementMessage, t: float, t_sigma: float) -> Announcement:
+    """A teammate's announcement for us. t: when the pose held, on our monotonic clock."""
+    m = message
+    return Announcement(
+        drone_id=m.drone_id,
+        boot=m.boot,
+        sequence=m.sequence,
+        t=t,
+        t_sigma=t_sigma,
+        position=np.array(m.position_m),
+        world_from_body=from_quaternion(m.quaternion_wxyz),
+        position_cov=symmetric(np.array([m.position_cov_m2]), 3)[0],
+    )
+
+
+# The signature is the last field of eleven. What it covers is the same array without it, so with another first
+# byte; the bytes between are taken as they are, which spares signer and reader a canonical form.
+_ARRAY_OF_10, _ARRAY_OF_11 = b"\x9a", b"\x9b"
+_SIGNATURE_HEAD = bytes([0xC4, SIGNATURE_BYTES])
+
+
+class SignedPart(NamedTuple):
+    """What was signed, and the signature."""
+
+    signed: bytes
+    signature: bytes
+
+
+def sign_announcement(unsigned: bytes, key: str, sign: Callable[[bytes], bytes]) -> bytes:
+    """An announcement's bytes as `encode` made them, with the last field filled in. key: where it will be said."""
+    assert unsigned[:1] == _ARRAY_OF_11, "as encode makes it"
+    signature = sign(_signed(key, unsigned[1:-1]))
+    return unsigned[:-1] + _SIGNATURE_HEAD + signature
+
+
+def signed_part(data: bytes, key: str) -> SignedPart | None:
+    """Of an announcement's bytes, heard on `key`; None where they are not signed in the one way that counts."""
+    head = data[-SIGNATURE_BYTES - 2 : -SIGNATURE_BYTES]
+    if data[:1] != _ARRAY_OF_11 or head != _SIGNATURE_HEAD:
+        return None
+    return SignedPart(_signed(key, data[1 : -SIGNATURE_BYTES - 2]), data[-SIGNATURE_BYTES:])
+
+
+def _signed(key: str, fields: bytes) -> bytes:
+    return key.encode() + b"\0" + _ARRAY_OF_10 + fields

@@ -1,0 +1,59 @@
+"""What a field on the wire may hold: types with their bounds, and what a message may hold of each thing.
+
+The bounds are not physics, they only keep later arithmetic far from overflow.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+import msgspec
+from msgspec import Meta
+
+VERSION: Final = 1
+# Bytes of one message; checked before anything is decoded.
+MAX_BYTES: Final = 64 * 1024
+# 255 tracks of at most 200 bytes stay below MAX_BYTES.
+MAX_TRACKS: Final = 255
+MAX_SIGHTINGS: Final = 255
+# Leaves room for everything else in a video message.
+MAX_JPEG: Final = MAX_BYTES - 512
+# As many drones as a transport remembers.
+MAX_KNOWN: Final = 1024
+# Of Ed25519.
+SIGNATURE_BYTES: Final = 64
+
+DroneId = Annotated[int, Meta(ge=1, le=65535)]
+Boot = Annotated[str, Meta(pattern="^[0-9a-f]{8}$", min_length=8, max_length=8)]
+Sequence = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Side = Annotated[int, Meta(ge=1, le=65535)]
+"""Of an image, px."""
+
+UtcSeconds = Annotated[float, Meta(ge=0.0, le=2.0**32)]
+"""Until the year 2106."""
+Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
+SignedSeconds = Annotated[float, Meta(ge=-(2.0**33), le=2.0**33)]
+Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
+Length = Annotated[float, Meta(ge=0.0, le=1e7)]
+Component = Annotated[float, Meta(ge=-1.1, le=1.1)]
+"""Of a unit quaternion or vector."""
+Pixels = Annotated[float, Meta(ge=-1e7, le=1e7)]
+"""Or px/s."""
+Moment = Annotated[float, Meta(ge=-1e15, le=1e15)]
+"""An entry of a covariance."""
+Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
+Rate = Annotated[float, Meta(ge=-1e3, le=1e3)]
+"""rad/s."""
+Quantity = Annotated[float, Meta(ge=-1e15, le=1e15)]
+
+Position = tuple[Metres, Metres, Metres]
+Direction = tuple[Component, Component, Component]
+Quaternion = tuple[Component, Component, Component, Component]
+
+Name = Annotated[str, Meta(max_length=64)]
+Line = Annotated[str, Meta(max_length=256)]
+
+
+class Record(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """An array on the wire: fields go by position, none may be missing and none added."""

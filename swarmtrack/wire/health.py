@@ -1,0 +1,110 @@
+"""`health/<id>`: how the agent is doing."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, ClassVar, Literal
+
+from msgspec import Meta
+
+from swarmtrack.messages import LinkStatus
+from swarmtrack.wire.fields import (
+    Boot,
+    Count,
+    Line,
+    Name,
+    Quantity,
+    Rate,
+    Record,
+    Seconds,
+    SignedSeconds,
+    UtcSeconds,
+)
+
+
+class RateHealth(Record, frozen=True):
+    """How often something was asked for (null: as it comes), and how often it came."""
+
+    asked_hz: Quantity | None
+    got_hz: Quantity
+
+
+class LatencyHealth(Record, frozen=True):
+    """How long something took, over the last reporting interval."""
+
+    p50_s: Seconds
+    p95_s: Seconds
+    max_s: Seconds
+
+
+class LinkHealth(Record, frozen=True):
+    """One camera, autopilot or network, as `LinkStatus` says it."""
+
+    name: Name
+    ok: bool
+    text: Line
+    counters: Annotated[dict[Name, Quantity], Meta(max_length=64)]
+
+
+class TimeOffsetHealth(Record, frozen=True):
+    """exposure on the IMU's clock = stamp + offset: what the flight says of it (null: nothing), and what is used."""
+
+    found_s: SignedSeconds | None
+    sigma_s: Seconds | None
+    used_s: SignedSeconds
+
+
+class GyroBiasHealth(Record, frozen=True):
+    """What the gyro says at rest, body FRD: what the flight says of it (null: nothing), and what is taken off."""
+
+    found_rad_s: tuple[Rate, Rate, Rate] | None
+    sigma_rad_s: Annotated[float, Meta(ge=0.0, le=1e3)] | None
+    used_rad_s: tuple[Rate, Rate, Rate]
+
+
+class ConsistencyHealth(Record, frozen=True):
+    """Mean normalised innovation squared of the last detections; the band in which it lies if the tracker is right."""
+
+    nis: Quantity
+    low: Quantity
+    high: Quantity
+
+
+class ReadinessHealth(Record, frozen=True):
+    """Whether the drone could fly now, and if not, why."""
+
+    ready: bool
+    reasons: Annotated[tuple[Line, ...], Meta(max_length=16)]
+
+
+class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
+    """`health/<id>`: how the agent is doing. clock_offset_s: ours minus the autopilot's, null without one.
+
+    drops counts what was thrown away since the start, by place; events holds the last lines worth reading. It alone
+    may grow: what a reader misses at its end is null, and what it does not know there it leaves (decision 10).
+    """
+
+    what: ClassVar[str] = "health"
+    version: Literal[1]
+    t_utc_s: UtcSeconds
+    boot: Boot
+    uptime_s: Seconds
+    cpu_percent: Quantity
+    rss_mb: Quantity
+    rates: Annotated[dict[Name, RateHealth], Meta(max_length=32)]
+    latencies: Annotated[dict[Name, LatencyHealth], Meta(max_length=32)]
+    clock_offset_s: SignedSeconds | None
+    clock_offset_sigma_s: Seconds | None
+    links: Annotated[tuple[LinkHealth, ...], Meta(max_length=32)]
+    drops: Annotated[dict[Name, Count], Meta(max_length=64)]
+    events: Annotated[tuple[Line, ...], Meta(max_length=32)]
+    time_offset: TimeOffsetHealth | None = None
+    gyro_bias: GyroBiasHealth | None = None
+    consistency: ConsistencyHealth | None = None
+    readiness: ReadinessHealth | None = None
+
+
+def link_health(status: LinkStatus) -> LinkHealth:
+    """A link's state, cut to what fits on the wire; a counter that is not a number (yet) is left out."""
+    counters = {name[:64]: float(value) for name, value in status.counters[:64] if math.isfinite(value)}
+    return LinkHealth(name=status.name[:64], ok=status.ok, text=status.text[:256], counters=counters)

@@ -1,0 +1,50 @@
+"""Messages for people: each field by its name, with its unit, ready for JSON; and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from swarmtrack.wire import codec
+from swarmtrack.wire.codec import AnyMessage, Message
+
+
+def as_record(message: Message) -> dict[str, Any]:
+    """The message with its fields named, ready for JSON; the names carry the units."""
+    record: dict[str, Any] = _named(message)
+    return record
+
+
+def from_record(kind: type[AnyMessage], record: Mapping[str, Any]) -> AnyMessage:
+    """What `as_record` named, checked again as if it were heard. Raises DecodeError."""
+    fields = _unnamed(msgspec.inspect.type_info(kind), record)
+    return codec.decode(kind, msgspec.msgpack.encode(fields))
+
+
+def _unnamed(kind: msgspec.inspect.Type, value: Any) -> Any:
+    """A record as the array that stands on the wire; what is no record of this kind is left for msgspec to refuse."""
+    match kind:
+        case msgspec.inspect.StructType() if isinstance(value, Mapping):
+            return [_unnamed(field.type, value.get(field.name)) for field in kind.fields]
+        case msgspec.inspect.DictType() if isinstance(value, Mapping):
+            return {name: _unnamed(kind.value_type, v) for name, v in value.items()}
+        case msgspec.inspect.VarTupleType() if isinstance(value, list | tuple):
+            return [_unnamed(kind.item_type, v) for v in value]
+        case msgspec.inspect.UnionType() if isinstance(value, Mapping):
+            # The unions of ours are a struct or null.
+            return next(
+                _unnamed(one, value) for one in kind.types if isinstance(one, msgspec.inspect.StructType)
+            )
+    return value
+
+
+def _named(value: Any) -> Any:
+    if isinstance(value, msgspec.Struct):
+        return {name: _named(getattr(value, name)) for name in value.__struct_fields__}
+    if isinstance(value, Mapping):
+        return {name: _named(v) for name, v in value.items()}
+    if isinstance(value, tuple):
+        return [_named(v) for v in value]
+    return value.hex() if isinstance(value, bytes) else value

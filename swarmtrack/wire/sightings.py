@@ -1,0 +1,106 @@
+"""`identities/<id>`, the sightings: whom a drone sees, and on which ray."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from swarmtrack.messages import Sighting, SightingReport
+from swarmtrack.wire.checks import DecodeError, check_unit
+from swarmtrack.wire.fields import (
+    MAX_KNOWN,
+    MAX_SIGHTINGS,
+    VERSION,
+    Boot,
+    Direction,
+    DroneId,
+    Length,
+    Position,
+    Probability,
+    Record,
+    Seconds,
+    Sequence,
+    UtcSeconds,
+)
+
+
+class SightingMessage(Record, frozen=True):
+    """One teammate in view: the unit vector towards it from the observer's camera, in the team's NED frame."""
+
+    what: ClassVar[str] = "sighting"
+    drone_id: DroneId
+    probability: Probability
+    direction: Direction
+    sigma_rad: Annotated[float, Meta(ge=0.0, le=math.pi)]
+
+
+class SightingsMessage(Record, frozen=True):
+    """`identities/<id>`: whom one drone sees, and where its camera was at the exposure, `age_s` before it was sent.
+
+    sequence counts what this boot published; known: whose announcements the observer has.
+    """
+
+    what: ClassVar[str] = "sightings"
+    version: Literal[1]
+    drone_id: DroneId
+    boot: Boot
+    sequence: Sequence
+    t_utc_s: UtcSeconds
+    t_sigma_s: Seconds
+    age_s: Seconds
+    position_m: Position
+    position_sigma_m: Length
+    known: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_KNOWN)]
+    sightings: Annotated[tuple[SightingMessage, ...], Meta(max_length=MAX_SIGHTINGS)]
+
+
+def sightings_message(report: SightingReport, utc_offset: float, now: float) -> SightingsMessage:
+    """Ours as it goes on the wire at `now`."""
+    r = report
+    return SightingsMessage(
+        version=VERSION,
+        drone_id=r.observer,
+        boot=r.boot,
+        sequence=r.sequence,
+        t_utc_s=float(r.t + utc_offset),
+        t_sigma_s=float(r.t_sigma),
+        age_s=max(0.0, float(now - r.t)),
+        position_m=tuple(r.position.tolist()),
+        position_sigma_m=float(r.position_sigma),
+        known=r.known,
+        sightings=tuple(
+            SightingMessage(s.drone_id, float(s.probability), tuple(s.direction.tolist()), float(s.sigma))
+            for s in r.sightings
+        ),
+    )
+
+
+def check(message: SightingsMessage) -> None:
+    """Raises DecodeError."""
+    for sighting in message.sightings:
+        check_unit("sightings: direction", sighting.direction, "a unit vector")
+    seen = [sighting.drone_id for sighting in message.sightings]
+    for name, ids in (("sightings", seen), ("known", message.known)):
+        if len(set(ids)) < len(ids):
+            raise DecodeError(f"sightings: {name}: names a drone twice, expected each once")
+
+
+def report_from(message: SightingsMessage, t: float, t_sigma: float) -> SightingReport:
+    """A teammate's report for us. t: the exposure, on our monotonic clock."""
+    m = message
+    return SightingReport(
+        observer=m.drone_id,
+        boot=m.boot,
+        sequence=m.sequence,
+        t=t,
+        t_sigma=t_sigma,
+        position=np.array(m.position_m),
+        position_sigma=m.position_sigma_m,
+        known=m.known,
+        sightings=tuple(
+            Sighting(s.drone_id, s.probability, np.array(s.direction), s.sigma_rad) for s in m.sightings
+        ),
+    )
