@@ -20,7 +20,7 @@ from typing import NamedTuple
 import pytest
 
 from support.places import ROOT
-from swarmtrack.agents import main, vehicle
+from swarmtrack.agents import bench, main, vehicle
 from swarmtrack.config import load_config, load_team_config
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -263,6 +263,11 @@ def test_the_index_lists_every_page():
     listed = set(re.findall(r"\]\(([^)#]+)", index))
     pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.is_relative_to(ROOT / "docs")}
     assert pages - listed - {"README.md"} == set()
+
+
+def test_the_page_of_benchmarks_names_every_one():
+    page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    assert [name for name in bench.BENCHMARKS if f"`swarmtrack bench {name}" not in page] == []
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from support.places import ROOT
 from swarmtrack.config import load_config
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+BENCHMARKS_PAGE = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
 PATIENCE = 60.0  # s
 
 
@@ -73,6 +74,20 @@ def test_help_answers(module):
 def test_every_path_it_links_to_exists():
     for target in re.findall(r"\]\(([^)#:]+)\)", README):
         assert (ROOT / target).exists(), target
+
+
+def test_it_is_short():
+    lines = README.splitlines()
+    assert len(lines) <= 130
+    assert max(len(line) for line in lines) <= 120
+
+
+def test_its_numbers_are_those_of_the_benchmarks_page():
+    section = re.search(r"## Numbers\n(.*?)\n## ", README, re.DOTALL)[1]
+    results = [row.split("|")[2:4] for row in section.splitlines() if row.startswith("|")][2:]
+    assert len(results) == 6
+    for number in re.findall(r"\d+(?:\.\d+)?", str(results)):
+        assert re.search(rf"(?<![\d.]){re.escape(number)}(?![\d.])", BENCHMARKS_PAGE), number
 
 
 def test_nothing_is_installed_beside_the_package():
