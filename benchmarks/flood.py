@@ -39,6 +39,7 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement, PeerArrived, Sighting, SightingReport
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.peers import Verify
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
@@ -99,14 +100,7 @@ async def measure(sort: Sort, seconds: float) -> Outcome:
     """Flood an agent's transport for so long."""
     team = f"flood-{secrets.token_hex(4)}"
     boot, clock = keys.new_boot(), SystemClock()
-    transport = ZenohTransport(
-        NetworkSettings(team=team),
-        MEASURED,
-        boot,
-        clock,
-        sign=signing_key(MEASURED).sign,
-        verify=verify,
-    )
+    transport = member(MEASURED, team, boot, clock, verify)
     heard = Heard()
     await transport.open()
     listening = asyncio.create_task(heard.listen(transport, clock))
@@ -203,7 +197,7 @@ def program(role: str, team: str, sort: Sort) -> AbstractAsyncContextManager[asy
 async def be_friend(team: str) -> None:
     """Announce for ever."""
     boot, clock = keys.new_boot(), SystemClock()
-    transport = ZenohTransport(NetworkSettings(team=team), FRIEND, boot, clock, sign=signing_key(FRIEND).sign)
+    transport = member(FRIEND, team, boot, clock)
     await transport.open()
     for sequence in count(1):
         await transport.announce(announcement(FRIEND, boot, sequence, clock.now()))
@@ -213,9 +207,7 @@ async def be_friend(team: str) -> None:
 async def be_flooder(team: str, sort: Sort) -> None:
     """A member in order that floods from a line on stdin to the next, and then prints its rate [Hz]."""
     boot, clock = keys.new_boot(), SystemClock()
-    transport = ZenohTransport(
-        NetworkSettings(team=team), FLOODER, boot, clock, sign=signing_key(FLOODER).sign
-    )
+    transport = member(FLOODER, team, boot, clock)
     await transport.open()
     await transport.announce(announcement(FLOODER, boot, 1, clock.now()))
     async for event in transport.events():
@@ -307,6 +299,14 @@ def sightings(boot: str, sequence: int) -> SightingReport:
     )
     known = tuple(sighting.drone_id for sighting in others)
     return SightingReport(FLOODER, boot, sequence, 0.0, 0.01, np.zeros(3), 0.1, known, others)
+
+
+def member(
+    drone_id: int, team: str, boot: str, clock: SystemClock, verify: Verify | None = None
+) -> ZenohTransport:
+    return ZenohTransport(
+        NetworkSettings(team=team), drone_id, boot, clock, sign=signing_key(drone_id).sign, verify=verify
+    )
 
 
 @cache

@@ -147,7 +147,25 @@ def _size(flight: SwarmReport) -> dict[str, Any]:
 
 
 def _markdown(p: Programme, result: dict[str, Any]) -> str:
-    recognition = [
+    return "\n\n".join(
+        [
+            "# Local swarms",
+            f"{p.drones} drones, {p.seconds:g} s, {p.seeds} seeds a scenario, `--detector oracle`, tracker"
+            f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
+            _recognition_table(result["recognition"]),
+            f"Scenario `{p.size_scenario}` with its rates, {p.size_seconds:g} s; means over the agents.",
+            _size_table(result["sizes"]),
+            *(f"Lost: {line}" for line in result["lost"]),
+        ]
+    )
+
+
+def _recognition_table(by_scenario: dict[str, dict[str, Any]]) -> str:
+    header = [
+        "scenario", "passed", "correct", "wrong", "unknown", "agreement, worst run", "slowest to identify, s",
+        "worst RMSE, px", "switches a run", f"wrong ≤ {MAX_WRONG:g}",
+    ]  # fmt: skip
+    rows = [
         [
             name,
             f"{found['passed']} of {found['runs']}",
@@ -160,9 +178,18 @@ def _markdown(p: Programme, result: dict[str, Any]) -> str:
             f"{found['switches_per_run']:.1f}",
             "holds" if found["ok"] else "**fails**",
         ]
-        for name, found in result["recognition"].items()
+        for name, found in by_scenario.items()
     ]
-    sizes = [
+    return report.table(header, rows)
+
+
+def _size_table(by_size: dict[str, dict[str, Any]]) -> str:
+    header = [
+        "drones", "all announcements known, s after the last start", "bytes of one announcement",
+        "bytes announced by a drone", "RSS, MB", "CPU, % of a core", "correct", "wrong",
+        f"known ≤ {MAX_ALL_KNOWN_S:g} s",
+    ]  # fmt: skip
+    rows = [
         [
             n,
             report.number(found["all_known_s"], 1),
@@ -174,29 +201,6 @@ def _markdown(p: Programme, result: dict[str, Any]) -> str:
             f"{found['wrong']:.5f}",
             "holds" if found["ok"] else "**fails**",
         ]
-        for n, found in result["sizes"].items()
+        for n, found in by_size.items()
     ]
-    return "\n\n".join(
-        [
-            "# Local swarms",
-            f"{p.drones} drones, {p.seconds:g} s, {p.seeds} seeds a scenario, `--detector oracle`, tracker"
-            f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
-            report.table(
-                [
-                    "scenario", "passed", "correct", "wrong", "unknown", "agreement, worst run",
-                    "slowest to identify, s", "worst RMSE, px", "switches a run", f"wrong ≤ {MAX_WRONG:g}",
-                ],
-                recognition,
-            ),
-            f"Scenario `{p.size_scenario}` with its rates, {p.size_seconds:g} s; means over the agents.",
-            report.table(
-                [
-                    "drones", "all announcements known, s after the last start", "bytes of one announcement",
-                    "bytes announced by a drone", "RSS, MB", "CPU, % of a core", "correct", "wrong",
-                    f"known ≤ {MAX_ALL_KNOWN_S:g} s",
-                ],
-                sizes,
-            ),
-            *(f"Lost: {line}" for line in result["lost"]),
-        ]
-    )  # fmt: skip
+    return report.table(header, rows)
