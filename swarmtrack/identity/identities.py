@@ -26,7 +26,15 @@ from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.posterior import LOG_ANYWHERE, log_ratios, nearest, residuals
-from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, Predictions, joined, reproject, retrace
+from swarmtrack.identity.reprojection import (
+    LastSeen,
+    ObserverCamera,
+    Predictions,
+    joined,
+    rays_to,
+    reproject,
+    retrace,
+)
 from swarmtrack.identity.standing import Event, Standing, fire
 from swarmtrack.messages import (
     FOREIGN,
@@ -44,6 +52,7 @@ from swarmtrack.messages import (
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.marginals import matching_marginals
 
+# Of these, the track does not show where the drone is.
 UNSEEN = (Standing.HIDDEN, Standing.DOUBTED)
 
 # s without a detection: no longer a miss.
@@ -56,7 +65,7 @@ OFF_CENTRE = 0.15
 VERIFY_S = 1.0
 # The least probability of a candidate that is worth a question.
 LIKELY = 0.01
-# Drones because of one track at a time.
+# How many drones are asked because of one track at a time.
 ASKED = 2
 # s after which a drone whose process is gone is no candidate any more.
 DEPARTED_S = 60.0
@@ -66,20 +75,21 @@ DISPUTE_S = 5.0
 FORGET_S = 30.0
 # s that a track is nameless before its candidates are asked for their poses.
 NAMELESS_S = 1.0
-# s over which a track's velocity becomes a turn of its ray.
-AHEAD_S = 0.1
 
 
 @dataclass(slots=True)
 class _Unassigned:
-    """A track without an ID. unexplained_since [s]: since when no drone is likely to be it, with probability p_none;
-    foreign: for long enough; asked: whether those who have a name were asked for their poses because of it."""
+    """A track without an ID."""
 
     first_t: float
     unexplained_since: float | None = None
+    """s: since when it is probably no announced drone."""
     p_none: float = 0.0
+    """The probability that it is none."""
     foreign: bool = False
+    """Unexplained for long enough."""
     asked: bool = False
+    """Whether the drones with an ID near it were asked for their poses because of it."""
 
 
 class Identities:
@@ -94,9 +104,11 @@ class Identities:
         self._parameters = parameters
         self._announced: dict[int, Announcement] = {}
         self._unannounced: set[int] = set()
+        """Alive, but with no pose that we know: these may be any track."""
         self._departed: set[int] = set()
+        """Whose process is gone."""
         self._clashing: dict[int, set[str]] = {}
-        """By drone that two processes or more speak as: their boots."""
+        """By drone that several processes speak as: their boots."""
         self._overruled: dict[int, float] = {}
         """By drone: since when."""
         self._assignments: dict[int, Assignment] = {}
@@ -158,7 +170,7 @@ class Identities:
                     self._departed.add(drone)
 
     def overrule(self, drone_id: int, t: float) -> None:
-        """Others see it elsewhere: no track is this drone until it says anew where it is, or the dispute is old."""
+        """Others see it elsewhere: no track is this drone until it announces itself again, or the dispute is old."""
         self._withdraw(drone_id, Event.OVERRULED)
         self._overruled[drone_id] = t
         self._pose_requests.put(drone_id)
@@ -194,7 +206,7 @@ class Identities:
         return [(held.seen, held.probability) for held in settled if held.seen and held.seen.t == t]
 
     def take_wanted(self) -> tuple[int, ...]:
-        """The drones whose pose is wanted anew; each is told once."""
+        """The drones that should announce their pose again; each is returned once."""
         return self._pose_requests.take()
 
     def _name(self, track_id: int) -> tuple[Identity, float]:
@@ -253,8 +265,8 @@ class Identities:
         self._overruled = {drone: since for drone, since in self._overruled.items() if t - since < DISPUTE_S}
 
     def _watch_for_occlusion(self, alive: Mapping[int, Track], t: float) -> None:
-        """Who is not detected may be taken for whoever is near; who was not for a while is doubted when it comes
-        back."""
+        """A drone that is not detected may be taken for one near it. If that lasts, its ID is doubted once the track
+        is detected again."""
         for id, held in self._assignments.items():
             since = alive[id].coasting_since
             if since is not None:
@@ -291,7 +303,7 @@ class Identities:
             for held in self._assignments.values()
             if held.stated and alive[held.track_id].coasting_since is None
         ]
-        rays = _rays([(held.drone_id, alive[held.track_id]) for held in detected], view)
+        rays = rays_to([(held.drone_id, alive[held.track_id]) for held in detected], view)
         for held, ray in zip(detected, rays, strict=True):
             held.seen = ray
 
@@ -431,18 +443,3 @@ def _meet(one: Track, other: Track) -> bool:
     """Whether two boxes touch, nearly."""
     size = np.nan_to_num(one.size, nan=0.0) + np.nan_to_num(other.size, nan=0.0)
     return bool((np.abs(one.mean[::2] - other.mean[::2]) < 0.5 * size + MEETING_PX).all())
-
-
-def _rays(named: Sequence[tuple[int, Track]], view: ObserverCamera) -> list[LastSeen]:
-    """The rays to tracks that are drones, and how these turn."""
-    if not named:
-        return []
-    mean = np.array([track.mean for _, track in named])
-    here = view.rays(mean[:, ::2])
-    there = view.rays(mean[:, ::2] + AHEAD_S * mean[:, 1::2])
-    sigma = np.sqrt([np.trace(track.cov[::2, ::2]) / 2.0 for _, track in named]) / view.camera.fx
-    origin = view.team_from_camera.position
-    return [
-        LastSeen(drone, track.t, here[i], (there[i] - here[i]) / AHEAD_S, float(sigma[i]), origin)
-        for i, (drone, track) in enumerate(named)
-    ]

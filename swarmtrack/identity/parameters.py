@@ -1,4 +1,4 @@
-"""What decides when a track is given a drone's ID."""
+"""What decides when a track is assigned a drone's ID."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 # s between two requests to one drone that did not settle the matter, doubled with each.
 FIRST_WAIT_S = 3.0
-# s: no longer, since what could not be told apart may have flown apart meanwhile.
+# s: no longer, since what could not be told apart may have flown apart since.
 LAST_WAIT_S = 48.0
 
 

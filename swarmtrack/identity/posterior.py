@@ -68,7 +68,7 @@ def log_ratios(found: ReprojectionResiduals, camera: PinholeCamera, prior: Prior
     log_area = math.log(camera.width * camera.height)
     u, v = found.mean[..., 0], found.mean[..., 1]
     a, b, c = found.cov[..., 0, 0], found.cov[..., 0, 1], found.cov[..., 1, 1]
-    # Whoever announces a covariance like a needle must not make the determinant zero or negative, and all of this NaN.
+    # Anyone may announce a covariance like a needle: its determinant must not round to zero, and all of this to NaN.
     determinant = np.maximum(a * c - b * b, FLATTEST * a * c)
     distance = np.maximum(c * u * u - 2.0 * b * u * v + a * v * v, 0.0) / determinant
     # Of the Gaussian, px².

@@ -15,7 +15,7 @@ import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement, Array
+from swarmtrack.messages import Announcement, Array, Track
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.motion_model import optical_flow
 
@@ -31,6 +31,8 @@ COURSE_S = 1.0
 LOST_SHARE = 0.1
 # rad: how far these are at once.
 TURNED_AWAY = 0.3
+# s over which a track's velocity becomes a turn of its ray.
+AHEAD_S = 0.1
 # m: no teammate is closer, so the observer's motion turns no bearing by more than one at it.
 NEAREST = 2.0
 
@@ -119,11 +121,26 @@ def reproject(
     )
 
 
+def rays_to(named: Sequence[tuple[int, Track]], view: ObserverCamera) -> list[LastSeen]:
+    """The rays to tracks, each with the ID of the drone that it is, and how these rays turn."""
+    if not named:
+        return []
+    mean = np.array([track.mean for _, track in named])
+    here = view.rays(mean[:, ::2])
+    there = view.rays(mean[:, ::2] + AHEAD_S * mean[:, 1::2])
+    sigma = np.sqrt([np.trace(track.cov[::2, ::2]) / 2.0 for _, track in named]) / view.camera.fx
+    origin = view.team_from_camera.position
+    return [
+        LastSeen(drone, track.t, here[i], (there[i] - here[i]) / AHEAD_S, float(sigma[i]), origin)
+        for i, (drone, track) in enumerate(named)
+    ]
+
+
 def retrace(seen: Sequence[LastSeen], view: ObserverCamera, *, turn_rate: float) -> Predictions:
     """Drones that went out of sight, where they should come back: on along their course, as seen from here.
 
     turn_rate [rad/s]: how far their bearing may have left that course, for each second, or for a tenth of them `FAST`
-    times as far. Distances are not known, so whoever is out of sight while the observer moves may appear to have
+    times as far. Distances are not known, so a drone that is out of sight while the observer moves may appear to have
     moved as much as a drone at `NEAREST`.
     """
     if not seen:

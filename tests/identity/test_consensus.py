@@ -100,7 +100,7 @@ def test_two_observers_at_one_spot_that_look_the_same_way_agree():
     assert judge(ours, report(sighting(3, HERE, TARGET), position=HERE))[1] == []
 
 
-def test_whoever_stands_elsewhere_than_where_it_is_seen_is_not_it():
+def test_a_drone_that_says_it_stands_elsewhere_is_not_the_one_seen():
     """Observer 1 calls a track drone 2; drone 2 itself says where it stands, and knows best."""
     mistaken = own_view(sighting(2, HERE, THERE + 6.0 * NORTH, probability=0.99999))
     (found,) = judge(mistaken, report())[1]
@@ -127,7 +127,7 @@ def test_of_two_that_are_equally_certain_both_yield():
     assert of_1.overruled
 
 
-def test_whoever_is_outvoted_yields_and_whoever_is_supported_keeps():
+def test_an_observer_that_is_outvoted_yields_and_one_that_is_supported_does_not():
     ours = own_view(sighting(3, HERE, TARGET, 0.995))
     against = report(sighting(3, THERE, ELSEWHERE, 0.99), observer=2)
     ((alone,),) = hear(ours, against)

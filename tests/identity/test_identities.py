@@ -149,7 +149,7 @@ def test_while_two_processes_speak_as_one_drone_nobody_is_it(observer):
     assert not observer.hears(2, LEFT, sequence=5)
     assert observer.sees(5.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # and no stranger: it may be drone 2
     observer.identities.on_membership(PeerDeparted(2, "0000000a"))
-    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # where it is has to be heard anew
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # its pose is not known yet
     assert observer.hears(2, LEFT, sequence=1, boot="0000000b")
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
