@@ -209,7 +209,7 @@ class Detector:
     def status(self) -> LinkStatus:
         """One line and the counters for the health message; not ok while the newest frame could not be used."""
         latency = self.latency
-        pace = f", {1e3 * latency.infer.p50:.1f} ms a frame" if self._frames else ""
+        pace = f", {1e3 * latency.infer.p50:.1f} ms per frame" if self._frames else ""
         text = self._trouble or f"{self._path.name} on {', '.join(self.providers)}{pace}"
         counters = [
             ("frames", self._frames),

@@ -1,6 +1,6 @@
-"""What a check says, and every sentence that one may say.
+"""What a check reports, and every sentence that it may use.
 
-The sentences stand together here so that `docs/troubleshooting.md` can list them all: a test holds the two together.
+All sentences are in one place so that `docs/troubleshooting.md` can list them. A test keeps the two equal.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ class Level(enum.StrEnum):
     """How bad it is."""
 
     OK = "ok"
-    SKIPPED = "skipped"  # there was nothing to check, or no way to
-    WARNING = "warning"  # it works, less well than it could
-    FAILURE = "failure"  # it does not work
+    # There was nothing to check, or no way to.
+    SKIPPED = "skipped"
+    # It works, but not as well as it could.
+    WARNING = "warning"
+    # It does not work.
+    FAILURE = "failure"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +36,7 @@ class Finding:
 
 
 class Fault(NamedTuple):
-    """A sentence and its remedy; words in braces are filled in."""
+    """A sentence and its remedy. Words in braces are filled in."""
 
     level: Level
     found: str
@@ -46,197 +49,198 @@ W, F = Level.WARNING, Level.FAILURE
 FAULTS: dict[str, Fault] = {
     # --- camera
     "camera.address": Fault(
-        F, "{reason}", "mend camera.source; README and configs/ show one of each kind"
+        F, "{reason}", "correct camera.source; README and configs/ show one of each kind"
     ),
     "camera.missing": Fault(
         F,
         "no camera: {reason}",
-        "plug it in and look at `ls -l /dev/v4l/by-id/`; write that path into camera.source, it survives replugging",
+        "plug it in, look at `ls -l /dev/v4l/by-id/`, and use that path as camera.source: it survives replugging",
     ),
     "camera.forbidden": Fault(
-        F, "the camera may not be opened: {reason}", "add the agent's user to the device's group, log in again"
+        F, "no permission to open the camera: {reason}", "add the agent's user to the device's group and log in again"
     ),
     "camera.busy": Fault(
-        F, "another program holds the camera: {reason}", "end that program; a running agent is one, too"
+        F, "another program is using the camera: {reason}", "stop that program; it may be a running agent"
     ),
     "camera.unreachable": Fault(
         F,
         "the camera's server does not answer: {reason}",
-        "ping its host, open the address in a browser, check port, path and password",
+        "ping its host, open the address in a browser, and check port, path and password",
     ),
     "camera.silent": Fault(
         F,
-        "the camera is open but gave no frame in {seconds:.0f} s: {reason}",
+        "the camera is open but sent no frame in {seconds:.0f} s: {reason}",
         "check cable, power and USB bandwidth; try a smaller size or fourcc=MJPG",
     ),
     "camera.size": Fault(
         F,
-        "the camera does not give what was calibrated: {reason}",
-        "ask for the calibrated size in camera.source (width=, height=), or calibrate again: swarmtrack calibrate "
+        "the camera's image is not the calibrated one: {reason}",
+        "request the calibrated size in camera.source (width=, height=), or calibrate again: swarmtrack calibrate "
         "intrinsics",
     ),
     "camera.stale": Fault(
         F,
-        "frames are {age_ms:.0f} ms old when they come, more than camera.max_age_s = {limit_s:g} allows: none is used",
+        "frames are {age_ms:.0f} ms old when they arrive, older than camera.max_age_s = {limit_s:g}: none is used",
         "shorten the stream's buffers (encoder, server, network), or raise camera.max_age_s",
     ),
     "camera.broken": Fault(
-        F, "the camera does not work: {reason}", "see the reason; the agent's log (--log debug) tells more"
+        F, "the camera does not work: {reason}", "see the reason; the agent's log (--log debug) has more"
     ),
     "camera.late": Fault(
         W,
-        "frames are {age_ms:.0f} ms old when they come",
-        "below 100 ms identities come sooner: fewer buffers, a faster encoder, or a camera on USB",
+        "frames are {age_ms:.0f} ms old when they arrive",
+        "use fewer buffers, a faster encoder or a USB camera; below 100 ms, identities come sooner",
     ),
     "camera.slow": Fault(
         W,
-        "{got_hz:.1f} frames a second of {asked_hz:.0f} asked",
-        "more light or a fixed exposure (exposure_us=), a smaller size, fourcc=MJPG, another USB port",
+        "{got_hz:.1f} frames per second, {asked_hz:.0f} requested",
+        "try more light, a fixed exposure (exposure_us=), a smaller size, fourcc=MJPG, or another USB port",
     ),
     "camera.damaged": Fault(
         W,
         "{share:.0%} of the frames are damaged",
-        "check cable and USB hub, lower the size or the rate of the stream",
+        "check cable and USB hub, or lower the size or rate of the stream",
     ),
     "camera.stamps": Fault(
         W,
-        "frames are stamped when they arrive, not when they were exposed (± {sigma_ms:.0f} ms)",
-        "have the server send X-Timestamp, or measure the delay: swarmtrack calibrate extrinsics",
+        "frames are stamped at arrival, not at exposure (± {sigma_ms:.0f} ms)",
+        "make the server send X-Timestamp, or measure the delay: swarmtrack calibrate extrinsics",
     ),
     "camera.blank": Fault(
         W,
-        "the picture is of one shade (brightness {mean:.0f} ± {spread:.1f} of 255)",
+        "the image is uniform (brightness {mean:.0f} ± {spread:.1f} of 255)",
         "take the cap off the lens; check exposure and light",
     ),
     # --- autopilot
-    "autopilot.address": Fault(F, "{reason}", "mend autopilot.link; README and configs/ show one of each kind"),
+    "autopilot.address": Fault(F, "{reason}", "correct autopilot.link; README and configs/ show one of each kind"),
     "autopilot.missing": Fault(
         F,
         "no autopilot: {reason}",
-        "plug it in; look at `ls -l /dev/serial/by-id/` and write that path into autopilot.link",
+        "plug it in, look at `ls -l /dev/serial/by-id/`, and use that path in autopilot.link",
     ),
     "autopilot.forbidden": Fault(
         F,
-        "the autopilot's port may not be opened: {reason}",
-        "sudo usermod -aG dialout $USER, and log in again (under systemd: SupplementaryGroups=dialout)",
+        "no permission to open the autopilot's port: {reason}",
+        "run `sudo usermod -aG dialout $USER` and log in again (under systemd: SupplementaryGroups=dialout)",
     ),
     "autopilot.busy": Fault(
         F,
         "the autopilot's port is taken: {reason}",
-        "end that program (a ground station, ModemManager, another agent), or have the autopilot speak to another port",
+        "stop the other program (a ground station, ModemManager, another agent), or have the autopilot use another "
+        "port",
     ),
     "autopilot.unreachable": Fault(
-        F, "the autopilot's address does not answer: {reason}", "ping it; check host and port in autopilot.link"
+        F, "the autopilot's address does not answer: {reason}", "ping it, and check host and port in autopilot.link"
     ),
     "autopilot.silent": Fault(
         F,
-        "not a byte from the autopilot in {seconds:.0f} s: {reason}",
+        "no data from the autopilot in {seconds:.0f} s: {reason}",
         "check that TX goes to RX, and that this port speaks MAVLink 2 (ArduPilot SERIALn_PROTOCOL = 2, PX4 "
-        "MAV_n_CONFIG); over UDP, that it sends to this machine's address and port",
+        "MAV_n_CONFIG); over UDP, check that it sends to this machine's address and port",
     ),
     "autopilot.garbage": Fault(
         F,
-        "bytes come, but none of them are MAVLink: {reason}",
-        "set the port's baud rate as in autopilot.link (ArduPilot SERIALn_BAUD, PX4 SER_*_BAUD), or take the port that "
+        "bytes arrive, but they are not MAVLink: {reason}",
+        "set the port's baud rate as in autopilot.link (ArduPilot SERIALn_BAUD, PX4 SER_*_BAUD), or use the port that "
         "speaks MAVLink",
     ),
     "autopilot.foreign": Fault(
         F,
-        "MAVLink comes, but no autopilot's heartbeat: {reason}",
+        "MAVLink arrives, but no heartbeat from an autopilot: {reason}",
         "connect the autopilot itself, not only a ground station or gimbal; check autopilot.system_id",
     ),
     "autopilot.signature": Fault(
         F,
-        "the autopilot's signature is not ours: {reason}",
+        "the autopilot's signature does not match ours: {reason}",
         "give both the same key (autopilot.signing_key), or none",
     ),
     "autopilot.lost": Fault(
         F,
-        "the autopilot fell silent: {reason}",
-        "check the cable and the autopilot's power; was it rebooting? Run doctor again",
+        "the autopilot went silent: {reason}",
+        "check the cable and the autopilot's power; if it was rebooting, run doctor again",
     ),
     "autopilot.no_imu": Fault(
         F,
-        "heartbeats come, but no gyro samples: {reason}",
-        "the link must carry our requests back: connect RX as well, and give the port a stream (ArduPilot "
+        "heartbeats arrive, but no gyro samples: {reason}",
+        "our requests must reach the autopilot: connect its RX as well, and enable a stream on the port (ArduPilot "
         "SRn_RAW_SENS, PX4 MAV_n_MODE = Onboard)",
     ),
     "autopilot.no_position": Fault(
         F,
         "no position, and drone.start needs one: {reason}",
-        "wait for a fix under open sky, or write the start as position_m and yaw_deg",
+        "wait for a fix under open sky, or give the start as position_m and yaw_deg",
     ),
     "autopilot.broken": Fault(
-        F, "the autopilot's link does not work: {reason}", "see the reason; the agent's log tells more"
+        F, "the autopilot's link does not work: {reason}", "see the reason; the agent's log has more"
     ),
     "autopilot.none": Fault(
         W,
-        "no autopilot is asked for: the camera is taken to be still",
-        'write autopilot.link, unless the camera stands on a tripod or the pictures are a recording\'s',
+        "no autopilot is configured: the camera is assumed not to turn",
+        "set autopilot.link, unless the camera is on a tripod or the images come from a recording",
     ),
     "autopilot.slow": Fault(
         W,
-        "the gyro comes {got_hz:.0f} times a second of {asked_hz:g} asked",
-        "a faster baud rate (921600), fewer streams of others on this port, or a lower autopilot.imu_rate_hz",
+        "{got_hz:.0f} gyro samples per second, {asked_hz:g} requested",
+        "use a faster baud rate (921600), fewer other streams on this port, or a lower autopilot.imu_rate_hz",
     ),
     "autopilot.too_slow": Fault(
         F,
-        "the gyro comes {got_hz:.0f} times a second of {asked_hz:g} asked, too few to turn tracks by (50)",
-        "a faster baud rate (921600), fewer streams of others on this port, a link that carries our requests back",
+        "{got_hz:.0f} gyro samples per second, {asked_hz:g} requested and at least 50 needed",
+        "use a faster baud rate (921600), fewer other streams on this port, or a link that carries our requests",
     ),
     "autopilot.losing": Fault(
         W,
-        "{share:.0%} of the gyro samples are lost on the way",
+        "{share:.0%} of the gyro samples are lost on the link",
         "check the cable, the baud rate and flow control (BRD_SERn_RTSCTS); a radio is too slow for this",
     ),
     "autopilot.clock": Fault(
         W,
-        "the autopilot's clock is known to ± {sigma_ms:.0f} ms only",
-        "let it answer TIMESYNC (the link must carry both ways); avoid radios and Wi-Fi between the two",
+        "the autopilot's clock is known only to ± {sigma_ms:.0f} ms",
+        "it must be able to answer TIMESYNC (the link must work both ways); avoid radios and Wi-Fi in between",
     ),
     "imu.upside_down": Fault(
         F,
-        "gravity pulls the wrong way ({angle_deg:.0f}° off): the drone, or the autopilot in it, lies on its back",
-        "set it on its feet; then the board's orientation (ArduPilot AHRS_ORIENTATION, PX4 SENS_BOARD_ROT)",
+        "gravity points the wrong way ({angle_deg:.0f}° off): the drone, or the autopilot in it, is upside down",
+        "turn the drone upright, then check the board's orientation (ArduPilot AHRS_ORIENTATION, PX4 SENS_BOARD_ROT)",
     ),
     "imu.tilted": Fault(
         W,
-        "gravity is {angle_deg:.0f}° off where the autopilot's own attitude says",
+        "gravity is {angle_deg:.0f}° off the autopilot's own attitude",
         "calibrate the accelerometer and the level horizon in the ground station",
     ),
     "imu.gravity": Fault(
         W,
-        "the accelerometer feels {norm:.1f} m/s² instead of 9.8",
-        "hold the drone still; if it was, calibrate the accelerometer",
+        "the accelerometer measures {norm:.1f} m/s² instead of 9.8",
+        "hold the drone still; if it was still, calibrate the accelerometer",
     ),
     "imu.bias": Fault(
         W,
-        "the gyro says {rate_deg_s:.1f}°/s while the attitude stands still",
-        "calibrate the gyro at rest, or write motion.gyro_bias_rad_s",
+        "the gyro reads {rate_deg_s:.1f}°/s while the attitude does not change",
+        "calibrate the gyro at rest, or set motion.gyro_bias_rad_s",
     ),
     # --- calibration
     "calibration.unreadable": Fault(
-        F, "{reason}", "make a new file: swarmtrack calibrate intrinsics; or write the numbers inline"
+        F, "{reason}", "make a new file with swarmtrack calibrate intrinsics, or write the numbers inline"
     ),
     "calibration.aspect": Fault(
         W,
-        "fx and fy differ by {percent:.0f} %, and pixels are square in almost every camera",
+        "fx and fy differ by {percent:.0f} %, but almost every camera has square pixels",
         "was it made for another size, or are numbers mixed up? Calibrate again: swarmtrack calibrate intrinsics",
     ),
     "calibration.centre": Fault(
         W,
-        "the principal point lies {percent:.0f} % of the image off its middle",
-        "was it made for another size, or a cropped picture? Calibrate again: swarmtrack calibrate intrinsics",
+        "the principal point is off the image centre by {percent:.0f} % of the image",
+        "was it made for another size, or a cropped image? Calibrate again: swarmtrack calibrate intrinsics",
     ),
     "calibration.field": Fault(
         W,
-        "{degrees:.0f}° of horizontal field of view, which few cameras have",
-        "compare with the lens' data sheet; focal lengths are in pixels of the calibrated size",
+        "the horizontal field of view is {degrees:.0f}°, which few cameras have",
+        "compare with the lens's data sheet; focal lengths are in pixels of the calibrated size",
     ),
     "calibration.distortion": Fault(
         W,
-        "the lens model folds over: it says nothing of {share:.0%} of the image's border",
-        "calibrate with the board in all corners, a wide lens with --model equidistant",
+        "the lens model folds over: it is undefined for {share:.0%} of the image's border",
+        "calibrate with the board in all corners; for a wide lens add --model equidistant",
     ),
     "mount.radians": Fault(
         W,
@@ -245,75 +249,77 @@ FAULTS: dict[str, Fault] = {
     ),
     "mount.position": Fault(
         W,
-        "the camera sits {metres:.1f} m from the drone's middle",
+        "the camera is {metres:.1f} m from the drone's centre",
         "body_from_camera.position_m is in metres, not in centimetres or millimetres",
     ),
     "mount.backwards": Fault(
         W,
         "the camera looks {where}",
-        "if it looks forward, body_from_camera is wrong: rpy_deg = [0, 0, 0] is a camera that looks forward, upright; "
-        "with a Kalibr file also check camera.imu_frame",
+        "if it looks forward, body_from_camera is wrong: rpy_deg = [0, 0, 0] means forward and upright; with a Kalibr "
+        "file also check camera.imu_frame",
     ),
     "motion.sign": Fault(
         F,
-        "the gyro turns the wrong way against the image about the camera's {axes} (times {gain:.1f})",
-        "mend body_from_camera or camera.imu_frame: swarmtrack calibrate extrinsics finds it",
+        "gyro and image turn opposite ways about the camera's {axes} (times {gain:.1f})",
+        "correct body_from_camera or camera.imu_frame; swarmtrack calibrate extrinsics measures it",
     ),
     "motion.rotation": Fault(
         W,
-        "the camera sits {angle_deg:.0f}° off what body_from_camera says",
+        "the camera is turned {angle_deg:.0f}° from what body_from_camera says",
         "measure it: swarmtrack calibrate extrinsics",
     ),
     "motion.offset": Fault(
         W,
-        "the camera's clock is {off_ms:+.0f} ms off the gyro's, beyond camera.time_offset_s",
-        "write camera.time_offset_s = {offset_s:.3f}, or measure it: swarmtrack calibrate extrinsics",
+        "the camera's clock is {off_ms:+.0f} ms off the gyro's, in addition to camera.time_offset_s",
+        "set camera.time_offset_s = {offset_s:.3f}, or measure it: swarmtrack calibrate extrinsics",
     ),
     # --- detector
     "detector.model": Fault(
-        F, "{reason}", "copy the model anew (compare sizes), or mend detector.model; docs/detector.md"
+        F, "{reason}", "copy the model again (compare sizes), or correct detector.model; docs/detector.md"
     ),
     "detector.provider": Fault(
-        F, "{reason}", "install ONNX Runtime's build with that provider, or take \"cpu\" into detector.providers"
+        F, "{reason}", "install the ONNX Runtime build with that provider, or add \"cpu\" to detector.providers"
     ),
     "detector.fallback": Fault(
         W,
-        "{wanted} was asked for first, but the net runs on {runs_on}",
-        "install ONNX Runtime's build with that provider and its drivers; docs/detector.md",
+        "{wanted} was the first choice, but the network runs on {runs_on}",
+        "install the ONNX Runtime build with that provider, and its drivers; docs/detector.md",
     ),
     "detector.slow": Fault(
         W,
-        "{ms:.0f} ms a frame, and one comes every {period_ms:.0f} ms",
-        "a lower detector.input_scale, look = \"guided\", more threads, or an accelerator in detector.providers",
+        "{ms:.0f} ms per frame, but frames come every {period_ms:.0f} ms",
+        "try a lower detector.input_scale, look = \"guided\", more threads, or an accelerator in detector.providers",
     ),
     # --- network
-    "network.closed": Fault(F, "{reason}", "end the other agent or choose another port in [network]; docs/security.md"),
+    "network.closed": Fault(
+        F, "{reason}", "stop the other agent or choose another port in [network]; docs/security.md"
+    ),
     "network.router": Fault(
         F, "{reason}", "start `swarmtrack router` there; check network.routers and firewalls (UDP with keys, else TCP)"
     ),
     "network.address": Fault(
         W,
-        "{host} is no address of this machine now",
-        "check network.peers or listen, and that the interface is up (`ip address`)",
+        "{host} is not an address of this machine now",
+        "check network.peers or network.listen, and whether the interface is up (`ip address`)",
     ),
     "network.id_clash": Fault(
         F,
         "{count} agents speak as drone {id} (boots {boots})",
-        "give each drone its own drone.id; until then nobody is taken for it",
+        "give each drone its own drone.id; until then no track gets this ID",
     ),
     "network.running": Fault(
         W,
-        "an agent speaks as drone {id} already (boot {boot})",
+        "an agent already speaks as drone {id} (boot {boot})",
         "if it is not this drone's own agent, give one of them another drone.id",
     ),
     "network.absent": Fault(
         W,
         "no answer from {names}",
-        "start their agents; check addresses, reach, firewalls (TCP and UDP, port and the next one), and their keys",
+        "start their agents; check addresses, range, firewalls (TCP and UDP, the port and the next one) and their keys",
     ),
     "network.stranger": Fault(
         W,
-        "{names} have certificates of our CA but are not in our roster",
+        "{names} have certificates from our CA but are not in our roster",
         "copy the newest roster.toml and roster.sig from the CA's folder",
     ),
     "network.clock": Fault(
@@ -326,36 +332,40 @@ FAULTS: dict[str, Fault] = {
         "network.multicast on {interface}: {reason}",
         "name an interface that is up in network.interface, or list network.peers instead",
     ),
-    "keys.expired": Fault(F, "{reason}", "swarmtrack keys issue --renew, after a look at this machine's clock"),
-    "keys.early": Fault(F, "{reason}", "set this machine's clock (`timedatectl`); a Pi's does not survive power-off"),
-    "keys.mode": Fault(F, "{reason}", "chmod 600, and make new keys if somebody else uses this machine"),
+    "keys.expired": Fault(F, "{reason}", "check this machine's clock, then: swarmtrack keys issue --renew"),
+    "keys.early": Fault(
+        F, "{reason}", "set this machine's clock (`timedatectl`); a Raspberry Pi loses the time without power"
+    ),
+    "keys.mode": Fault(F, "{reason}", "chmod 600, and make new keys if anyone else uses this machine"),
     "keys.broken": Fault(F, "{reason}", "copy the whole folder that `swarmtrack keys issue` made for this drone"),
     "keys.soon": Fault(
-        W, "the certificate expires in {days:.0f} days, on {date} UTC", "swarmtrack keys issue --renew, copy it here"
+        W,
+        "the certificate expires in {days:.0f} days, on {date} UTC",
+        "swarmtrack keys issue --renew, then copy it here",
     ),
     # --- machine
     "disk.unwritable": Fault(
-        F, "{what} cannot be written: {reason}", "mend the path in [output], or the folder's owner"
+        F, "{what} cannot be written: {reason}", "correct the path in [output], or the folder's owner"
     ),
     "disk.full": Fault(
-        F, "{free_mb:.0f} MB are left where {what} goes ({path})", "make room, or write to another disk"
+        F, "{free_mb:.0f} MB are left for {what} ({path})", "free some space, or write to another disk"
     ),
     "disk.low": Fault(
-        W, "{free_mb:.0f} MB are left where {what} goes ({path})", "make room: video takes about 1 MB a second"
+        W, "{free_mb:.0f} MB are left for {what} ({path})", "free some space: video takes about 1 MB per second"
     ),
     "heat.hot": Fault(
-        W, "{celsius:.0f} °C at {where}", "give it air: above 80 °C most boards slow down"
+        W, "{celsius:.0f} °C at {where}", "improve the cooling: above 80 °C most boards slow down"
     ),
     "heat.throttled": Fault(
         W,
-        "the board slows itself down: {reasons}",
-        "a better power supply and cable against under-voltage, a heat sink or fan against heat",
+        "the board is throttling: {reasons}",
+        "under-voltage needs a better power supply or cable, heat a heat sink or fan",
     ),
 }  # fmt: skip
 
 
 def markdown_table() -> str:
-    """All of `FAULTS` as a Markdown table, what is filled in as …."""
+    """All of `FAULTS` as a Markdown table, with … for what is filled in."""
     rows = ["| fault | level | what doctor says | what to do |", "|---|---|---|---|"]
     for name, (level, found, remedy) in FAULTS.items():
         words = [re.sub(r"\{[^}]*\}", "…", text).replace("|", "\\|") for text in (found, remedy)]

@@ -142,7 +142,7 @@ def _camera_in_words(facts: CameraFacts, got_hz: float, age_ms: float) -> str:
     words.append(f"{got_hz:.1f} frames a second")
     words += [kinds[kind] for kind in sorted(facts.stamps, key=str) if kind in kinds]
     if facts.live and age_ms > 0.0:
-        words.append(f"{age_ms:.0f} ms old when they come")
+        words.append(f"{age_ms:.0f} ms old when they arrive")
     return ", ".join(words)
 
 

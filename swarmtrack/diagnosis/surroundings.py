@@ -98,7 +98,7 @@ def check_detector(facts: DetectorFacts) -> list[Finding]:
     if facts.fps and facts.ms > 1e3 / facts.fps:
         findings.append(fault("detector.slow", ms=facts.ms, period_ms=1e3 / facts.fps))
     return findings or [
-        ok("detector", f"{facts.name} on {', '.join(facts.runs_on)}, {facts.ms:.1f} ms a frame")
+        ok("detector", f"{facts.name} on {', '.join(facts.runs_on)}, {facts.ms:.1f} ms per frame")
     ]
 
 

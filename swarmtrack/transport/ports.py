@@ -35,7 +35,7 @@ async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
         absent[endpoint.host] = str(error.strerror)
     for host, reason in absent.items():
         log.warning(
-            "network: %s is no address of this machine now (%s); we listen there as soon as it is",
+            "network: %s is not an address of this machine now (%s); we listen there as soon as it is",
             host,
             reason,
         )

@@ -303,7 +303,7 @@ def test_each_failure_is_a_reason_not_to_fly():
     assert not ready
     assert [reason.split(":")[0] for reason in reasons] == [
         "no camera",
-        "not a byte from the autopilot in 3 s",
+        "no data from the autopilot in 3 s",
         "network",
         "another agent speaks as this drone (boots aaaaaaaa)",
     ]
@@ -321,7 +321,7 @@ def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
     sent = codec.decode(HealthMessage, codec.encode(health.message())).readiness
     assert sent is not None
     assert not sent.ready
-    assert sent.reasons[0].startswith("the camera is open but gave no frame")
+    assert sent.reasons[0].startswith("the camera is open but sent no frame")
     for event in (IdClash(1, (parts.boot, "aaaaaaaa"), True), IdClash(2, ("bbbbbbbb", "cccccccc"), False)):
         health.on_membership(event)
     assert health.readiness().reasons[-1] == "another agent speaks as this drone (boots aaaaaaaa)"

@@ -226,7 +226,7 @@ async def test_an_interface_that_is_not_up_yet_is_waited_for(
     drone = Drone(topology.of_drone(section, 1, team.credentials("1")), 1)
     with caplog.at_level(logging.WARNING):
         await drone.start()
-    assert "192.0.2.1 is no address of this machine now" in caplog.text
+    assert "192.0.2.1 is not an address of this machine now" in caplog.text
     assert drone.transport.status().ok
     await drone.stop()
 
