@@ -8,13 +8,12 @@ import json
 import logging
 import sys
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_file, add_seconds, positive_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera
@@ -38,29 +37,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "nothing of it nearer than three metres. Exit code 0: believe it, 1: turn again, and why.",
         allow_abbrev=False,
     )
-    extrinsics.add_argument(
-        "--config", type=Path, metavar="FILE", help="the drone's config: its camera and autopilot"
-    )
-    extrinsics.add_argument(
-        "--video", type=Path, metavar="FILE", help="instead of a config: a recorded minute, …"
-    )
-    extrinsics.add_argument("--tlog", type=Path, metavar="FILE", help="… its telemetry, …")
-    extrinsics.add_argument("--calibration", type=Path, metavar="FILE", help="… and the camera's intrinsics")
-    extrinsics.add_argument(
-        "--seconds",
-        type=positive_seconds,
-        metavar="S",
-        help=f"how long (default: {SECONDS:g}; a recording: to its end)",
-    )
+    add_file(extrinsics, "--config", "the drone's config: its camera and autopilot")
+    add_file(extrinsics, "--video", "instead of a config: a recorded minute, …")
+    add_file(extrinsics, "--tlog", "… its telemetry, …")
+    add_file(extrinsics, "--calibration", "… and the camera's intrinsics")
+    add_seconds(extrinsics, f"how long (default: {SECONDS:g}; a recording: to its end)")
     extrinsics.add_argument(
         "--reach",
         type=positive_seconds,
         metavar="S",
         help=f"search offsets of up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
     )
-    extrinsics.add_argument(
-        "--write", type=Path, metavar="FILE", help="put the lines into this config, if they can be believed"
-    )
+    add_file(extrinsics, "--write", "put the lines into this config, if they can be believed")
     extrinsics.add_argument("--json", action="store_true", help="the numbers instead of words")
 
 

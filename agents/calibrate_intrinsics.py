@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_file, add_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.calibration.board import Board
@@ -33,7 +33,7 @@ def add_board_command(steps: Any) -> None:
         description="Write a board to print: as PDF to scale, or as PNG. Glue it onto something flat.",
         allow_abbrev=False,
     )
-    board.add_argument("--out", type=Path, required=True, metavar="FILE", help="board.pdf or board.png")
+    add_file(board, "--out", "board.pdf or board.png", required=True)
     board.add_argument(
         "--paper", default="A4", choices=["A4", "A3", "A2", "letter"], help="(default: %(default)s)"
     )
@@ -55,25 +55,15 @@ def add_intrinsics_command(steps: Any) -> None:
         help="a camera as in the config: v4l2:///dev/video0?width=640&height=480, http://…, file://video.mp4, "
         "images://folder",
     )
-    intrinsics.add_argument(
-        "--out", type=Path, default=Path("camera.yaml"), metavar="FILE", help="(default: %(default)s)"
-    )
+    add_file(intrinsics, "--out", "(default: %(default)s)", default=Path("camera.yaml"))
     intrinsics.add_argument(
         "--model",
         default="radtan",
         choices=["radtan", "equidistant"],
         help="of the lens: equidistant for fisheyes, above about 100 degrees (default: %(default)s)",
     )
-    intrinsics.add_argument(
-        "--seconds",
-        type=positive_seconds,
-        default=SECONDS,
-        metavar="S",
-        help="at most (default: %(default)g)",
-    )
-    intrinsics.add_argument(
-        "--plot", type=Path, metavar="FILE", help="a PNG of residuals (needs swarmtrack[bench])"
-    )
+    add_seconds(intrinsics, "at most (default: %(default)g)", default=SECONDS)
+    add_file(intrinsics, "--plot", "a PNG of residuals (needs swarmtrack[bench])")
     intrinsics.add_argument("--json", action="store_true", help="the numbers instead of words")
     _add_board_arguments(intrinsics)
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from swarmtrack.arguments import add_file
 from swarmtrack.errors import ConfigError, SwarmtrackError
 
 EXAMPLE = """\
@@ -33,14 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check = actions.add_parser(
         "check", help="what swarmtrack-agent --check says; several files: also as a team"
     )
-    check.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a drone's config")
+    add_file(check, "files", "a drone's config", nargs="+")
 
     for action, text in (
         ("schema", "all keys as a JSON schema"),
         ("reference", "all keys as a page in Markdown"),
     ):
         writing = actions.add_parser(action, help=text)
-        writing.add_argument("--out", type=Path, metavar="FILE", help="write it there (default: print it)")
+        add_file(writing, "--out", "write it there (default: print it)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,10 +8,9 @@ import json
 import logging
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_file, add_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.diagnosis.findings import Finding
@@ -27,14 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with what to do. Turn the drone by hand meanwhile, and its camera is compared with its gyro. "
         "Exit code 0: all works, 1: something does not, 2: the config is wrong."
     )
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="the drone's config, TOML")
-    parser.add_argument(
-        "--seconds",
-        type=positive_seconds,
-        default=SECONDS,
-        metavar="S",
-        help="how long to watch rates (default: %(default)g)",
-    )
+    add_file(parser, "--config", "the drone's config, TOML", required=True)
+    add_seconds(parser, "how long to watch rates (default: %(default)g)", default=SECONDS)
     parser.add_argument("--json", action="store_true", help="a list of findings instead of lines")
 
 

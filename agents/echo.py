@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
-from swarmtrack.arguments import count, positive_seconds
+from swarmtrack.arguments import add_seconds, count
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_network_arguments(parser)
     parser.add_argument("--count", type=count, metavar="N", help="end after N messages")
-    parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
+    add_seconds(parser, "end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from swarmtrack.arguments import add_file, add_folder
 from swarmtrack.errors import ModelError, SourceError
 
 if TYPE_CHECKING:
@@ -21,16 +22,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "model", metavar="MODEL", help='an .onnx file in full precision, "default", or a checkpoint (.pt)'
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the .onnx file to write")
+    add_file(parser, "--out", "the .onnx file to write", required=True)
     parser.add_argument(
         "--precision", choices=("fp32", "fp16", "int8"), default="int8", help="(default: %(default)s)"
     )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        help="labelled images that int8 is calibrated on, of scenes as in flight",
-    )
+    add_folder(parser, "--data", "labelled images that int8 is calibrated on, of scenes as in flight")
     parser.add_argument(
         "--pictures",
         type=int,

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from typing import Any
 
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_file, positive_seconds
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import SourceError
 from swarmtrack.runtime.health_file import ENVIRONMENT, health_path
@@ -24,13 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Whether an agent does its work: it has written its health lately, has tracked a frame lately, and camera, "
         "autopilot and detector are well. Exit code 0: yes; 1: no, and why; 2: wrong usage."
     )
-    parser.add_argument(
-        "file",
-        nargs="?",
-        type=Path,
-        metavar="FILE",
-        help=f"output.health of the agent's config (default: ${ENVIRONMENT})",
-    )
+    add_file(parser, "file", f"output.health of the agent's config (default: ${ENVIRONMENT})", nargs="?")
     parser.add_argument(
         "--max-age",
         type=positive_seconds,

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from swarmtrack.arguments import add_file, add_folder
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
@@ -29,20 +30,10 @@ DETECTOR_S = 0.03  # s from an exposure to its detections, as they would have co
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--tlog", type=Path, required=True, metavar="FILE", help="the telemetry log of a ground station"
-    )
-    parser.add_argument("--video", type=Path, required=True, metavar="FILE", help="what the camera saw")
-    parser.add_argument(
-        "--config",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="the drone's config: camera, mount, tracker, detector",
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="where to; a folder is made below it"
-    )
+    add_file(parser, "--tlog", "the telemetry log of a ground station", required=True)
+    add_file(parser, "--video", "what the camera saw", required=True)
+    add_file(parser, "--config", "the drone's config: camera, mount, tracker, detector", required=True)
+    add_folder(parser, "--out", "where to; a folder is made below it", required=True)
     parser.add_argument(
         "--offset",
         type=float,

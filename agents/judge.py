@@ -14,11 +14,10 @@ import signal
 import sys
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_file, add_seconds, positive_seconds
 from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, first_of
 
 if TYPE_CHECKING:
@@ -56,13 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="where `python -m swarmtrack.agents.simulator --port P` serves its cameras, http://HOST:P",
     )
-    parser.add_argument(
-        "--seconds",
-        type=positive_seconds,
-        default=20.0,
-        metavar="S",
-        help="to judge, once everybody is there (default: %(default)g)",
-    )
+    add_seconds(parser, "to judge, once everybody is there (default: %(default)g)", default=20.0)
     parser.add_argument(
         "--patience",
         type=positive_seconds,
@@ -70,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="for the simulator and all agents to be there (default: %(default)g)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the verdict and all figures there")
+    add_file(parser, "--json", "write the verdict and all figures there")
     add_network_arguments(parser)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+from swarmtrack.arguments import add_folder
 from swarmtrack.clock import SystemClock
 
 EXAMPLE = """\
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     init.add_argument("--team", default="swarm", metavar="NAME", help="network.team (default: %(default)s)")
 
     issue = actions.add_parser("issue", help="make keys and a certificate for each of NAME")
-    issue.add_argument("--out", type=Path, metavar="DIR", help="where the folders go (default: the CA's)")
+    add_folder(issue, "--out", "where the folders go (default: the CA's)")
     issue.add_argument("--days", type=_days, metavar="N", help="that a certificate is valid (default: 90)")
     renew_or_force = issue.add_mutually_exclusive_group()
     renew_or_force.add_argument(
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     listing = actions.add_parser("list", help="who has keys, their fingerprints, and until when")
 
     for action in (init, issue, revoke, listing):
-        action.add_argument("folder", type=Path, metavar="DIR", help="the CA's folder; it stays with you")
+        add_folder(action, "folder", "the CA's folder; it stays with you")
     for action in (issue, revoke):
         action.add_argument(
             "names",

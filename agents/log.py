@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swarmtrack.arguments import add_file
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     repair.add_argument("path", type=Path, metavar="FILE|DIR")
     merge = actions.add_parser("merge", help="several recordings as one file, on one timeline")
     merge.add_argument("paths", type=Path, nargs="+", metavar="FILE|DIR")
-    merge.add_argument("--out", type=Path, required=True, metavar="FILE", help="the new file, .mcap")
+    add_file(merge, "--out", "the new file, .mcap", required=True)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from swarmtrack.arguments import add_file, add_folder
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection, load_team_config
 from swarmtrack.errors import KeysError, TransportError
@@ -16,12 +17,7 @@ from swarmtrack.transport.settings import NetworkSettings
 
 def add_network_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--team", metavar="NAME", help=f"the team to hear (default: {NetworkSection().team})")
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="the team's file: its [network] tells the team and its addresses",
-    )
+    add_file(parser, "--config", "the team's file: its [network] tells the team and its addresses")
     parser.add_argument(
         "--connect",
         action="append",
@@ -30,9 +26,7 @@ def add_network_arguments(parser: argparse.ArgumentParser) -> None:
         help="where an agent listens, HOST[:PORT] or as tcp/192.168.1.5:7447; again for more "
         "(default: all on this machine)",
     )
-    parser.add_argument(
-        "--keys", type=Path, metavar="DIR", help="the folder that `swarmtrack keys issue … monitor` made"
-    )
+    add_folder(parser, "--keys", "the folder that `swarmtrack keys issue … monitor` made")
     parser.add_argument("--insecure", action="store_true", help="connect beyond this machine without keys")
 
 

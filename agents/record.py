@@ -7,10 +7,9 @@ import asyncio
 import contextlib
 import signal
 import sys
-from pathlib import Path
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_folder, add_seconds, positive_seconds
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
@@ -22,14 +21,14 @@ NEWS_S = 1.0  # s between two looks at how the disk is doing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dir", type=Path, metavar="DIR", help="where to; a folder is made below it")
+    add_folder(parser, "dir", "where to; a folder is made below it")
     add_network_arguments(parser)
     parser.add_argument(
         "--video",
         action="store_true",
         help="the drones' pictures too, at most 10 a second each: every drone then makes and sends them",
     )
-    parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
+    add_seconds(parser, "end after S seconds")
     parser.add_argument(
         "--max-mb",
         type=positive_seconds,

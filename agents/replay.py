@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import count
+from swarmtrack.arguments import add_file, count
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -58,12 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="recorded|FILE",
         help="compare with what was recorded, or with another replay's --json (default: recorded, if anything differs)",
     )
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write results, tracks and differences there"
-    )
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw the differences, .png or .svg (needs matplotlib)"
-    )
+    add_file(parser, "--json", "write results, tracks and differences there")
+    add_file(parser, "--plot", "draw the differences, .png or .svg (needs matplotlib)")
     parser.add_argument(
         "--exact",
         action="store_true",

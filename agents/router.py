@@ -11,12 +11,11 @@ import asyncio
 import logging
 import signal
 import sys
-from pathlib import Path
 
 import zenoh
 
 from swarmtrack.agents.network_arguments import credentials_in
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_file, add_folder, add_seconds
 from swarmtrack.config import load_team_config
 from swarmtrack.errors import TransportError
 from swarmtrack.security.names import Role
@@ -29,22 +28,14 @@ PERIOD_S = 10.0  # between two lines when nothing changes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--config",
-        required=True,
-        type=Path,
-        metavar="FILE",
-        help="the team's file, with topology and routers",
-    )
-    parser.add_argument(
-        "--keys", type=Path, metavar="DIR", help="the folder that `swarmtrack keys issue … router-NAME` made"
-    )
+    add_file(parser, "--config", "the team's file, with topology and routers", required=True)
+    add_folder(parser, "--keys", "the folder that `swarmtrack keys issue … router-NAME` made")
     parser.add_argument(
         "--listen",
         metavar="ADDRESS",
         help="which of network.routers this is (default: the one that is an address of this machine)",
     )
-    parser.add_argument("--seconds", type=positive_seconds, metavar="S", help="end after S seconds")
+    add_seconds(parser, "end after S seconds")
     parser.add_argument("--quiet", action="store_true", help="no lines, only warnings")
 
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import port, positive_seconds, seed
+from swarmtrack.arguments import add_file, add_folder, add_seconds, port, seed
 from swarmtrack.errors import SourceError
 from swarmtrack.localswarm.machine_load import BUSY, MachineLoad
 
@@ -52,9 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drones", type=_drones, metavar="N", help="size of the team (default: the scenario's)"
     )
-    parser.add_argument(
-        "--seconds", type=positive_seconds, metavar="S", help="length of the flight (default: the scenario's)"
-    )
+    add_seconds(parser, "length of the flight (default: the scenario's)")
     parser.add_argument(
         "--seed",
         type=seed,
@@ -72,10 +70,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="onnx: rendered images, the shipped network; oracle: synthetic detections, for large swarms "
         "(default: %(default)s)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the verdict and all figures there")
-    parser.add_argument(
-        "--record", type=Path, metavar="DIR", help="record every agent, the truth and the verdict there"
-    )
+    add_file(parser, "--json", "write the verdict and all figures there")
+    add_folder(parser, "--record", "record every agent, the truth and the verdict there")
     parser.add_argument(
         "--monitor", action="store_true", help="serve the web page of the flight; it ends with the flight"
     )

@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import count, positive, seed
+from swarmtrack.arguments import add_file, add_folder, count, positive, seed
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
 
@@ -27,22 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_files(parser: argparse.ArgumentParser) -> None:
     """What is read and written."""
-    parser.add_argument(
+    add_file(
+        parser,
         "--out",
-        type=Path,
+        "the .onnx file to write; the checkpoint (.pt) and the report (folder .report) go beside it",
         required=True,
-        metavar="FILE",
-        help="the .onnx file to write; the checkpoint (.pt) and the report (folder .report) go beside it",
     )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        help="labelled images: CSV, COCO or YOLO; without it all is procedural",
-    )
-    parser.add_argument(
-        "--validate", type=Path, metavar="DIR", help="more labelled images, looked at but never trained on"
-    )
+    add_folder(parser, "--data", "labelled images: CSV, COCO or YOLO; without it all is procedural")
+    add_folder(parser, "--validate", "more labelled images, looked at but never trained on")
     parser.add_argument(
         "--hold-out",
         action="append",
@@ -99,9 +90,7 @@ def _add_start(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume", action="store_true", help="go on from the checkpoint beside --out, with the same options"
     )
-    parser.add_argument(
-        "--start", type=Path, metavar="FILE", help="begin with the weights of a checkpoint (.pt)"
-    )
+    add_file(parser, "--start", "begin with the weights of a checkpoint (.pt)")
 
 
 def _crop(text: str) -> int:

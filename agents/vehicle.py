@@ -15,7 +15,7 @@ from pathlib import Path
 
 from swarmtrack import __version__
 from swarmtrack.agents.ending import end_at_once_if_stuck
-from swarmtrack.arguments import positive_seconds
+from swarmtrack.arguments import add_file, add_seconds
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
@@ -62,13 +62,11 @@ def parser() -> argparse.ArgumentParser:
         epilog="A first look, without any hardware: swarmtrack-agent --config configs/sim.toml --seconds 20",
         allow_abbrev=False,
     )
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="the drone's config, TOML")
+    add_file(parser, "--config", "the drone's config, TOML", required=True)
     parser.add_argument(
         "--check", action="store_true", help="validate the config and what it points at, then exit"
     )
-    parser.add_argument(
-        "--seconds", type=positive_seconds, metavar="S", help="stop after so long (default: never)"
-    )
+    add_seconds(parser, "stop after so long (default: never)")
     parser.add_argument(
         "--quiet", action="store_true", help="no line a second (the default under systemd), only the log"
     )

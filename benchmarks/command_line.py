@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from swarmtrack.arguments import count
+from swarmtrack.arguments import add_folder, count
 from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
 DEFAULT_OUT = Path("bench")
@@ -13,13 +13,7 @@ DEFAULT_OUT = Path("bench")
 
 def add_common(parser: argparse.ArgumentParser) -> None:
     """What every benchmark takes."""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=DEFAULT_OUT,
-        metavar="DIR",
-        help="for the results (default: %(default)s)",
-    )
+    add_folder(parser, "--out", "for the results (default: %(default)s)", default=DEFAULT_OUT)
     parser.add_argument("--quick", action="store_true", help="a fraction of the work, for orientation")
 
 

@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 
 import swarmtrack
-from swarmtrack.arguments import positive
+from swarmtrack.arguments import add_file, positive
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.report import BenchmarkError, number
@@ -234,10 +234,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the agent's config; tracker.KEY if bare",
     )
     parser.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
-    parser.add_argument(
-        "--jsonl", type=Path, metavar="FILE", help="instead of DATA: score what an agent wrote …"
-    )
-    parser.add_argument("--gt", type=Path, metavar="FILE", help="… against these labels")
+    add_file(parser, "--jsonl", "instead of DATA: score what an agent wrote …")
+    add_file(parser, "--gt", "… against these labels")
     parser.add_argument(
         "--fps", type=positive, default=30.0, metavar="F", help="of that clip (default: %(default)g)"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
@@ -33,6 +34,21 @@ class _Command(argparse.ArgumentParser):
             import_module(self.module).add_arguments(self)
             self.module = None
         return super().parse_known_args(args, namespace)
+
+
+def add_file(parser: argparse.ArgumentParser, name: str, help: str, **more: Any) -> None:
+    """An argument that is a file; more: as `add_argument` takes it."""
+    parser.add_argument(name, type=Path, metavar="FILE", help=help, **more)
+
+
+def add_folder(parser: argparse.ArgumentParser, name: str, help: str, **more: Any) -> None:
+    """An argument that is a folder; more: as `add_argument` takes it."""
+    parser.add_argument(name, type=Path, metavar="DIR", help=help, **more)
+
+
+def add_seconds(parser: argparse.ArgumentParser, help: str, default: float | None = None) -> None:
+    """--seconds S, above 0: for how long something is done."""
+    parser.add_argument("--seconds", type=positive_seconds, default=default, metavar="S", help=help)
 
 
 def positive_seconds(text: str) -> float:

@@ -20,6 +20,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from swarmtrack.arguments import add_folder
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.trackers import page, results, timing
@@ -90,12 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--peers", action="store_true", help="Stone Soup's, too (needs swarmtrack[peers])")
     parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a core)")
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        help="real detections, too: a folder with NAME.mp4 and NAME_gt.csv",
-    )
+    add_folder(parser, "--data", "real detections, too: a folder with NAME.mp4 and NAME_gt.csv")
 
 
 def run(args: argparse.Namespace) -> None:
