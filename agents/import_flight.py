@@ -101,6 +101,7 @@ def _first_stamp(tlog: Path) -> float:
 
 
 async def _import(parts: Parts, clock: ManualClock, offset: float) -> int:
+    from swarmtrack.detection.expectation import OnboardExpectation
     from swarmtrack.sensors.base import DetectionSource
 
     recorder, autopilot = parts.recorder, parts.autopilot
@@ -115,15 +116,16 @@ async def _import(parts: Parts, clock: ManualClock, offset: float) -> int:
     recorder.open()
     parts.door.listener = recorder
     flight = _Flight(parts, clock, log)
+    expectation = OnboardExpectation(parts.onboard)
     frames = 0
     try:
         async for frame in parts.camera.frames():
             exposed = replace(frame, t=frame.t + offset)
             flight.until(exposed.t)
             recorder.frame(exposed)
-            boxes = parts.onboard.expected_boxes(exposed.t) if parts.detector.is_guided(frame.image) else None
-            detections = parts.detector.detect(exposed, boxes)
+            # The gyro reaches the exposure before the detector asks it, as it does in flight and in a replay.
             flight.until(exposed.t + DETECTOR_S)
+            detections = parts.detector.look(parts.detector.plan(exposed, expectation))
             if detections is not None:
                 flight.tell(detections)
             frames += 1

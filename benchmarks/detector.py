@@ -27,11 +27,10 @@ from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.real_clips import Clip
 from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.detection.detector import Detector
-from swarmtrack.detection.motion_cue import Earlier
+from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.evaluation import detector_score
 from swarmtrack.evaluation.detector_score import EMPTY, Looked, Matches, by_centre, match
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.rendering import Renderer
@@ -202,16 +201,37 @@ def _frames(data: Path, scenes: Sequence[str], held_out_negatives: bool) -> list
     return wanted
 
 
-def _detect(detector: Detector, image: Image, t: float = 0.0, earlier: Earlier | None = None) -> Detections:
-    seen = detector.detect(Frame(t, 0.0, 0, image, StampKind.MEDIA), None, earlier)
+def _detect(
+    detector: Detector, image: Image, t: float = 0.0, expectation: Expectation | None = None
+) -> Detections:
+    seen = detector.look(detector.plan(Frame(t, 0.0, 0, image, StampKind.MEDIA), expectation))
     if seen is None:
         raise BenchmarkError(detector.status().text)
     return seen
 
 
-def _same_place(pixels: Array) -> Array:
-    """Of a camera that stands still."""
-    return pixels
+class _StandsStill:
+    """What a detector may expect of a camera that does, and tracks nothing."""
+
+    def boxes(self, exposed: float) -> Array:
+        return np.empty((0, 6))
+
+    def pixels_at(self, then: float, now: float) -> PixelMapping | None:
+        return lambda pixels: pixels
+
+
+class _TurnsKnown(_StandsStill):
+    """The same of one whose turns are known."""
+
+    def __init__(self, scenario: Scenario, observer: int) -> None:
+        self._scenario = scenario
+        self._observer = observer
+
+    def pixels_at(self, then: float, now: float) -> PixelMapping | None:
+        world, mount, camera = self._scenario.world, self._scenario.body_from_camera, self._scenario.camera
+        looked, looks = (world.pose(self._observer, t) @ mount for t in (then, now))
+        then_from_now = looked.rotation.T @ looks.rotation
+        return lambda pixels: camera.project(camera.bearing(pixels) @ then_from_now.T)[0]
 
 
 def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterator[Looked]:
@@ -220,21 +240,14 @@ def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterat
     renderer = Renderer(scenario.world, camera, mount)
     truth = SwarmTruth(scenario.world, camera, mount)
     for observer in list(scenario.members)[:OBSERVERS]:
+        expectation = _TurnsKnown(scenario, observer)
         for frame in range(0, int(FLIGHT_S * scenario.fps), every):
             t = FLIGHT_FROM_S + frame / scenario.fps
-            then, earlier = detector.compares_with(t), None
-            if then is not None:
-                looked, looks = (scenario.world.pose(observer, when) @ mount for when in (then, t))
-                earlier = _turned(camera, looked.rotation.T @ looks.rotation)
-            found = _detect(detector, renderer.image(observer, t, frame), t, earlier)
+            found = _detect(detector, renderer.image(observer, t, frame), t, expectation)
             # Truth is undistorted, detections are not.
             boxes = np.array(list(truth.view(observer, t).in_view.values())).reshape(-1, 4)
             boxes[:, :2] = camera.distort(boxes[:, :2])
             yield Looked(found, boxes)
-
-
-def _turned(camera: PinholeCamera, then_from_now: Array) -> Earlier:
-    return lambda pixels: camera.project(camera.bearing(pixels) @ then_from_now.T)[0]
 
 
 def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]:
@@ -248,8 +261,7 @@ def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]
                 break
             if index % every == 0:
                 t = index / clip.fps
-                earlier = None if detector.compares_with(t) is None else _same_place
-                seen = _detect(detector, np.asarray(image, np.uint8), t, earlier)
+                seen = _detect(detector, np.asarray(image, np.uint8), t, _StandsStill())
                 boxes = truth.get(index)
                 drones = EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
                 yield Looked(seen, drones)
@@ -293,7 +305,7 @@ def _times(model: str, repeats: int) -> dict[str, dict[str, float]]:
         spent = []
         for _ in range(repeats):
             begin = time.perf_counter()
-            detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
+            detector.look(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
             spent.append(1e3 * (time.perf_counter() - begin))
         low, median, high = np.percentile(spent, [0, 50, 95])
         times[f"{width}x{height}"] = {

@@ -22,9 +22,9 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.config import load_config
-from swarmtrack.detection.detector import Detector
-from swarmtrack.detection.motion_cue import Earlier
-from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus, StampKind
+from swarmtrack.detection.detector import Detector, Look
+from swarmtrack.detection.expectation import Expectation
+from swarmtrack.messages import Detections, Frame, Image, LinkStatus, StampKind
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.console import Console
@@ -71,15 +71,13 @@ class ScriptedDetector:
         ]
         self._rng = np.random.default_rng(1)
 
-    def is_guided(self, image: Image) -> bool:
-        return False
+    def plan(self, frame: Frame, expectation: Expectation | None = None) -> Look:
+        return Look(frame, (), None) if self._real is None else self._real.plan(frame)
 
-    def compares_with(self, t: float) -> None:
-        """With no other frame."""
-
-    def detect(self, frame: Frame, tracks: Array | None = None, earlier: Earlier | None = None) -> Detections:
+    def look(self, look: Look) -> Detections:
+        frame = look.frame
         if self._real is not None:
-            self._real.detect(frame)
+            self._real.look(look)
         else:
             time.sleep(self._look_s)  # in the detector's own thread, as the real one
         phase = 0.7 * frame.t + np.arange(DRONES)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -35,6 +34,7 @@ from swarmtrack.messages import (
     Scan,
     Sighting,
     SightingReport,
+    Track,
     TrackList,
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
@@ -46,7 +46,6 @@ from swarmtrack.tracking.consistency import Consistency
 
 MAX_WAIT = 0.05  # s: a gyro that is silent for longer is not waited for
 LOST_ATTITUDE = 0.3  # rad: whose autopilot is silent for so long does not know where it looks
-BLURRED_PX = 3.0  # by which two pictures may miss each other and still be compared
 MAX_SILENCE = 1.0  # s that a scan may stay away beyond the history: by then a target may be anywhere
 
 
@@ -106,9 +105,9 @@ class Onboard:
         """estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
         self.counters = Counters()
         self.gyro = gyro
-        self.clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
+        self.camera_clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
-        self._camera = camera
+        self.camera = camera
         self._mounting = mounting
         self._tracker = tracker
         self._ego = ego
@@ -195,43 +194,18 @@ class Onboard:
     def tracks(self, now: float) -> TrackList:
         """Everything tracked, carried on to now; nothing once the scans have stayed away for too long."""
         self._settle(now)
-        if self._tracker.t is None or self._orientation is None:
+        if self._tracker.t is None:
             return TrackList(now, now, ())
         if now - self._tracker.t > self.gyro.history_s + MAX_SILENCE:
             return TrackList(now, self._tracker.t, ())
-        turn = rotation_between(self._orientation, self.gyro.orientation(now))
-        carried = self._tracker.at(now, turn.matrix, turn.variance)
-        return TrackList(now, self._tracker.t, self._identities.label(carried))
+        return TrackList(now, self._tracker.t, self._identities.label(self.carried(now)))
 
-    def expected_boxes(self, exposed: float) -> Array:
-        """Where the tracks lie in a frame exposed then (its own stamp), as `Gaze.next` wants them: (n, 6) px of the
-        image as the camera gives it."""
+    def carried(self, t: float) -> tuple[Track, ...]:
+        """The tracks of the last scan, carried on by the gyro to t; no scan that waits is looked at."""
         if self._tracker.t is None or self._orientation is None:
-            return np.empty((0, 6))
-        t = max(exposed + self.clock.used_s, self._tracker.t)
+            return ()
         turn = rotation_between(self._orientation, self.gyro.orientation(t))
-        tracks = self._tracker.at(t, turn.matrix, turn.variance)
-        if not tracks:
-            return np.empty((0, 6))
-        centre = self._camera.distort(np.array([track.mean[::2] for track in tracks]))
-        sigma = np.sqrt([np.diagonal(track.cov)[::2] for track in tracks])
-        boxes = np.concatenate([centre, 3.0 * sigma, [track.size for track in tracks]], axis=1)
-        return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
-
-    def pixels_at(self, then: float, now: float) -> Callable[[Array], Array] | None:
-        """From pixels (n, 2) of a frame exposed now to where the same directions lay in one exposed then (their own
-        stamps), by the gyro alone; NaN where the lens does not reach. None where the gyro cannot tell."""
-        late, early = (self.gyro.orientation(t + self.clock.used_s) for t in (now, then))
-        turn = rotation_between(late, early)
-        if self._camera.fx * math.sqrt(turn.variance) > BLURRED_PX:
-            return None
-        camera, matrix = self._camera, turn.matrix
-
-        def earlier(pixels: Array) -> Array:
-            rays = camera.bearing(pixels) @ matrix.T
-            return camera.project(rays)[0]
-
-        return earlier
+        return self._tracker.at(t, turn.matrix, turn.variance)
 
     def ego_pose(self, t: float) -> TeamPose | None:
         """Where this drone itself was at t, in the team frame."""
@@ -243,6 +217,11 @@ class Onboard:
         if ego is None:
             return None
         return Pose(ego.world_from_body, ego.position) @ self._mounting.body_from_camera
+
+    @property
+    def scan_t(self) -> float | None:
+        """Exposure of the last scan."""
+        return self._tracker.t
 
     @property
     def has_waiting(self) -> bool:
@@ -297,7 +276,7 @@ class Onboard:
         """Track every waiting scan whose exposure the gyro has reached, or will not reach in time."""
         while self._waiting:
             if self._next_exposure is None:
-                self._next_exposure = self.clock.exposure(self._waiting[0].t, self.gyro)
+                self._next_exposure = self.camera_clock.exposure(self._waiting[0].t, self.gyro)
             exposure = self._next_exposure
             newest = self.gyro.newest
             gyro_is_silent = newest is None or newest < exposure - MAX_WAIT
@@ -318,8 +297,8 @@ class Onboard:
         orientation = self.gyro.orientation(t)
         turn = rotation_between(self._orientation or orientation, orientation)
         self._tracker.predict(t, turn.matrix, turn.variance)
-        scan = _scan(detections, t, self._camera, self._tracker)
-        self.clock.see(detections.t, scan, self._camera)
+        scan = _scan(detections, t, self.camera, self._tracker)
+        self.camera_clock.see(detections.t, scan, self.camera)
         self._tracker.update(scan)
         self._orientation = orientation
         self.counters.scans += 1

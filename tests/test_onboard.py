@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from swarmtrack.detection.expectation import OnboardExpectation
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
@@ -103,7 +104,7 @@ def test_a_detector_is_told_where_the_tracks_will_be_when_the_camera_has_turned(
     while fed / 200.0 <= last + 0.55:
         drone.on_imu(ImuSample(fed / 200.0, turning, NO_ACCEL))
         fed += 1
-    (box,) = drone.expected_boxes(last + 0.5)
+    (box,) = OnboardExpectation(drone).boxes(last + 0.5)
     assert box[:2] == pytest.approx([320.0 - 430.0 * np.tan(0.1), 240.0], abs=3.0)
     assert 3.0 < box[2] < 400.0
     assert box[4:] == pytest.approx([30.0, 30.0])
@@ -113,10 +114,10 @@ def test_boxes_told_to_the_detector_are_in_the_pixels_of_its_image():
     lens = RadTan((-0.25, 0.05, 0.0, 0.0))
     camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, lens)
     drone = onboard(camera=camera)
-    assert drone.expected_boxes(0.0).shape == (0, 6)
+    assert OnboardExpectation(drone).boxes(0.0).shape == (0, 6)
     for k in range(8):
         drone.on_detections(seen(k / 15, (600.0, 440.0), sequence=k))
-    (box,) = drone.expected_boxes(8 / 15)
+    (box,) = OnboardExpectation(drone).boxes(8 / 15)
     assert box[:2] == pytest.approx([600.0, 440.0], abs=0.5)
 
 
@@ -313,15 +314,15 @@ def test_pixels_of_an_earlier_frame_are_those_of_the_same_directions_however_the
     then_from_now = rotation.exp(in_camera * 0.1)
     pixels, _, _ = camera.project(directions)
     expected, _, _ = camera.project(directions @ then_from_now.T)
-    found = drone.pixels_at(0.3, 0.4)(pixels)
+    found = OnboardExpectation(drone).pixels_at(0.3, 0.4)(pixels)
     assert np.abs(found - expected).max() < 1e-3
     assert np.abs(found - pixels).max() > 30.0
 
 
 def test_a_camera_without_a_gyro_is_taken_to_stand_still_and_one_whose_gyro_fell_silent_is_not():
     pixels = np.array([[100.0, 100.0], [500.0, 300.0]])
-    assert np.allclose(onboard().pixels_at(0.0, 0.1)(pixels), pixels)
+    assert np.allclose(OnboardExpectation(onboard()).pixels_at(0.0, 0.1)(pixels), pixels)
     drone = onboard()
     for k in range(11):
         drone.on_imu(ImuSample(k / 200.0, np.zeros(3), NO_ACCEL))
-    assert drone.pixels_at(0.9, 1.0) is None
+    assert OnboardExpectation(drone).pixels_at(0.9, 1.0) is None

@@ -60,7 +60,7 @@ def look(clip: Clip, detector: Detector) -> list[Detections]:
             if not decoded:
                 break
             frame = Frame(number / clip.fps, 0.0, number, image.astype(np.uint8, copy=False), StampKind.MEDIA)
-            found = detector.detect(frame)
+            found = detector.look(detector.plan(frame))
             if found is not None:
                 seen.append(found)
     finally:

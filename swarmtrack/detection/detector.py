@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 
 from swarmtrack.clock import Clock, SystemClock
 from swarmtrack.detection import motion_cue
+from swarmtrack.detection.attention import AttentionParameters, AttentionWindows, Window, coverage
 from swarmtrack.detection.description import Declared, Description
-from swarmtrack.detection.gaze import Gaze, Habits, Window, coverage
+from swarmtrack.detection.expectation import Expectation
 from swarmtrack.detection.heads import Candidates, merged
 from swarmtrack.detection.model import model_path, open_session, runs_on
-from swarmtrack.detection.motion_cue import Earlier, MotionCue
+from swarmtrack.detection.motion_cue import Comparison, MotionCue
 from swarmtrack.detection.net import TRIAL_SIZE, Net
 from swarmtrack.errors import ModelError
-from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus
+from swarmtrack.messages import Array, Detections, Frame, LinkStatus
 
 NOTHING_DECLARED = Declared()
-USUAL = Habits()
+USUAL_ATTENTION = AttentionParameters()
 LATENCY_FRAMES = 256  # frames over which latency is reported: about ten seconds of video
 SMALLEST, LARGEST = 8, 8192  # px: sides of an image that make sense
 
@@ -43,13 +44,22 @@ class Latency(NamedTuple):
     post: Percentiles
 
 
+class Look(NamedTuple):
+    """One look of the detector: at which windows of a frame, none where it cannot be used, and what to compare it
+    with."""
+
+    frame: Frame
+    windows: tuple[Window, ...]
+    comparison: Comparison | None
+
+
 class Detector:
     """Finds drones in single frames with an ONNX model.
 
     model: a shipped model's name or a file. score_threshold: instead of the model's own. input_scale: enlarge images
     before looking, for drones of few pixels (the time grows with its square). providers: ONNX Runtime's, by short name,
     best first; cache: folder of the engines that some of them compile. declared: what the file does not say of the net,
-    or says wrongly. look: "whole" frames, or "guided" by the tracks as `habits` say; "auto": guided where the whole
+    or says wrongly. look: "whole" frames, or "guided" by the tracks as `attention` says; "auto": guided where the whole
     frame would be shrunk. motion: also ask what moved since an earlier frame (`motion_cue`). A model that cannot work
     raises `ModelError` here; a bad frame later is counted and yields nothing.
     """
@@ -65,7 +75,7 @@ class Detector:
         cache: Path | None = None,
         declared: Declared = NOTHING_DECLARED,
         look: Literal["auto", "whole", "guided"] = "auto",
-        habits: Habits = USUAL,
+        attention: AttentionParameters = USUAL_ATTENTION,
         motion: bool = False,
         max_detections: int = 64,
         clock: Clock | None = None,
@@ -89,7 +99,7 @@ class Detector:
         )
         self._input_scale = input_scale
         self._look = look
-        self._gaze = Gaze(habits, self._net.fixed_size)
+        self._attention = AttentionWindows(attention, self._net.fixed_size)
         self._motion = MotionCue() if motion else None
         self._limit = max_detections
         self._seconds = np.zeros((LATENCY_FRAMES, 3))  # ring of (pre, infer, post)
@@ -118,40 +128,36 @@ class Detector:
         """Of ONNX Runtime, those that really run the net, by short name, the first one first."""
         return runs_on(self._session)
 
-    def is_guided(self, image: Image) -> bool:
-        """Whether `detect` wants to be told where tracks are in this image; in one it cannot use it does not."""
+    def plan(self, frame: Frame, expectation: Expectation | None = None) -> Look:
+        """Where to look in the next frame, and what to compare it with: quick, and to be asked where `expectation` may
+        be. Without one: at the whole frame, and not at what moved."""
+        image = frame.image
         if _unusable(image):
-            return False
+            return Look(frame, (), None)
         height, width = image.shape[:2]
-        shrunk = self._net.scale_of(width, height, self._input_scale) < 1.0
-        return self._look == "guided" or (self._look == "auto" and shrunk)
+        scale = self._net.scale_of(width, height, self._input_scale)
+        windows = [Window(0, 0, width, height, scale)]
+        comparison = None
+        if expectation is not None:
+            if self._look == "guided" or (self._look == "auto" and scale < 1.0):
+                windows = self._attention.next((width, height), scale, expectation.boxes(frame.t))
+            if self._motion is not None:
+                comparison = self._motion.compare(frame.t, expectation)
+        return Look(frame, tuple(windows), comparison)
 
-    def compares_with(self, t: float) -> float | None:
-        """When the frame was exposed that `detect` wants to compare the next one, of t, with; None: with none."""
-        return None if self._motion is None else self._motion.before(t)
-
-    def detect(
-        self, frame: Frame, tracks: Array | None = None, earlier: Earlier | None = None
-    ) -> Detections | None:
-        """All drones in the frame, best first, in pixels of the image as given; where it is guided, those in the parts
-        that it looked at. tracks (n, 6) px: see `Gaze.next`; None: look at the whole. earlier: from this frame to the
-        one that `compares_with` named; None: what moved is not asked.
+    def look(self, look: Look) -> Detections | None:
+        """All drones in the windows of a planned look, best first, in pixels of the image as given.
 
         None where it could not look (counted, and said in `status`): that is not the same as seeing nobody, which
         would count against every track.
         """
-        trouble = _unusable(frame.image)
-        if trouble:
+        frame, windows = look.frame, look.windows
+        if not windows:
             self._refused += 1
-            self._trouble = trouble
+            self._trouble = _unusable(frame.image)
             return None
-        height, width = frame.image.shape[:2]
-        scale = self._net.scale_of(width, height, self._input_scale)
-        windows = [Window(0, 0, width, height, scale)]
-        if tracks is not None and self.is_guided(frame.image):
-            windows = self._gaze.next((width, height), scale, tracks)
         try:
-            found, seconds = self._look_through(frame, windows, earlier)
+            found, seconds = self._look_through(look)
         except ModelError as error:  # NaN from this image only: the next one may be fine
             self._broken += 1
             self._trouble = str(error)
@@ -161,20 +167,18 @@ class Detector:
         self._windows += len(windows)
         self._found += len(found.score)
         self._trouble = ""
+        height, width = frame.image.shape[:2]
         seen = coverage(windows, (width, height))
         return Detections(frame.t, frame.sequence, found.centre, found.size, found.score, coverage=seen)
 
-    def _look_through(
-        self, frame: Frame, windows: Sequence[Window], earlier: Earlier | None
-    ) -> tuple[Candidates, Array]:
+    def _look_through(self, look: Look) -> tuple[Candidates, Array]:
         """What is in the windows, in pixels of the image, and the seconds (3,) that it took."""
-        threshold, image = self.score_threshold, frame.image
-        cue = self._motion if earlier is not None else None
-        least = threshold if cue is None else min(threshold, motion_cue.LEAST)
+        threshold, image = self.score_threshold, look.frame.image
+        least = threshold if look.comparison is None else min(threshold, motion_cue.LEAST)
         whole = (image.shape[1], image.shape[0])
         spent = np.zeros(3)
         parts = []
-        for window in windows:
+        for window in look.windows:
             part = image[window.y : window.y + window.height, window.x : window.x + window.width]
             found, seconds = self._net.look(part, window.scale, least, self._limit)
             found = found._replace(centre=found.centre + np.array([window.x, window.y]))
@@ -182,10 +186,8 @@ class Detector:
             spent += seconds
         found = parts[0] if len(parts) == 1 else merged(parts, limit=self._limit)
         began = self._clock.now()
-        if cue is not None and earlier is not None:
-            found = cue.weigh(frame, found, threshold, earlier)
         if self._motion is not None:
-            self._motion.remember(frame)
+            found = self._motion.weigh(look.frame, found, threshold, look.comparison)
         spent[2] += self._clock.now() - began
         return found, spent
 

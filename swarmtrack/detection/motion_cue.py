@@ -18,12 +18,13 @@ the less a drone. What the net alone would not have shown must have odds above o
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.detection.heads import Candidates
 from swarmtrack.messages import Array, Frame, Image
 
@@ -39,9 +40,14 @@ BLUR = 1.0  # px
 MESH_PX = 32.0
 NOWHERE = -1e4  # px: outside of any image
 STANDS_PX = 0.05  # a turn that moves no pixel further is none
+MOST_KEPT = 64  # frames: a camera of up to 700 Hz still finds one that is old enough
 
-Earlier = Callable[[Array], Array]
-"""Pixels (n, 2) of the frame → where the same directions lie in the one before; NaN where the lens does not reach."""
+
+class Comparison(NamedTuple):
+    """An earlier picture, and where the directions of a frame's pixels lie in it."""
+
+    grey: Image
+    pixels_then: PixelMapping
 
 
 class _Kept(NamedTuple):
@@ -50,34 +56,37 @@ class _Kept(NamedTuple):
 
 
 class MotionCue:
-    """Keeps what it needs of the last frames. `before` and `remember` are called once for each frame, in this order."""
+    """Keeps what it needs of the last frames, and no more."""
 
     def __init__(self) -> None:
-        self._kept: deque[_Kept] = deque()
-        self._newest: _Kept | None = None
+        self._kept: deque[_Kept] = deque(maxlen=MOST_KEPT)
 
-    def before(self, t: float) -> float | None:
-        """When the frame was exposed that one of t is compared with; None: there is none of the right age."""
-        while len(self._kept) > 1 and self._kept[1].t <= t - APART_S:
-            self._kept.popleft()
-        if not self._kept or not APART_S <= t - self._kept[0].t <= LONGEST_S:
+    def compare(self, t: float, expectation: Expectation) -> Comparison | None:
+        """What a frame exposed at t is compared with; None where no frame is of the right age, or the gyro cannot tell
+        how the camera has turned since. Changes nothing."""
+        earlier = None
+        for kept in self._kept:
+            if earlier is not None and kept.t > t - APART_S:
+                break
+            earlier = kept
+        if earlier is None or not APART_S <= t - earlier.t <= LONGEST_S:
             return None
-        return self._kept[0].t
+        pixels_then = expectation.pixels_at(earlier.t, t)
+        return None if pixels_then is None else Comparison(earlier.grey, pixels_then)
 
-    def remember(self, frame: Frame) -> None:
-        """For the frames to come. A clock that went back begins anew."""
-        if self._kept and (frame.t <= self._kept[-1].t or self._kept[-1].grey.shape != frame.image.shape[:2]):
-            self._kept.clear()
-        self._kept.append(self._of(frame))
-
-    def weigh(self, frame: Frame, found: Candidates, threshold: float, earlier: Earlier) -> Candidates:
+    def weigh(
+        self, frame: Frame, found: Candidates, threshold: float, comparison: Comparison | None
+    ) -> Candidates:
         """What the net scores `threshold` or more, and what motion makes sure; best first, scores with the odds of
-        motion. `before` has said that there is what to compare with."""
-        now, then = self._of(frame).grey, self._kept[0].grey
+        motion. Without a comparison it is `found`. The frame is kept for those to come."""
+        grey = _grey(frame.image)
+        self._keep(frame.t, grey)
+        if comparison is None:
+            return found
         ratio = np.ones(len(found.score))
-        if now.shape == then.shape:  # else the camera has changed its size just now
-            then = _moved_into(then, now, earlier)
-            changes = [np.asarray(cv2.subtract(*pair), np.uint8) for pair in ((now, then), (then, now))]
+        if grey.shape == comparison.grey.shape:  # else the camera has changed its size just now
+            then = _moved_into(comparison.grey, grey, comparison.pixels_then)
+            changes = [np.asarray(cv2.subtract(*pair), np.uint8) for pair in ((grey, then), (then, grey))]
             boxes = zip(found.centre, found.size, strict=True)
             ratio = np.array([_ratio(changes, *box) for box in boxes])
         odds = found.score / np.maximum(1.0 - found.score, 1e-9) * ratio
@@ -86,11 +95,13 @@ class MotionCue:
         order = np.argsort(-score, kind="stable")
         return found._replace(score=score).take(order[shown[order]])
 
-    def _of(self, frame: Frame) -> _Kept:
-        """Made once of each frame."""
-        if self._newest is None or self._newest.t != frame.t:
-            self._newest = _Kept(frame.t, _grey(frame.image))
-        return self._newest
+    def _keep(self, t: float, grey: Image) -> None:
+        """For the frames to come. A clock that went back, or an image of another size, starts again."""
+        if self._kept and (t <= self._kept[-1].t or self._kept[-1].grey.shape != grey.shape):
+            self._kept.clear()
+        self._kept.append(_Kept(t, grey))
+        while len(self._kept) > 1 and self._kept[1].t <= t - APART_S:
+            self._kept.popleft()
 
 
 def _grey(image: Image) -> Image:
@@ -100,13 +111,13 @@ def _grey(image: Image) -> Image:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR), np.uint8)
 
 
-def _moved_into(then: Image, now: Image, earlier: Earlier) -> Image:
+def _moved_into(then: Image, now: Image, pixels_then: PixelMapping) -> Image:
     """The earlier picture as the camera would have taken it from where it looks now; what it did not see is as now."""
     height, width = now.shape
     # Lens and turn are smooth: a mesh of shifts will do, which OpenCV makes finer.
     columns, rows = np.meshgrid(_mesh(width), _mesh(height))
     mesh = np.stack([columns.ravel(), rows.ravel()], axis=1)
-    shifts = earlier(mesh) - mesh
+    shifts = pixels_then(mesh) - mesh
     if np.abs(shifts).max() < STANDS_PX:
         return then
     shifts = np.nan_to_num(shifts, nan=NOWHERE).astype(np.float32)

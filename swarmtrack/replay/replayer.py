@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
+from swarmtrack.detection.expectation import OnboardExpectation
 from swarmtrack.errors import RecordingError
 from swarmtrack.messages import Detections, Frame, Input, StampKind, TrackList
 from swarmtrack.onboard import Onboard, ScanReport
@@ -121,6 +122,7 @@ class Replayer:
         self._onboard: Onboard = make_onboard(settings.config, settings.mounted, settings.start)
         self._door = Door(self._onboard)
         self._detector = detector
+        self._expectation = OnboardExpectation(self._onboard)
         self._topics = TOPICS if detector is None else TOPICS | {FRAMES_TOPIC, IMAGES_TOPIC}
         self._watcher = watcher
         self._answer_every = 1 if every_answer or watcher is not None else ANSWER_EVERY
@@ -212,11 +214,7 @@ class Replayer:
         frame = self._frames.pop(event.sequence, None)
         if frame is None:
             return
-        guided = self._detector.is_guided(frame.image)
-        boxes = self._onboard.expected_boxes(frame.t) if guided else None
-        then = self._detector.compares_with(frame.t)
-        earlier = None if then is None else self._onboard.pixels_at(then, frame.t)
-        detections = self._detector.detect(frame, boxes, earlier)
+        detections = self._detector.look(self._detector.plan(frame, self._expectation))
         if detections is not None:
             yield detections
 

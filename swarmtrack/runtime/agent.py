@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from swarmtrack.clock import UTC_SIGMA, ManualClock, SystemClock
+from swarmtrack.detection.expectation import OnboardExpectation
 from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
@@ -174,6 +175,7 @@ class Agent:
     async def _detect(self, camera: Camera, detector: Detector) -> AsyncIterator[Detections]:
         """Every frame through the detector, in its thread."""
         clock, loop = self._parts.clock, asyncio.get_running_loop()
+        expectation = OnboardExpectation(self._parts.onboard)
         async for frame in camera.frames():
             if isinstance(clock, ManualClock):
                 clock.set(frame.t)
@@ -183,11 +185,8 @@ class Agent:
                 self._parts.recorder.frame(frame)
             self._live.offer(frame.t, frame.sequence, frame.image)
             began = self._detecting_since = self._wall.now()
-            guided = detector.is_guided(frame.image)
-            tracks = self._parts.onboard.expected_boxes(frame.t) if guided else None
-            then = detector.compares_with(frame.t)
-            earlier = None if then is None else self._parts.onboard.pixels_at(then, frame.t)
-            detections = await loop.run_in_executor(self._worker, detector.detect, frame, tracks, earlier)
+            look = detector.plan(frame, expectation)
+            detections = await loop.run_in_executor(self._worker, detector.look, look)
             self._detecting_since = None
             self.health.detector.add(self._wall.now() - began)
             if detections is None:

@@ -140,7 +140,7 @@ class Health:
 
 
 def _time_offset(onboard: Onboard) -> TimeOffsetHealth:
-    found, used = onboard.clock.found, onboard.clock.used_s
+    found, used = onboard.camera_clock.found, onboard.camera_clock.used_s
     return TimeOffsetHealth(found and found.offset_s, found and found.sigma_s, used)
 
 

@@ -52,7 +52,7 @@ class LiveVideo:
         if now - self._last < 1.0 / MAX_HZ - JITTER_S:
             return
         self._last = now
-        exposed = t + parts.onboard.clock.used_s
+        exposed = t + parts.onboard.camera_clock.used_s
         pose = parts.onboard.camera_pose(exposed)
         view = VideoMessage(
             version=VERSION,

@@ -59,9 +59,9 @@ def make_detector(config: DroneConfig) -> Detector | None:
     """None for a camera that detects by itself."""
     if config.camera.detects_by_itself:
         return None
+    from swarmtrack.detection.attention import AttentionParameters  # noqa: PLC0415
     from swarmtrack.detection.description import Declared  # noqa: PLC0415
     from swarmtrack.detection.detector import Detector  # noqa: PLC0415
-    from swarmtrack.detection.gaze import Habits  # noqa: PLC0415
 
     section = config.detector
     usual_scale = 1.0 if section.look == "whole" else GUIDED_SCALE
@@ -74,7 +74,9 @@ def make_detector(config: DroneConfig) -> Detector | None:
         cache=section.engine_cache,
         look=section.look,
         motion=section.motion,
-        habits=Habits(whole_every=section.whole_every, target_px=section.target_px, tiles=section.tiles),
+        attention=AttentionParameters(
+            whole_every=section.whole_every, target_px=section.target_px, tiles=section.tiles
+        ),
         declared=Declared(
             head=None if section.head == "auto" else section.head,
             names=section.names,

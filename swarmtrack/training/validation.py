@@ -21,7 +21,7 @@ def look(model: Path, frames: Sequence[LabelledFrame]) -> list[Looked]:
     detector = Detector(str(model), score_threshold=LOWEST, look="whole")
     looks = []
     for frame in frames:
-        found = detector.detect(Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA))
+        found = detector.look(detector.plan(Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA)))
         if found is None:
             raise TrainingError(detector.status().text)
         looks.append(Looked(found, frame.drones, frame.distractors, frame.kinds))

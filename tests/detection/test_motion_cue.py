@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from swarmtrack.detection.heads import Candidates
-from swarmtrack.detection.motion_cue import APART_S, LONGEST_S, SURE, MotionCue
+from swarmtrack.detection.motion_cue import APART_S, LONGEST_S, MOST_KEPT, SURE, MotionCue
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Frame, StampKind
@@ -45,17 +45,43 @@ def same_place(pixels):
     return pixels
 
 
-def after(then, seconds=0.1):
+class Turned:
+    """Expects no tracks; `pixels_then` is where the pixels of a frame lie in any earlier one."""
+
+    def __init__(self, pixels_then=same_place):
+        self.asked = None
+        self._pixels_then = pixels_then
+
+    def boxes(self, exposed):
+        return np.empty((0, 6))
+
+    def pixels_at(self, then, now):
+        self.asked = then
+        return self._pixels_then
+
+
+def keep(cue, t, image):
+    cue.weigh(frame(t, image), candidates(), THRESHOLD, None)
+
+
+def compared_with(cue, t):
+    """When the frame was exposed that one of t is compared with."""
+    expectation = Turned()
+    cue.compare(t, expectation)
+    return expectation.asked
+
+
+def weighed(then, now, found, pixels_then=same_place):
+    """What becomes of candidates 0.1 s after the picture `then`."""
     cue = MotionCue()
-    cue.remember(frame(1.0, then))
-    assert cue.before(1.0 + seconds) == 1.0
-    return cue
+    keep(cue, 1.0, then)
+    comparison = cue.compare(1.1, Turned(pixels_then))
+    return cue.weigh(frame(1.1, now), found, THRESHOLD, comparison)
 
 
 def test_a_weak_candidate_that_moved_is_shown_and_one_that_stands_still_is_as_weak_as_before():
-    cue = after(picture(STILL_THEN, MOVED_THEN))
-    shown = cue.weigh(
-        frame(1.1, picture(STILL_NOW, MOVED_NOW)), candidates(STILL_NOW, MOVED_NOW), THRESHOLD, same_place
+    shown = weighed(
+        picture(STILL_THEN, MOVED_THEN), picture(STILL_NOW, MOVED_NOW), candidates(STILL_NOW, MOVED_NOW)
     )
     assert shown.centre.tolist() == [MOVED_NOW.tolist()]
     assert shown.score[0] > SURE
@@ -63,9 +89,8 @@ def test_a_weak_candidate_that_moved_is_shown_and_one_that_stands_still_is_as_we
 
 
 def test_what_the_net_would_have_shown_stays_at_its_score_where_it_stands_still_and_the_surest_comes_first():
-    cue = after(picture(STILL_THEN, MOVED_THEN))
     found = candidates(STILL_NOW, MOVED_NOW, score=0.4)
-    shown = cue.weigh(frame(1.1, picture(STILL_NOW, MOVED_NOW)), found, THRESHOLD, same_place)
+    shown = weighed(picture(STILL_THEN, MOVED_THEN), picture(STILL_NOW, MOVED_NOW), found)
     assert shown.centre.tolist() == [MOVED_NOW.tolist(), STILL_NOW.tolist()]
     assert shown.score[1] == 0.4
     assert shown.score[0] > 0.7
@@ -82,13 +107,13 @@ def test_a_camera_that_turned_makes_nothing_of_a_still_world_likelier():
 
     background = cv2.warpPerspective(sky, H, (320, 240), borderMode=cv2.BORDER_REFLECT)
     then = picture(earlier(STILL_NOW[None])[0], earlier(MOVED_THEN[None])[0], background=background)
-    now = frame(1.1, picture(STILL_NOW, MOVED_NOW, background=sky))
+    now = picture(STILL_NOW, MOVED_NOW, background=sky)
     places = candidates(STILL_NOW, MOVED_NOW, [120.0, 180.0], [240.0, 60.0], score=0.4)
-    shown = after(then).weigh(now, places, THRESHOLD, earlier)
+    shown = weighed(then, now, places, earlier)
     scores = {tuple(centre): score for centre, score in zip(shown.centre, shown.score, strict=True)}
     assert scores.pop(tuple(MOVED_NOW)) > 0.6
     assert set(scores.values()) == {0.4}
-    unaware = after(then).weigh(now, places, THRESHOLD, same_place)
+    unaware = weighed(then, now, places)
     assert dict(zip(map(tuple, unaware.centre), unaware.score, strict=True))[tuple(STILL_NOW)] > 0.4
 
 
@@ -101,9 +126,7 @@ def test_at_the_border_only_what_both_pictures_show_is_compared(centre):
         return np.full_like(pixels, math.nan)
 
     for earlier in (same_place, far_off, beyond_the_lens):
-        shown = after(picture()).weigh(
-            frame(1.1, picture()), candidates(centre, score=0.4), THRESHOLD, earlier
-        )
+        shown = weighed(picture(), picture(), candidates(centre, score=0.4), earlier)
         assert shown.score.tolist() == [0.4]
 
 
@@ -113,12 +136,9 @@ def test_grey_and_colour_are_alike_and_no_candidate_is_no_matter(shape):
         channels = shape[2] if len(shape) == 3 else 1
         return np.repeat(picture(*centres)[..., None], channels, axis=2).reshape(shape)
 
-    shown = after(image(MOVED_THEN)).weigh(
-        frame(1.1, image(MOVED_NOW)), candidates(MOVED_NOW), THRESHOLD, same_place
-    )
+    shown = weighed(image(MOVED_THEN), image(MOVED_NOW), candidates(MOVED_NOW))
     assert shown.score[0] > SURE
-    none = candidates()
-    nobody = after(image()).weigh(frame(1.1, image()), none, THRESHOLD, same_place)
+    nobody = weighed(image(), image(), candidates())
     assert len(nobody.score) == 0
 
 
@@ -127,26 +147,38 @@ def test_the_frame_to_compare_with_is_the_youngest_that_is_old_enough_and_few_ar
     cue = MotionCue()
     for k in range(60):
         t = k / fps
-        before = cue.before(t)
+        before = compared_with(cue, t)
         if k / fps >= APART_S + 1.0 / fps:
             assert before is not None
             assert APART_S <= t - before < APART_S + 1.0 / fps + 1e-9
-        cue.remember(frame(t, np.zeros((16, 16), np.uint8)))
+        keep(cue, t, np.zeros((16, 16), np.uint8))
         assert len(cue._kept) <= math.ceil(APART_S * fps) + 2
+
+
+def test_frames_are_not_kept_whoever_asks_for_none_and_however_slowly_their_clock_goes():
+    """Nobody asked of the first thousand what they are compared with, as a flight's import once forgot to; of the
+    others the stamps say that they were exposed within a millisecond."""
+    cue = MotionCue()
+    for k in range(1000):
+        keep(cue, k / 30.0, np.zeros((16, 16), np.uint8))
+        assert len(cue._kept) <= 4
+    for k in range(1000):
+        keep(cue, 40.0 + 1e-6 * k, np.zeros((16, 16), np.uint8))
+    assert len(cue._kept) == MOST_KEPT
 
 
 def test_after_a_pause_a_clock_that_went_back_or_another_size_nothing_is_compared():
     for t, shape in ((1.0 + LONGEST_S + 0.1, (16, 16)), (1.0 - 1e-3, (16, 16)), (1.1, (8, 16))):
-        cue = after(np.zeros((16, 16), np.uint8))
+        cue = MotionCue()
+        keep(cue, 1.0, np.zeros((16, 16), np.uint8))
+        assert compared_with(cue, 1.1) == 1.0
         if t < 1.0 + LONGEST_S:
-            cue.remember(frame(t, np.zeros(shape, np.uint8)))
-            assert cue.before(t + 0.05) is None
+            keep(cue, t, np.zeros(shape, np.uint8))
+            assert compared_with(cue, t + 0.05) is None
         else:
-            assert cue.before(t) is None
+            assert compared_with(cue, t) is None
 
 
 def test_a_camera_that_changes_its_size_is_no_motion():
-    shown = after(picture()[::2]).weigh(
-        frame(1.1, picture(MOVED_NOW)), candidates(MOVED_NOW, score=0.4), THRESHOLD, same_place
-    )
+    shown = weighed(picture()[::2], picture(MOVED_NOW), candidates(MOVED_NOW, score=0.4))
     assert shown.score.tolist() == [0.4]

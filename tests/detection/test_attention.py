@@ -9,8 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarmtrack.detection.attention import (
+    CUT,
+    UNKNOWN_SIZE,
+    AttentionParameters,
+    AttentionWindows,
+    Window,
+    coverage,
+    tiles,
+)
 from swarmtrack.detection.detector import Detector
-from swarmtrack.detection.gaze import CUT, UNKNOWN_SIZE, Gaze, Habits, Window, coverage, tiles
 from swarmtrack.detection.heads import Candidates, merged
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training import render
@@ -46,9 +54,9 @@ def shows(window, centre):
 @given(scene=scenes(), whole_scale=st.sampled_from([0.25, 0.5, 1.0]))
 def test_every_track_in_the_image_is_looked_at_in_every_frame(fixed, scene, whole_scale):
     image, boxes = scene
-    gaze = Gaze(Habits(), fixed)
+    attention = AttentionWindows(AttentionParameters(), fixed)
     for _ in range(7):
-        windows = gaze.next(image, whole_scale, boxes)
+        windows = attention.next(image, whole_scale, boxes)
         assert windows
         for window in windows:
             assert 0 <= window.x < window.x + window.width <= image[0]
@@ -61,9 +69,9 @@ def test_every_track_in_the_image_is_looked_at_in_every_frame(fixed, scene, whol
 @given(scene=scenes())
 def test_a_window_holds_the_box_and_its_uncertainty_up_to_the_image_s_edge(scene):
     image, boxes = scene
-    gaze = Gaze(Habits(most_windows=99, whole_every=10**6))
-    gaze.next(image, 0.5, np.empty((0, 6)))  # the first frame is a whole one
-    windows = gaze.next(image, 0.5, boxes)[:-1]  # without the tile
+    attention = AttentionWindows(AttentionParameters(most_windows=99, whole_every=10**6))
+    attention.next(image, 0.5, np.empty((0, 6)))  # the first frame is a whole one
+    windows = attention.next(image, 0.5, boxes)[:-1]  # without the tile
     for box in boxes:
         size = np.where(np.isnan(box[4:]), UNKNOWN_SIZE, box[4:])
         low = np.clip(box[:2] - box[2:4] - size / 2, 0, np.array(image) - 1)
@@ -77,38 +85,40 @@ def test_a_window_holds_the_box_and_its_uncertainty_up_to_the_image_s_edge(scene
 
 def test_a_small_drone_is_enlarged_and_a_large_one_seen_as_it_is():
     for size, scale in ((8.0, 3.0), (12.0, 2.0), (24.0, 1.0), (90.0, 1.0)):
-        gaze = Gaze(Habits(tiles=False))
-        gaze.next(IMAGE, 0.5, np.empty((0, 6)))
-        (window,) = gaze.next(IMAGE, 0.5, np.array([box_of(600, 300, size=size)]))
+        attention = AttentionWindows(AttentionParameters(tiles=False))
+        attention.next(IMAGE, 0.5, np.empty((0, 6)))
+        (window,) = attention.next(IMAGE, 0.5, np.array([box_of(600, 300, size=size)]))
         assert window.scale == pytest.approx(scale)
 
 
 def test_a_track_that_may_be_far_off_gets_a_window_that_the_net_can_still_afford():
-    gaze = Gaze(Habits(tiles=False))
-    gaze.next(IMAGE, 0.5, np.empty((0, 6)))
-    (window,) = gaze.next(IMAGE, 0.5, np.array([box_of(600, 300, sigma=60.0, size=12.0)]))
-    assert max(window.width, window.height) * window.scale <= Habits().largest_px + 1
+    attention = AttentionWindows(AttentionParameters(tiles=False))
+    attention.next(IMAGE, 0.5, np.empty((0, 6)))
+    (window,) = attention.next(IMAGE, 0.5, np.array([box_of(600, 300, sigma=60.0, size=12.0)]))
+    assert max(window.width, window.height) * window.scale <= AttentionParameters().largest_px + 1
     assert window.width >= 360
 
 
 def test_neighbours_share_a_window():
-    gaze = Gaze(Habits(tiles=False))
-    gaze.next(IMAGE, 0.5, np.empty((0, 6)))
-    assert len(gaze.next(IMAGE, 0.5, np.array([box_of(600, 300), box_of(630, 310), box_of(100, 100)]))) == 2
+    attention = AttentionWindows(AttentionParameters(tiles=False))
+    attention.next(IMAGE, 0.5, np.empty((0, 6)))
+    assert (
+        len(attention.next(IMAGE, 0.5, np.array([box_of(600, 300), box_of(630, 310), box_of(100, 100)]))) == 2
+    )
 
 
 def test_whole_frames_come_as_often_as_asked_and_without_tracks_always():
-    gaze, boxes = Gaze(Habits(whole_every=4)), np.array([box_of(600, 300)])
-    whole = [Window(0, 0, *IMAGE, 0.5) in gaze.next(IMAGE, 0.5, boxes) for _ in range(9)]
+    attention, boxes = AttentionWindows(AttentionParameters(whole_every=4)), np.array([box_of(600, 300)])
+    whole = [Window(0, 0, *IMAGE, 0.5) in attention.next(IMAGE, 0.5, boxes) for _ in range(9)]
     assert whole == [True, False, False, False, True, False, False, False, True]
-    assert all(gaze.next(IMAGE, 0.5, np.empty((0, 6)))[0].area == math.prod(IMAGE) for _ in range(3))
+    assert all(attention.next(IMAGE, 0.5, np.empty((0, 6)))[0].area == math.prod(IMAGE) for _ in range(3))
 
 
 def test_a_crowd_is_seen_as_a_whole():
     boxes = np.array([box_of(u, v) for u in range(100, 1200, 200) for v in (100, 500)])
-    gaze = Gaze(Habits())
+    attention = AttentionWindows(AttentionParameters())
     for _ in range(6):
-        assert gaze.next(IMAGE, 0.5, boxes)[0] == Window(0, 0, *IMAGE, 0.5)
+        assert attention.next(IMAGE, 0.5, boxes)[0] == Window(0, 0, *IMAGE, 0.5)
 
 
 @given(image=images, tile=st.tuples(st.integers(64, 700), st.integers(64, 700)))
@@ -124,8 +134,8 @@ def test_tiles_show_all_of_the_image_and_overlap(image, tile):
 
 
 def test_one_tile_after_the_other_goes_through_the_image():
-    gaze, every = Gaze(Habits()), tiles(IMAGE, (256, 256))
-    seen = [gaze.next(IMAGE, 0.5, np.empty((0, 6)))[-1] for _ in range(2 * len(every))]
+    attention, every = AttentionWindows(AttentionParameters()), tiles(IMAGE, (256, 256))
+    seen = [attention.next(IMAGE, 0.5, np.empty((0, 6)))[-1] for _ in range(2 * len(every))]
     assert seen == [*every, *every]
 
 
@@ -157,6 +167,19 @@ def test_the_same_drone_in_two_looks_is_one():
 # --- with the shipped net
 
 
+class Tracks:
+    """Expects them where it is told, and knows of no turn."""
+
+    def __init__(self, boxes):
+        self._boxes = boxes
+
+    def boxes(self, exposed):
+        return self._boxes
+
+    def pixels_at(self, then, now):
+        return None
+
+
 def sky_with(centres, *, size, width=1280, height=720):
     rng = np.random.default_rng(0)
     image = np.full((height, width, 3), (220, 170, 130), np.float32)
@@ -169,10 +192,11 @@ def test_what_a_shrunk_frame_hides_a_guided_look_finds_where_it_is():
     there = [(300.0, 200.0), (900.0, 500.0)]
     frame = sky_with(there, size=16.0)
     boxes = np.array([box_of(*centre, size=16.0) for centre in there])
-    whole = Detector(input_scale=0.25, look="whole").detect(frame, boxes)
+    whole = Detector(input_scale=0.25, look="whole")
+    missed = whole.look(whole.plan(frame, Tracks(boxes)))
     guided = Detector(input_scale=0.25)
-    found = guided.detect(frame, boxes)
-    assert len(whole.score) < 2
+    found = guided.look(guided.plan(frame, Tracks(boxes)))
+    assert len(missed.score) < 2
     assert len(found.score) == 2
     order = np.argsort(found.centre[:, 0])
     assert found.centre[order] == pytest.approx(np.array(there), abs=2.0)
@@ -180,22 +204,29 @@ def test_what_a_shrunk_frame_hides_a_guided_look_finds_where_it_is():
 
 
 def test_it_is_guided_only_where_the_frame_is_shrunk_or_it_is_asked_for():
-    image = np.zeros((*IMAGE[::-1], 3), np.uint8)
-    assert not Detector().is_guided(image)
-    assert Detector(input_scale=0.5).is_guided(image)
-    assert Detector(look="guided").is_guided(image)
-    assert not Detector(input_scale=0.5, look="whole").is_guided(image)
+    frame = Frame(0.0, 0.0, 0, np.zeros((*IMAGE[::-1], 3), np.uint8), StampKind.MEDIA)
+    tracks = Tracks(np.array([box_of(600, 300)]))
+
+    def is_guided(**how):
+        return len(Detector(**how).plan(frame, tracks).windows) > 1
+
+    assert not is_guided()
+    assert is_guided(input_scale=0.5)
+    assert is_guided(look="guided")
+    assert not is_guided(input_scale=0.5, look="whole")
 
 
 @pytest.mark.parametrize("shape", [(0, 0, 3), (480, 0), (100,), (100, 100, 4)])
 def test_an_image_that_is_none_is_not_planned_for_but_refused(shape):
     detector, image = Detector(look="guided"), np.zeros(shape, np.uint8)
-    assert not detector.is_guided(image)
-    assert detector.detect(Frame(0.0, 0.0, 0, image, StampKind.MEDIA), np.empty((0, 6))) is None
+    look = detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA), Tracks(np.empty((0, 6))))
+    assert look.windows == ()
+    assert detector.look(look) is None
     assert dict(detector.status().counters)["refused_frames"] == 1
 
 
 def test_without_tracks_told_the_whole_is_looked_at():
-    found = Detector(look="guided").detect(sky_with([(300.0, 200.0)], size=30.0))
+    detector = Detector(look="guided")
+    found = detector.look(detector.plan(sky_with([(300.0, 200.0)], size=30.0)))
     assert found.coverage == 1.0
     assert len(found.score) == 1

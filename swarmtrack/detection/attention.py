@@ -1,4 +1,4 @@
-"""Where to look in the next frame: pixels on target first.
+"""Attention windows: where to look in the next frame, pixels on target first.
 
 A net that sees the whole frame shrunk sees a far drone as a few pixels, and misses it; one that sees it at full
 resolution is slow. So: small windows around what is tracked, at the frame's own resolution or enlarged, in every
@@ -49,7 +49,7 @@ class Window(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Habits:
+class AttentionParameters:
     """whole_every: frames, from one that is seen as a whole to the next; target_px: side of a drone in the net's input
     that windows are enlarged for, by up to most_enlarged; fovea_px: least side of a window's input; most_windows: in
     one frame, around tracks; tiles: whether to look through the frame in tiles of tile_px."""
@@ -64,15 +64,15 @@ class Habits:
     tile_px: int = 256
 
 
-class Gaze:
-    """What to look at, frame by frame.
+class AttentionWindows:
+    """Which parts of each frame the net is shown.
 
     whole_scale: of the whole frame in the net's input; fixed: (width, height) px of the only input the net takes, in
     which case every window has its proportions.
     """
 
-    def __init__(self, habits: Habits, fixed: tuple[int, int] | None = None) -> None:
-        self._habits = habits
+    def __init__(self, parameters: AttentionParameters, fixed: tuple[int, int] | None = None) -> None:
+        self._parameters = parameters
         self._fixed = fixed
         self._frame = itertools.count()
         self._tiles: Iterator[Window] = iter(())
@@ -82,41 +82,41 @@ class Gaze:
         """image (width, height) px; boxes (n, 6) px of the tracks in it: centre, half of what their centres' place is
         uncertain by (3σ), size (NaN: unknown). The first frame, and any without tracks, is seen as a whole."""
         whole = Window(0, 0, *image, whole_scale)
-        due = next(self._frame) % self._habits.whole_every == 0
+        due = next(self._frame) % self._parameters.whole_every == 0
         near = self._around(image, boxes)
-        crowded = len(near) > self._habits.most_windows
+        crowded = len(near) > self._parameters.most_windows
         if crowded or (whole_scale >= 1.0 and sum(_cost(window) for window in near) >= _cost(whole)):
-            return [whole, *near[: self._habits.most_windows]]
+            return [whole, *near[: self._parameters.most_windows]]
         windows = [whole, *near] if due or not near else near
-        if self._habits.tiles and whole_scale < 1.0:
+        if self._parameters.tiles and whole_scale < 1.0:
             windows.append(self._next_tile(image))
         return windows
 
     def _around(self, image: tuple[int, int], boxes: Array) -> list[Window]:
         """Windows for tracks, those that would overlap most made one."""
-        habits = self._habits
+        parameters = self._parameters
         size = np.where(np.isfinite(boxes[:, 4:6]), boxes[:, 4:6], UNKNOWN_SIZE)
         half = MARGIN * size / 2 + boxes[:, 2:4]
         regions = np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
-        scale = np.clip(habits.target_px / size.max(axis=1, initial=1.0), 1.0, habits.most_enlarged)
+        scale = np.clip(parameters.target_px / size.max(axis=1, initial=1.0), 1.0, parameters.most_enlarged)
         inside = ((regions[:, 2:] > 0) & (regions[:, :2] < np.array(image) - 1)).all(axis=1)
         pairs = list(zip(regions[inside].tolist(), scale[inside].tolist(), strict=True))
         return [self._window(image, region, s) for region, s in _joined(pairs, self._least_side())]
 
     def _least_side(self) -> float:
-        return float(self._habits.fovea_px if self._fixed is None else min(self._fixed))
+        return float(self._parameters.fovea_px if self._fixed is None else min(self._fixed))
 
     def _window(self, image: tuple[int, int], region: Sequence[float], scale: float) -> Window:
         """Around a region [left, top, right, bottom], moved into the image where it would stand out of it."""
-        habits = self._habits
+        parameters = self._parameters
         needed = [region[2] - region[0], region[3] - region[1]]
         if self._fixed is not None:
             scale = min(scale, *(side / need for side, need in zip(self._fixed, needed, strict=True)))
             sides = [math.ceil(side / scale) for side in self._fixed]
         else:
-            scale = min(scale, habits.largest_px / max(needed))
+            scale = min(scale, parameters.largest_px / max(needed))
             inputs = [
-                max(habits.fovea_px, FOVEA_STEP * math.ceil(need * scale / FOVEA_STEP)) for need in needed
+                max(parameters.fovea_px, FOVEA_STEP * math.ceil(need * scale / FOVEA_STEP)) for need in needed
             ]
             sides = [math.ceil(side / scale) for side in inputs]
         placed = []
@@ -133,7 +133,7 @@ class Gaze:
         return next(self._tiles)
 
     def _tile(self) -> tuple[int, int]:
-        return (self._habits.tile_px, self._habits.tile_px) if self._fixed is None else self._fixed
+        return (self._parameters.tile_px, self._parameters.tile_px) if self._fixed is None else self._fixed
 
 
 def tiles(image: tuple[int, int], tile: tuple[int, int]) -> list[Window]:

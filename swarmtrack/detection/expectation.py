@@ -1,0 +1,64 @@
+"""What the detector asks before it looks: where tracks are expected, and how the camera has turned since a frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from swarmtrack.messages import Array
+from swarmtrack.motion.gyro import rotation_between
+from swarmtrack.onboard import Onboard
+
+BLURRED_PX = 3.0  # by which two pictures may miss each other and still be compared
+
+PixelMapping = Callable[[Array], Array]
+"""Pixels (n, 2) of a frame → where the same directions lie in an earlier one; NaN where the lens does not reach."""
+
+
+class Expectation(Protocol):
+    """Answers for frames by their own stamps [s]; asking changes nothing."""
+
+    def boxes(self, exposed: float) -> Array:
+        """Where the tracks lie in a frame, as `AttentionWindows.next` wants them: (n, 6) px of the image as the camera
+        gives it."""
+        ...
+
+    def pixels_at(self, then: float, now: float) -> PixelMapping | None:
+        """From pixels of a frame exposed now to those of one exposed then; None where nobody can tell."""
+        ...
+
+
+class OnboardExpectation:
+    """By the tracks and the gyro of one drone."""
+
+    def __init__(self, onboard: Onboard) -> None:
+        self._onboard = onboard
+
+    def boxes(self, exposed: float) -> Array:
+        onboard = self._onboard
+        if onboard.scan_t is None:
+            return np.empty((0, 6))
+        tracks = onboard.carried(max(exposed + onboard.camera_clock.used_s, onboard.scan_t))
+        if not tracks:
+            return np.empty((0, 6))
+        centre = onboard.camera.distort(np.array([track.mean[::2] for track in tracks]))
+        sigma = np.sqrt([np.diagonal(track.cov)[::2] for track in tracks])
+        boxes = np.concatenate([centre, 3.0 * sigma, [track.size for track in tracks]], axis=1)
+        return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
+
+    def pixels_at(self, then: float, now: float) -> PixelMapping | None:
+        """By the gyro alone."""
+        gyro, camera, offset = self._onboard.gyro, self._onboard.camera, self._onboard.camera_clock.used_s
+        turn = rotation_between(gyro.orientation(now + offset), gyro.orientation(then + offset))
+        if camera.fx * math.sqrt(turn.variance) > BLURRED_PX:
+            return None
+        matrix = turn.matrix
+
+        def earlier(pixels: Array) -> Array:
+            rays = camera.bearing(pixels) @ matrix.T
+            return camera.project(rays)[0]
+
+        return earlier
