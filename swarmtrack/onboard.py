@@ -12,7 +12,6 @@ once they are known well enough. Both are functions of the stamps, so that here 
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -32,7 +31,6 @@ from swarmtrack.messages import (
     ImuSample,
     Membership,
     Scan,
-    Sighting,
     SightingReport,
     Track,
     TrackList,
@@ -45,7 +43,6 @@ from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
 
 MAX_WAIT = 0.05  # s: a gyro that is silent for longer is not waited for
-LOST_ATTITUDE = 0.3  # rad: whose autopilot is silent for so long does not know where it looks
 MAX_SILENCE = 1.0  # s that a scan may stay away beyond the history: by then a target may be anywhere
 
 
@@ -170,17 +167,7 @@ class Onboard:
         view = self._view
         if view is None:
             return None
-        return SightingReport(
-            observer=self._drone_id,
-            boot=boot,
-            sequence=sequence,
-            t=view.t,
-            t_sigma=0.0,
-            position=view.position,
-            position_sigma=view.position_sigma,
-            known=tuple(sorted(self._identities.announced)),
-            sightings=tuple(view.sightings.values()),
-        )
+        return view.report(self._drone_id, boot, sequence, self._identities.announced)
 
     def take_wanted(self) -> tuple[int, ...]:
         """The drones whose pose is wanted anew; each is told once."""
@@ -313,15 +300,8 @@ class Onboard:
 
     def _look_around(self, observer: TeamPose) -> None:
         """Note the rays on which this drone sees its teammates now."""
-        position = observer.position + observer.world_from_body @ self._mounting.body_from_camera.position
-        sightings = {
-            seen.drone_id: Sighting(
-                seen.drone_id, p, seen.direction, math.hypot(seen.sigma, observer.attitude_sigma)
-            )
-            for seen, p in self._identities.sightings(observer.t)
-            if observer.attitude_sigma < LOST_ATTITUDE
-        }
-        self._view = OwnView(observer.t, position, observer.position_sigma, sightings)
+        seen = self._identities.sightings(observer.t)
+        self._view = OwnView.of(observer, self._mounting.body_from_camera, seen)
         self._consensus.remember(self._view)
 
 

@@ -15,12 +15,16 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.reprojection import LastSeen
 from swarmtrack.messages import Array, Sighting, SightingReport
+from swarmtrack.motion.ego import TeamPose
 
 # s of own rays: a report arrives within it.
 MEMORY_S = 2.0
@@ -40,6 +44,8 @@ MAX_VOTE = math.log(1e3)
 SELF_VOTE = math.log(1e4)
 # s that a vote counts, on our clock.
 VOTE_S = 3.0
+# rad: an observer whose autopilot is silent for so long does not know where it looks.
+LOST_ATTITUDE = 0.3
 # s from the first vote against to the verdict: everybody reports once a second.
 VOTING_S = 1.5
 # Vaguer than this a report agrees with everything: s, m, rad.
@@ -63,6 +69,35 @@ class OwnView:
     position: Array
     position_sigma: float
     sightings: dict[int, Sighting]
+
+    @classmethod
+    def of(
+        cls, observer: TeamPose, body_from_camera: Pose, seen: Iterable[tuple[LastSeen, float]]
+    ) -> OwnView:
+        """seen: the rays to identified drones and how surely it is they; of none who does not know where it looks."""
+        sightings = {
+            ray.drone_id: Sighting(
+                ray.drone_id, p, ray.direction, math.hypot(ray.sigma, observer.attitude_sigma)
+            )
+            for ray, p in seen
+            if observer.attitude_sigma < LOST_ATTITUDE
+        }
+        position = observer.position + observer.world_from_body @ body_from_camera.position
+        return cls(observer.t, position, observer.position_sigma, sightings)
+
+    def report(self, drone_id: int, boot: str, sequence: int, known: Iterable[int]) -> SightingReport:
+        """The same as its team hears it. known: whose announcements the drone has."""
+        return SightingReport(
+            observer=drone_id,
+            boot=boot,
+            sequence=sequence,
+            t=self.t,
+            t_sigma=0.0,
+            position=self.position,
+            position_sigma=self.position_sigma,
+            known=tuple(sorted(known)),
+            sightings=tuple(self.sightings.values()),
+        )
 
 
 class _Vote(NamedTuple):

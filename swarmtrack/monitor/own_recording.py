@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import msgspec
-import numpy as np
 
 from swarmtrack.clock import UTC_SIGMA
 from swarmtrack.errors import RecordingError
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.identity.consensus import OwnView
+from swarmtrack.identity.reprojection import ObserverCamera, rays_to
 from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
@@ -20,14 +22,12 @@ from swarmtrack.messages import (
     Input,
     PeerArrived,
     PeerDeparted,
-    Sighting,
     SightingReport,
-    TrackList,
 )
 from swarmtrack.monitor.timeline import Blob, Shelf, Tracked, Word
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.recording import inputs, outputs
-from swarmtrack.recording.merge import Hearsay, utc_offset
+from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
 from swarmtrack.replay.replayer import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
@@ -52,7 +52,7 @@ HEEDED_INPUTS = frozenset(
 EGO_HISTORY_S = 2.0
 VIEWS_HZ = 10.0  # as live video at most
 SPOKE_S = 0.2  # s between two signs of life that are kept: silence counts from 2 s on
-REPORT_S = 1.0  # s between two reports of whom it sees, as in flight
+SILENT_WORD_S = 1.0  # s between two signs of life of a teammate that did not record itself
 JITTER_S = 0.01
 
 Heard = Announcement | SightingReport | PeerArrived | PeerDeparted | IdClash
@@ -86,6 +86,7 @@ class OwnWords:
         self._scans: list[tuple[float, VideoMessage, Blob | None]] = []
         self._pictures: list[tuple[float, VideoMessage, Blob | None]] = []
         self._frame_t = math.nan
+        self._seen: _Seen | None = None
 
     def read(self) -> None:
         for message in self._recording.messages():
@@ -110,6 +111,8 @@ class OwnWords:
         elif topic == outputs.TRACKS_TOPIC:
             self._on_sign_of_life(t)
             self._on_scan(message.data, t)
+        elif topic == SAID_TOPIC:
+            self._on_said(message.data, t)
         elif topic == HEALTH_TOPIC:
             health = from_record(HealthMessage, msgspec.json.decode(message.data))
             self._on_sign_of_life(t)
@@ -142,11 +145,25 @@ class OwnWords:
         self.tracked.add(exposed + self._offset, self._shelf.put(data))
         if _is_due(self._scans, t):
             self._scans.append((t, self._view(exposed), None))
-        if not self._reports or exposed - self._reports[-1][1].t >= REPORT_S - JITTER_S:
-            observer = self._ego.at(exposed)
-            if observer is not None:
-                tracks = outputs.decode_report(data)[1].tracks
-                self._reports.append((t, self._report(tracks, observer)))
+        observer = self._ego.at(exposed)
+        if observer is not None:
+            self._seen = _Seen(data, observer)
+
+    def _on_said(self, data: bytes, t: float) -> None:
+        """What it told its team of the last scan in which it knew where it stood."""
+        said = _DECODE_SAID(data)
+        if self._seen is None or self._seen.observer.t != said.t_s:
+            return
+        tracks, observer = outputs.decode_report(self._seen.data)[1].tracks, self._seen.observer
+        named = [
+            (entry.identity, entry.track, entry.identity_probability)
+            for entry in tracks.tracks
+            if isinstance(entry.identity, int) and entry.track.coasting_since is None
+        ]
+        camera = ObserverCamera.of(observer, self._camera, self._body_from_camera)
+        rays = rays_to([(drone_id, track) for drone_id, track, _ in named], camera)
+        view = OwnView.of(observer, self._body_from_camera, zip(rays, (p for *_, p in named), strict=True))
+        self._reports.append((t, view.report(self.drone_id, said.boot, said.sequence, ())))
 
     def _view(self, exposed: float) -> VideoMessage:
         """Without its picture. exposed: on our own clock."""
@@ -163,34 +180,6 @@ class OwnWords:
             lens=self._lens,
             position_m=None if pose is None else tuple(pose.position.tolist()),
             quaternion_wxyz=None if pose is None else tuple(to_quaternion(pose.rotation).tolist()),
-        )
-
-    def _report(self, tracks: TrackList, observer: TeamPose) -> SightingReport:
-        """Whom it sees by its tracks, as `Onboard` tells it; its sigma is that of the track."""
-        camera = Pose(observer.world_from_body, observer.position) @ self._body_from_camera
-        sightings: dict[int, Sighting] = {}
-        for entry in tracks.tracks:
-            if not isinstance(entry.identity, int):
-                continue
-            u, v = entry.track.mean[::2]
-            ray = camera.rotation @ self._camera.K_inverse @ np.array([u, v, 1.0])
-            sigma = math.sqrt(max(0.0, 0.5 * float(np.trace(entry.track.cov[::2, ::2])))) / self._camera.fx
-            sightings[entry.identity] = Sighting(
-                entry.identity,
-                entry.identity_probability,
-                ray / np.linalg.norm(ray),
-                min(math.pi, math.hypot(sigma, observer.attitude_sigma)),
-            )
-        return SightingReport(
-            observer=self.drone_id,
-            boot=self.boot,
-            sequence=len(self._reports) + 1,
-            t=tracks.t,
-            t_sigma=0.0,
-            position=camera.position,
-            position_sigma=observer.position_sigma,
-            known=(),
-            sightings=tuple(sightings.values()),
         )
 
     def _tracks(self, data: bytes) -> TracksMessage:
@@ -260,8 +249,8 @@ class OwnWords:
                 spans.append((event.drone_id, since.pop(event.drone_id), t))
         spans += [(drone_id, t, self._last) for drone_id, t in since.items()]
         for drone_id, begin, end in spans:
-            for k in range(int((end - begin) / REPORT_S) + 1):
-                yield Word(begin + k * REPORT_S + shift, drone_id, None)
+            for k in range(int((end - begin) / SILENT_WORD_S) + 1):
+                yield Word(begin + k * SILENT_WORD_S + shift, drone_id, None)
 
     def _word(self, kind: Kind, drone_id: int, t: float, payload: bytes) -> Word:
         return Word(t, drone_id, Sample(keys.key(self._team, kind, drone_id), payload, True, t))
@@ -276,6 +265,22 @@ class _Time(msgspec.Struct):
     t_s: float
 
 
+class _Said(msgspec.Struct):
+    """A report that it told its team: of the exposure at t_s."""
+
+    boot: str
+    sequence: int
+    t_s: float
+
+
+class _Seen(NamedTuple):
+    """A scan as it was recorded, and where the drone stood."""
+
+    data: bytes
+    observer: TeamPose
+
+
+_DECODE_SAID = msgspec.json.Decoder(_Said).decode
 _DECODE_TIME = msgspec.json.Decoder(_Time).decode
 
 

@@ -27,9 +27,16 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import RecordingError
+from swarmtrack.monitor.own_recording import OwnWords
 from swarmtrack.monitor.player import STEP_S, Playback, Player
 from swarmtrack.monitor.recorded import read_timeline
+from swarmtrack.monitor.timeline import Shelf
+from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind
+from swarmtrack.wire import codec
+from swarmtrack.wire.sightings import SightingsMessage
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +162,35 @@ def test_of_a_lone_drone_there_is_what_it_saw_and_heard(flown):
     assert {look[1] for look in state["looks"] if look[0] == 2} == {1, 3}
     assert all(look[3] for look in state["looks"])
     assert all(drone["gone_s"] is None and drone["position_m"] for drone in state["drones"])
+
+
+def sightings_of(words, observer: int) -> dict[int, SightingsMessage]:
+    """By their number."""
+    key = keys.key("t", Kind.IDENTITIES, observer)
+    payloads = [word.sample.payload for word in words if word.sample and word.sample.key == key]
+    return {(message := codec.decode(SightingsMessage, data)).sequence: message for data in payloads}
+
+
+def test_what_a_drone_said_by_its_own_recording_is_what_its_team_heard(flown):
+    told = {}
+    for d in (1, 2):
+        (recording,) = recordings_below(flown / f"drone-{d}")
+        own = OwnWords(recording, Shelf())
+        own.read()
+        told[d] = list(own.words(0.0, lives=set(), says_itself=True))
+    said, heard = sightings_of(told[2], observer=2), sightings_of(told[1], observer=2)
+    assert len(said) >= 4
+    assert all({s.drone_id for s in message.sightings} == {1, 3} for message in list(said.values())[1:])
+    assert said.keys() == heard.keys()
+    for number, ours in said.items():
+        theirs = heard[number]
+        assert ours.position_m == pytest.approx(theirs.position_m)
+        assert ours.position_sigma_m == theirs.position_sigma_m
+        assert [(s.drone_id, s.probability) for s in ours.sightings] == [
+            (s.drone_id, s.probability) for s in theirs.sightings
+        ]
+        for s, t in zip(ours.sightings, theirs.sightings, strict=True):
+            assert (*s.direction, s.sigma_rad) == pytest.approx((*t.direction, t.sigma_rad), abs=1e-9)
 
 
 # --- what cannot be played ------------------------------------------------------------------------
