@@ -42,6 +42,16 @@ def test_algorithm_1_names_in_one_shot_and_twice_if_so_it_falls():
     assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 2}
 
 
+def test_algorithm_1_looks_once_more_when_a_drone_announces_itself_again():
+    paper = Observer(profile="paper")
+    paper.hears(2, LEFT)
+    paper.hears(3, RIGHT)
+    assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+    paper.hears(2, RIGHT, sequence=2)
+    paper.hears(4, LEFT)
+    assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 4, "b": 3}
+
+
 def test_of_two_tracks_at_one_drone_neither_is_it_until_one_fits_better(observer):
     above, below = shifted(LEFT, down=-6), shifted(LEFT, down=6)
     assert observer.sees(1.0, a=above, b=below, c=RIGHT) == {"a": None, "b": None, "c": 3}
