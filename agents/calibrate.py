@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
-from swarmtrack.arguments import add_file, add_seconds, positive_seconds
+from swarmtrack.arguments import add_file, add_flag, add_seconds, positive_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"search offsets of up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
     )
     add_file(extrinsics, "--write", "put the lines into this config, if they can be believed")
-    extrinsics.add_argument("--json", action="store_true", help="the numbers instead of words")
+    add_flag(extrinsics, "--json", "the numbers instead of words")
 
 
 class RecordedTime:

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_seconds
+from swarmtrack.arguments import add_file, add_flag, add_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.calibration.board import Board
@@ -64,7 +64,7 @@ def add_intrinsics_command(steps: Any) -> None:
     )
     add_seconds(intrinsics, "at most (default: %(default)g)", default=SECONDS)
     add_file(intrinsics, "--plot", "a PNG of residuals (needs swarmtrack[bench])")
-    intrinsics.add_argument("--json", action="store_true", help="the numbers instead of words")
+    add_flag(intrinsics, "--json", "the numbers instead of words")
     _add_board_arguments(intrinsics)
 
 

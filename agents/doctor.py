@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_seconds
+from swarmtrack.arguments import add_file, add_flag, add_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.diagnosis.findings import Finding
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
     add_seconds(parser, "how long to watch rates (default: %(default)g)", default=SECONDS)
-    parser.add_argument("--json", action="store_true", help="a list of findings instead of lines")
+    add_flag(parser, "--json", "a list of findings instead of lines")
 
 
 def run(args: argparse.Namespace) -> int:

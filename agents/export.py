@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_folder
+from swarmtrack.arguments import add_file, add_flag, add_folder
 from swarmtrack.errors import ModelError, SourceError
 
 if TYPE_CHECKING:
@@ -35,10 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of them, evenly spread (default: %(default)s)",
     )
 
-    parser.add_argument(
+    add_flag(
+        parser,
         "--calibrate",
-        action="store_true",
-        help="fit scores to the images of --data, so that a score is the probability of a drone",
+        "fit scores to the images of --data, so that a score is the probability of a drone",
     )
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from swarmtrack.arguments import add_file, add_folder
+from swarmtrack.arguments import add_file, add_flag, add_folder
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="the video's first frame was exposed so long after the log's first record (default: 0)",
     )
-    parser.add_argument("--frames", action="store_true", help="keep the pictures in the recording, too")
+    add_flag(parser, "--frames", "keep the pictures in the recording, too")
 
 
 class _Log:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import count
+from swarmtrack.arguments import add_file, add_folder, count
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
@@ -19,15 +19,13 @@ SHEET_COLUMNS, SHEET_ROWS, SHEET_WIDTH = 4, 4, 320  # pictures, px
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    add_file(
+        parser,
         "path",
-        type=Path,
+        'recordings of one flight, best of every drone; with [recording] frames = "jpeg"',
         metavar="FILE|DIR",
-        help='recordings of one flight, best of every drone; with [recording] frames = "jpeg"',
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DATA", help="a new folder, for swarmtrack train --data"
-    )
+    add_folder(parser, "--out", "a new folder, for swarmtrack train --data", metavar="DATA", required=True)
     parser.add_argument(
         "--span", type=_metres, required=True, metavar="M", help="of your drones, from rotor tip to rotor tip"
     )

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file
+from swarmtrack.arguments import add_file, add_flag
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "info", help="topics, counts, rates, gaps, and what is damaged", allow_abbrev=False
     )
     info.add_argument("path", type=Path, metavar="FILE|DIR")
-    info.add_argument("--json", action="store_true", help="print JSON")
+    add_flag(info, "--json", "print JSON")
     repair = actions.add_parser(
         "repair", help="make complete files of those that were cut off; the originals are kept as *.cut"
     )

@@ -12,11 +12,10 @@ import socket
 import sys
 import webbrowser
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
-from swarmtrack.arguments import port
+from swarmtrack.arguments import add_file, add_flag, port
 from swarmtrack.errors import SwarmtrackError, TransportError
 
 if TYPE_CHECKING:
@@ -28,12 +27,12 @@ DEFAULT_PORT = 8080
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    add_file(
+        parser,
         "--recording",
-        type=Path,
-        nargs="+",
+        "play this instead: folders or files of `swarmtrack record`, `sim --record`, or drones' own recordings",
         metavar="PATH",
-        help="play this instead: folders or files of `swarmtrack record`, `sim --record`, or drones' own recordings",
+        nargs="+",
     )
     add_network_arguments(parser)
     parser.add_argument(
@@ -54,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TEXT",
         help="what a viewer has to know (default: drawn by chance where one is needed)",
     )
-    parser.add_argument("--open", action="store_true", help="open the page in this machine's browser")
+    add_flag(parser, "--open", "open the page in this machine's browser")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from swarmtrack.arguments import add_file, add_folder
+from swarmtrack.arguments import add_file, add_flag, add_folder, add_list
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection, load_team_config
 from swarmtrack.errors import KeysError, TransportError
@@ -18,16 +18,15 @@ from swarmtrack.transport.settings import NetworkSettings
 def add_network_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--team", metavar="NAME", help=f"the team to hear (default: {NetworkSection().team})")
     add_file(parser, "--config", "the team's file: its [network] tells the team and its addresses")
-    parser.add_argument(
+    add_list(
+        parser,
         "--connect",
-        action="append",
-        default=[],
-        metavar="ADDRESS",
-        help="where an agent listens, HOST[:PORT] or as tcp/192.168.1.5:7447; again for more "
+        "where an agent listens, HOST[:PORT] or as tcp/192.168.1.5:7447; again for more "
         "(default: all on this machine)",
+        "ADDRESS",
     )
     add_folder(parser, "--keys", "the folder that `swarmtrack keys issue … monitor` made")
-    parser.add_argument("--insecure", action="store_true", help="connect beyond this machine without keys")
+    add_flag(parser, "--insecure", "connect beyond this machine without keys")
 
 
 def network_of_monitor(args: argparse.Namespace) -> NetworkSettings:

@@ -9,7 +9,7 @@ import signal
 import sys
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
-from swarmtrack.arguments import add_folder, add_seconds, positive_seconds
+from swarmtrack.arguments import add_flag, add_folder, add_seconds, positive_seconds
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
@@ -23,10 +23,10 @@ NEWS_S = 1.0  # s between two looks at how the disk is doing
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folder(parser, "dir", "where to; a folder is made below it")
     add_network_arguments(parser)
-    parser.add_argument(
+    add_flag(
+        parser,
         "--video",
-        action="store_true",
-        help="the drones' pictures too, at most 10 a second each: every drone then makes and sends them",
+        "the drones' pictures too, at most 10 a second each: every drone then makes and sends them",
     )
     add_seconds(parser, "end after S seconds")
     parser.add_argument(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, count
+from swarmtrack.arguments import add_file, add_flag, add_list, count
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -32,27 +32,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported, as in flight
     from swarmtrack.tracking import TRACKERS
 
-    parser.add_argument(
+    add_file(
+        parser,
         "paths",
-        type=Path,
-        nargs="+",
+        "recordings, or folders of several, as sim --record made",
         metavar="FILE|DIR",
-        help="recordings, or folders of several, as sim --record made",
+        nargs="+",
     )
     parser.add_argument("--tracker", choices=list(TRACKERS), help="what if it had flown with this one?")
-    parser.add_argument(
+    add_list(
+        parser,
         "--set",
-        action="append",
-        default=[],
+        "what if the config had said so? e.g. tracker.p_detection=0.8; again for more",
+        "KEY=VALUE",
         dest="changes",
-        metavar="KEY=VALUE",
-        help="what if the config had said so? e.g. tracker.p_detection=0.8; again for more",
     )
-    parser.add_argument(
-        "--detect",
-        action="store_true",
-        help="detect anew in the recorded frames, instead of what was detected",
-    )
+    add_flag(parser, "--detect", "detect anew in the recorded frames, instead of what was detected")
     parser.add_argument(
         "--against",
         metavar="recorded|FILE",
@@ -60,10 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(parser, "--json", "write results, tracks and differences there")
     add_file(parser, "--plot", "draw the differences, .png or .svg (needs matplotlib)")
-    parser.add_argument(
+    add_flag(
+        parser,
         "--exact",
-        action="store_true",
-        help="compare every published list of tracks, not every tenth, and exit with 1 unless all are the same bit "
+        "compare every published list of tracks, not every tenth, and exit with 1 unless all are the same bit "
         "for bit",
     )
     parser.add_argument("--jobs", type=count, metavar="N", help="recordings at a time (default: two a core)")

@@ -15,7 +15,7 @@ import sys
 import zenoh
 
 from swarmtrack.agents.network_arguments import credentials_in
-from swarmtrack.arguments import add_file, add_folder, add_seconds
+from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds
 from swarmtrack.config import load_team_config
 from swarmtrack.errors import TransportError
 from swarmtrack.security.names import Role
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="which of network.routers this is (default: the one that is an address of this machine)",
     )
     add_seconds(parser, "end after S seconds")
-    parser.add_argument("--quiet", action="store_true", help="no lines, only warnings")
+    add_flag(parser, "--quiet", "no lines, only warnings")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_folder, add_seconds, port, seed
+from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds, port, seed
 from swarmtrack.errors import SourceError
 from swarmtrack.localswarm.machine_load import BUSY, MachineLoad
 
@@ -72,16 +72,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(parser, "--json", "write the verdict and all figures there")
     add_folder(parser, "--record", "record every agent, the truth and the verdict there")
-    parser.add_argument(
-        "--monitor", action="store_true", help="serve the web page of the flight; it ends with the flight"
-    )
+    add_flag(parser, "--monitor", "serve the web page of the flight; it ends with the flight")
     parser.add_argument(
         "--monitor-port",
         type=port,
         metavar="PORT",
         help="of the page on this machine, 0: any that is free (default: 0); asks for --monitor by itself",
     )
-    parser.add_argument("--keep", action="store_true", help="keep the folder with the configs and logs")
+    add_flag(parser, "--keep", "keep the folder with the configs and logs")
 
 
 def _drones(text: str) -> int:

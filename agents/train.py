@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_folder, count, positive, seed
+from swarmtrack.arguments import add_file, add_flag, add_folder, add_list, count, positive, seed
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
 
@@ -34,18 +34,8 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
     )
     add_folder(parser, "--data", "labelled images: CSV, COCO or YOLO; without it all is procedural")
     add_folder(parser, "--validate", "more labelled images, looked at but never trained on")
-    parser.add_argument(
-        "--hold-out",
-        action="append",
-        default=[],
-        metavar="SCENE",
-        help="keep a scene of --data for validation; may be repeated",
-    )
-    parser.add_argument(
-        "--hold-out-negatives",
-        action="store_true",
-        help="keep a third of the clips without drones for validation",
-    )
+    add_list(parser, "--hold-out", "keep a scene of --data for validation; may be repeated", "SCENE")
+    add_flag(parser, "--hold-out-negatives", "keep a third of the clips without drones for validation")
     parser.add_argument(
         "--licence", default="", metavar="TEXT", help="of the training data, written into the model"
     )
@@ -87,9 +77,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
 
 def _add_start(parser: argparse.ArgumentParser) -> None:
     """With which weights it begins."""
-    parser.add_argument(
-        "--resume", action="store_true", help="go on from the checkpoint beside --out, with the same options"
-    )
+    add_flag(parser, "--resume", "go on from the checkpoint beside --out, with the same options")
     add_file(parser, "--start", "begin with the weights of a checkpoint (.pt)")
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from swarmtrack import __version__
 from swarmtrack.agents.ending import end_at_once_if_stuck
-from swarmtrack.arguments import add_file, add_seconds
+from swarmtrack.arguments import add_file, add_flag, add_seconds
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
@@ -63,13 +63,9 @@ def parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
-    parser.add_argument(
-        "--check", action="store_true", help="validate the config and what it points at, then exit"
-    )
+    add_flag(parser, "--check", "validate the config and what it points at, then exit")
     add_seconds(parser, "stop after so long (default: never)")
-    parser.add_argument(
-        "--quiet", action="store_true", help="no line a second (the default under systemd), only the log"
-    )
+    add_flag(parser, "--quiet", "no line a second (the default under systemd), only the log")
     parser.add_argument(
         "--log",
         default="warning",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
-from swarmtrack.arguments import add_folder, count
+from swarmtrack.arguments import add_flag, add_folder, count
 from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
 DEFAULT_OUT = Path("bench")
@@ -14,7 +15,7 @@ DEFAULT_OUT = Path("bench")
 def add_common(parser: argparse.ArgumentParser) -> None:
     """What every benchmark takes."""
     add_folder(parser, "--out", "for the results (default: %(default)s)", default=DEFAULT_OUT)
-    parser.add_argument("--quick", action="store_true", help="a fraction of the work, for orientation")
+    add_flag(parser, "--quick", "a fraction of the work, for orientation")
 
 
 def add_tracker(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +34,6 @@ def add_seeds(parser: argparse.ArgumentParser, usual: int, quick: int) -> None:
     )
 
 
-def add_clips(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "data", type=Path, metavar="DATA", help="a folder with pairs of NAME.mp4 and NAME_gt.csv"
-    )
+def add_clips(parser: argparse.ArgumentParser, **more: Any) -> None:
+    """DATA: labelled clips."""
+    add_folder(parser, "data", "a folder with pairs of NAME.mp4 and NAME_gt.csv", "DATA", **more)

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from swarmtrack.arguments import count
+from swarmtrack.arguments import add_flag, add_folder, add_list, count
 from swarmtrack.benchmarks import real_clips, report
 from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.real_clips import Clip
@@ -58,72 +58,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "model", metavar="MODEL", help='an .onnx file, or "default" for the one that is shipped'
     )
-    parser.add_argument(
-        "data",
-        type=Path,
-        metavar="DATA",
-        help="a folder of labelled images (CSV, COCO or YOLO), of clips, or both",
+    add_folder(
+        parser, "data", "a folder of labelled images (CSV, COCO or YOLO), of clips, or both", metavar="DATA"
     )
     parser.add_argument("--input-scale", type=float, default=1.0, metavar="S", help="input px per image px")
-    parser.add_argument(
-        "--scene", action="append", default=[], metavar="NAME", help="of the images only this one"
-    )
+    add_list(parser, "--scene", "of the images only this one", "NAME")
     parser.add_argument("--every", type=count, default=1, metavar="N", help="of the clips each N-th frame")
-    parser.add_argument(
-        "--motion", action="store_true", help="of clips count what moved; their camera must stand"
-    )
-    parser.add_argument(
-        "--scenario",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="also a flight of the simulation, rendered",
-    )
-    parser.add_argument(
+    add_flag(parser, "--motion", "of clips count what moved; their camera must stand")
+    add_list(parser, "--scenario", "also a flight of the simulation, rendered", "NAME")
+    add_flag(
+        parser,
         "--held-out-negatives",
-        action="store_true",
-        help="beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
+        "beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    publish(
-        args.model,
-        args.data,
-        args.out,
-        quick=args.quick,
-        input_scale=args.input_scale,
-        scenes=args.scene,
-        every=args.every,
-        held_out_negatives=args.held_out_negatives,
-        motion=args.motion,
-        scenarios=args.scenario,
-    )
-
-
-def publish(
-    model: str,
-    data: Path,
-    out: Path,
-    *,
-    quick: bool = False,
-    input_scale: float = 1.0,
-    scenes: Sequence[str] = (),
-    every: int = 1,
-    held_out_negatives: bool = False,
-    motion: bool = False,
-    scenarios: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Write detector.json, detector.md and detector.png into `out`; returns what the JSON holds."""
+    """Write detector.json, detector.md and detector.png into `args.out`."""
     plt = report.pyplot()
-    detector = Detector(model, score_threshold=LOWEST, input_scale=input_scale, look="whole", motion=motion)
+    detector = Detector(
+        args.model, score_threshold=LOWEST, input_scale=args.input_scale, look="whole", motion=args.motion
+    )
     threshold = detector.description.score_threshold
     sets = _look(
         detector,
-        _frames(data, scenes, held_out_negatives),
-        _clips(data),
-        [load_scenario(name) for name in scenarios],
-        QUICK_EVERY if quick else every,
+        _frames(args.data, args.scene, args.held_out_negatives),
+        _clips(args.data),
+        [load_scenario(name) for name in args.scenario],
+        QUICK_EVERY if args.quick else args.every,
     )
     images = [look for looks in sets.images.values() for look in looks]
     clips = [look for looks in sets.clips.values() for look in looks]
@@ -131,12 +93,12 @@ def publish(
     matches = match(main, by_centre)
     sure = matches.threshold_of(SURE_RECALL)
     result = {
-        "model": model,
+        "model": args.model,
         "source": detector.description.source,
         "head": detector.description.head,
-        "data": data.name,
-        "input_scale": input_scale,
-        "motion": motion,
+        "data": args.data.name,
+        "input_scale": args.input_scale,
+        "motion": args.motion,
         **detector_score.summary(main, threshold),
         "threshold_of_090_recall": round(sure, 4),
         "distractor_images_fired": _share(detector_score.fired_on(main, sure).get("anything")),
@@ -144,12 +106,11 @@ def publish(
         "by_clip": _summaries(sets.clips, threshold),
         "by_size": [entry._asdict() for entry in detector_score.by_size(matches, threshold)],
         "by_distractor": _fired(main, {"threshold": threshold, "at_090_recall": sure}),
-        "ms_per_frame": _times(model, QUICK_REPEATS if quick else REPEATS),
+        "ms_per_frame": _times(args.model, QUICK_REPEATS if args.quick else REPEATS),
         "file_mb": round(Path(detector.path).stat().st_size / 1e6, 3),
     }
-    report.write(out, NAME, result, _markdown(result))
-    _plot(plt, out / f"{NAME}.png", matches, result)
-    return result
+    report.write(args.out, NAME, result, _markdown(result))
+    _plot(plt, args.out / f"{NAME}.png", matches, result)
 
 
 # --- looking ------------------------------------------------------------------------------------------

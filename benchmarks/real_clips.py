@@ -27,9 +27,9 @@ import cv2
 import numpy as np
 
 import swarmtrack
-from swarmtrack.arguments import add_file, positive
+from swarmtrack.arguments import add_file, add_flag, add_list, positive
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_tracker
+from swarmtrack.benchmarks.command_line import add_clips, add_common, add_tracker
 from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, TruthBoxes, score_clip
 from swarmtrack.messages import TrackStatus
@@ -223,17 +223,9 @@ def as_record(name: str, score: ClipScore) -> dict[str, Any]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_common(parser)
     add_tracker(parser)
-    parser.add_argument(
-        "data", nargs="?", type=Path, metavar="DATA", help="a folder with pairs of NAME.mp4 and NAME_gt.csv"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="of the agent's config; tracker.KEY if bare",
-    )
-    parser.add_argument("--video", action="store_true", help="keep annotated videos and JSON lines, too")
+    add_clips(parser, nargs="?")
+    add_list(parser, "--set", "of the agent's config; tracker.KEY if bare", "KEY=VALUE")
+    add_flag(parser, "--video", "keep annotated videos and JSON lines, too")
     add_file(parser, "--jsonl", "instead of DATA: score what an agent wrote …")
     add_file(parser, "--gt", "… against these labels")
     parser.add_argument(

@@ -36,14 +36,28 @@ class _Command(argparse.ArgumentParser):
         return super().parse_known_args(args, namespace)
 
 
-def add_file(parser: argparse.ArgumentParser, name: str, help: str, **more: Any) -> None:
+def add_file(
+    parser: argparse.ArgumentParser, name: str, help: str, metavar: str = "FILE", **more: Any
+) -> None:
     """An argument that is a file; more: as `add_argument` takes it."""
-    parser.add_argument(name, type=Path, metavar="FILE", help=help, **more)
+    parser.add_argument(name, type=Path, metavar=metavar, help=help, **more)
 
 
-def add_folder(parser: argparse.ArgumentParser, name: str, help: str, **more: Any) -> None:
+def add_folder(
+    parser: argparse.ArgumentParser, name: str, help: str, metavar: str = "DIR", **more: Any
+) -> None:
     """An argument that is a folder; more: as `add_argument` takes it."""
-    parser.add_argument(name, type=Path, metavar="DIR", help=help, **more)
+    parser.add_argument(name, type=Path, metavar=metavar, help=help, **more)
+
+
+def add_flag(parser: argparse.ArgumentParser, name: str, help: str) -> None:
+    """An option without a value: False unless it is given."""
+    parser.add_argument(name, action="store_true", help=help)
+
+
+def add_list(parser: argparse.ArgumentParser, name: str, help: str, metavar: str, **more: Any) -> None:
+    """An option that may be given again for more: a list, empty where it is not given."""
+    parser.add_argument(name, action="append", default=[], metavar=metavar, help=help, **more)
 
 
 def add_seconds(parser: argparse.ArgumentParser, help: str, default: float | None = None) -> None:

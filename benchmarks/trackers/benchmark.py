@@ -20,7 +20,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from swarmtrack.arguments import add_folder
+from swarmtrack.arguments import add_flag, add_folder
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.trackers import page, results, timing
@@ -89,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene", action="extend", nargs="+", default=[], metavar="NAME", help="(default: all)"
     )
-    parser.add_argument("--peers", action="store_true", help="Stone Soup's, too (needs swarmtrack[peers])")
+    add_flag(parser, "--peers", "Stone Soup's, too (needs swarmtrack[peers])")
     parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a core)")
     add_folder(parser, "--data", "real detections, too: a folder with NAME.mp4 and NAME_gt.csv")
 
