@@ -13,47 +13,37 @@ from __future__ import annotations
 import argparse
 import asyncio
 import copy
-import json
 import os
-import socket
-import subprocess
-import sys
-import tempfile
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pymavlink.dialects.v20 import common
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_tracker
+from swarmtrack.benchmarks.lone_agent import (
+    CAMERA,
+    FPS,
+    IMU_HZ,
+    agent_process,
+    listening,
+    scripted_agent,
+    until_tracking,
+)
 from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
-from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.detection.detector import Detector
-from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Frame, Scan, StampKind
 from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
 from swarmtrack.tracking.base import Tracker
-from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind
-from swarmtrack.transport.settings import NetworkSettings
-from swarmtrack.transport.zenoh_listener import ZenohListener
-from swarmtrack.wire import codec
 from swarmtrack.wire.health import HealthMessage
-from swarmtrack.wire.tracks import TracksMessage
 
 NAME = "agent"
-CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
-IMU_HZ, POSE_HZ, FPS = 200, 50, 15.0
 LOOK_MS = 20.0  # what the default model takes at 640 × 480 on one core of a server
 SETTLE_S = 3.0  # after the first tracks: caches warm, the clock map converged
-PATIENCE_S = 60.0  # for an agent to show its first track
 UPDATE_BUDGET_MS = {"kalman": 0.3, "jpdaf": 0.6, "gmphd": 0.8, "mbm": 2.0}
 
 
@@ -182,31 +172,6 @@ class Measured(NamedTuple):
     health: HealthMessage
 
 
-@dataclass
-class Heard:
-    """What an agent's messages told a listener. Latencies in s, from exposure to arrival here, one a scan."""
-
-    first_track_at: float | None = None
-    latencies: list[float] = field(default_factory=list)
-    health: HealthMessage | None = None
-    _exposure: float = 0.0
-
-    def take(self, kind: Kind, payload: bytes) -> None:
-        arrived_utc, arrived = time.time(), time.monotonic()
-        if kind is Kind.HEALTH:
-            self.health = codec.decode(HealthMessage, payload)
-        elif kind is Kind.TRACKS:
-            message = codec.decode(TracksMessage, payload)
-            exposure = message.t_utc_s - message.scan_age_s
-            if any(track.status == "confirmed" for track in message.tracks) and self.first_track_at is None:
-                self.first_track_at = arrived
-            if (
-                message.tracks and exposure > self._exposure + 0.5 / FPS
-            ):  # the first message with a new scan in it
-                self._exposure = exposure
-                self.latencies.append(arrived_utc - exposure)
-
-
 def agent_lines(tracker: str, seconds: float) -> list[Line]:
     """An agent without the detector: one that sleeps as long as the default model takes stands in for it."""
     measured = measure_agent(tracker, seconds, ["--look-ms", str(LOOK_MS)])
@@ -243,17 +208,12 @@ def detecting_lines(tracker: str, seconds: float) -> list[Line]:
 
 def measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
     """The scripted agent with these options, at 200 Hz of gyro and 15 Hz of frames, for `seconds` of its life."""
-    port, team = free_udp_port(), f"bench-{os.getpid()}"
-    entries = scripted_entries(port, team) | {"tracker.name": tracker}
-    module = ["swarmtrack.benchmarks.scripted_agent", "--fps", str(FPS), *options]
-    with agent_process(module, entries) as process:
-        return asyncio.run(_observe(process, team, port, seconds))
+    return asyncio.run(_measure_agent(tracker, seconds, options))
 
 
-async def _observe(process: subprocess.Popen[bytes], team: str, port: int, seconds: float) -> Measured:
-    """Play the autopilot and listen, from when the agent has settled."""
-    async with listening(team) as heard, autopilot(port):
-        await until_tracking(process, heard)
+async def _measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
+    async with scripted_agent(["--fps", str(FPS), *options], {"tracker.name": tracker}) as agent:
+        process, heard = agent.process, agent.heard
         await asyncio.sleep(SETTLE_S)
         heard.latencies.clear()
         began, used = time.monotonic(), cpu_seconds(process.pid)
@@ -292,118 +252,6 @@ def startup_lines(times: int) -> list[Line]:
             "start of the program → first confirmed track heard, simulation", float(np.median(durations)), "s"
         )
     ]
-
-
-async def until_tracking(process: subprocess.Popen[bytes], heard: Heard) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while heard.first_track_at is None:
-        if process.poll() is not None:
-            raise BenchmarkError(f"agent: ended with {process.returncode} before its first track")
-        if time.monotonic() > deadline:
-            raise BenchmarkError(f"agent: no confirmed track was heard within {PATIENCE_S:g} s")
-        await asyncio.sleep(0.02)
-
-
-def scripted_entries(port: int, team: str) -> dict[str, Any]:
-    """The config of the scripted agent: its autopilot at a UDP port of this machine."""
-    lens = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
-    return {
-        "drone.id": 1,
-        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
-        "autopilot.link": f"udpin:127.0.0.1:{port}",
-        "network.team": team,
-        **{f"camera.intrinsics.{name}": value for name, value in lens.items()},
-    }
-
-
-@contextmanager
-def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subprocess.Popen[bytes]]:
-    """`python -m MODULE… --config` with these dotted keys as its config, ended on leaving."""
-    with tempfile.TemporaryDirectory() as folder:
-        config = Path(folder) / "drone.toml"
-        config.write_text(
-            "".join(f"{key} = {json.dumps(value)}\n" for key, value in entries.items()), encoding="utf-8"
-        )
-        command = [sys.executable, "-m", *module, "--config", str(config)]
-        process = subprocess.Popen(command, env=agent_environment(), stdout=subprocess.DEVNULL)
-        try:
-            yield process
-        finally:
-            process.terminate()
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
-@asynccontextmanager
-async def listening(team: str) -> AsyncIterator[Heard]:
-    """Hear a team meanwhile."""
-    heard = Heard()
-    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team))
-    await listener.open()
-
-    async def listen() -> None:
-        async for sample in listener.samples():
-            address = keys.parse(sample.key)
-            if address is not None and sample.payload:
-                heard.take(address.kind, sample.payload)
-
-    task = asyncio.create_task(listen())
-    try:
-        yield heard
-    finally:
-        task.cancel()
-        await listener.close()
-
-
-@asynccontextmanager
-async def autopilot(port: int) -> AsyncIterator[None]:
-    """An autopilot that hovers: heartbeat, gyro and pose over UDP, on time."""
-    task = asyncio.create_task(_play_autopilot(port))
-    try:
-        yield
-    finally:
-        task.cancel()
-
-
-async def _play_autopilot(port: int) -> None:
-    mav = common.MAVLink(None, srcSystem=1, srcComponent=1)
-    rng = np.random.default_rng(5)
-    start = time.monotonic()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.setblocking(False)
-        sample = 0
-        while True:
-            for message in _due_messages(sample, rng):
-                with_header = message.pack(mav)
-                mav.seq = (mav.seq + 1) % 256
-                udp.sendto(with_header, ("127.0.0.1", port))
-            sample += 1
-            await asyncio.sleep(max(start + sample / IMU_HZ - time.monotonic(), 0.0))
-
-
-def _due_messages(sample: int, rng: np.random.Generator) -> list[Any]:
-    t_us = 10_000_000 + sample * 1_000_000 // IMU_HZ
-    x, y, z = rng.normal(0.0, 2e-3, 3)
-    messages: list[Any] = [
-        common.MAVLink_highres_imu_message(t_us, 0.0, 0.0, -9.81, x, y, z, 0, 0, 0, 1013.0, 0, 0, 20.0, 63)
-    ]
-    if sample % (IMU_HZ // POSE_HZ) == 0:
-        t_ms = t_us // 1000
-        messages.append(common.MAVLink_attitude_quaternion_message(t_ms, 1.0, 0.0, 0.0, 0.0, x, y, z))
-        messages.append(common.MAVLink_local_position_ned_message(t_ms, 0.0, 0.0, -2.5, 0.0, 0.0, 0.0))
-    if sample % IMU_HZ == 0:
-        kind, maker = common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4
-        messages.append(common.MAVLink_heartbeat_message(kind, maker, 0, 0, common.MAV_STATE_ACTIVE, 3))
-    return messages
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return int(udp.getsockname()[1])
 
 
 def _markdown(lines: list[Line]) -> str:

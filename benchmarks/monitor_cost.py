@@ -24,16 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.agent_budget import (
-    CAMERA,
-    agent_process,
-    autopilot,
-    free_udp_port,
-    listening,
-    scripted_entries,
-    until_tracking,
-)
 from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.lone_agent import CAMERA, scripted_agent
 from swarmtrack.benchmarks.processes import cpu_seconds
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.scripted_team import scripted_team
@@ -71,38 +63,34 @@ class Watched(NamedTuple):
 
 async def measure_agent(seconds: float) -> Watched:
     """Of an agent that nobody, then somebody looks at; `seconds` a turn."""
-    port, team = free_udp_port(), f"bench-{secrets.token_hex(4)}"
-    entries = scripted_entries(port, team)
-    module = ["swarmtrack.benchmarks.scripted_agent", "--fps", str(FPS)]
     sizes: list[int] = []
     shares: dict[bool, list[float]] = {False: [], True: []}
-    with agent_process(module, entries) as process:
-        async with listening(team) as heard, autopilot(port):
-            await until_tracking(process, heard)
-            viewer = ZenohListener(
-                NetworkSettings(team=team), keys.key(team, Kind.POSE, "*"), newest_per_key=True
-            )
-            await viewer.open()
+    async with scripted_agent(["--fps", str(FPS)]) as agent:
+        pid, video = agent.process.pid, keys.key(agent.team, Kind.VIDEO, 1)
+        viewer = ZenohListener(
+            NetworkSettings(team=agent.team), keys.key(agent.team, Kind.POSE, "*"), newest_per_key=True
+        )
+        await viewer.open()
 
-            async def look() -> None:
-                async for sample in viewer.samples():
-                    if f"/{Kind.VIDEO}/" in sample.key:
-                        sizes.append(len(sample.payload))  # noqa: PERF401 - it ends by being cancelled
+        async def look() -> None:
+            async for sample in viewer.samples():
+                if f"/{Kind.VIDEO}/" in sample.key:
+                    sizes.append(len(sample.payload))  # noqa: PERF401 - it ends by being cancelled
 
-            looking = asyncio.create_task(look())
-            await asyncio.sleep(SETTLE_S)
-            for _ in range(TURNS):
-                for watched in (False, True):
-                    if watched:
-                        await viewer.listen_to(keys.key(team, Kind.VIDEO, 1))
-                    await asyncio.sleep(0.5)
-                    began, used = time.monotonic(), cpu_seconds(process.pid)
-                    await asyncio.sleep(seconds)
-                    share = (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
-                    shares[watched].append(100.0 * share)
-                await viewer.leave(keys.key(team, Kind.VIDEO, 1))
-            looking.cancel()
-            await viewer.close()
+        looking = asyncio.create_task(look())
+        await asyncio.sleep(SETTLE_S)
+        for _ in range(TURNS):
+            for watched in (False, True):
+                if watched:
+                    await viewer.listen_to(video)
+                await asyncio.sleep(0.5)
+                began, used = time.monotonic(), cpu_seconds(pid)
+                await asyncio.sleep(seconds)
+                share = (cpu_seconds(pid) - used) / (time.monotonic() - began)
+                shares[watched].append(100.0 * share)
+            await viewer.leave(video)
+        looking.cancel()
+        await viewer.close()
     if not sizes:
         raise BenchmarkError("monitor: no picture was heard of a watched agent")
     rate = len(sizes) / (TURNS * (seconds + 0.5))

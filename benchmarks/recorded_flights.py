@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import secrets
 import statistics
 import subprocess
 import sys
@@ -26,15 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.agent_budget import (
-    agent_process,
-    autopilot,
-    free_udp_port,
-    listening,
-    scripted_entries,
-    until_tracking,
-)
 from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.lone_agent import scripted_agent
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.recording.reader import files_below, recordings_below
@@ -104,15 +96,11 @@ def publish(out: Path, *, quick: bool = False) -> dict[str, Any]:
 
 async def _kill(folder: Path, seconds: float) -> Killed:
     """An agent that records into `folder` is ended `seconds` after its first track."""
-    port, team = free_udp_port(), f"bench-{secrets.token_hex(4)}"
-    entries = scripted_entries(port, team) | {"recording.dir": str(folder)}
-    with agent_process(["swarmtrack.benchmarks.scripted_agent"], entries) as process:
-        async with listening(team) as heard, autopilot(port):
-            await until_tracking(process, heard)
-            await asyncio.sleep(seconds)
-            process.kill()
-            at = time.time()
-            process.wait()
+    async with scripted_agent(entries={"recording.dir": str(folder)}) as agent:
+        await asyncio.sleep(seconds)
+        agent.process.kill()
+        at = time.time()
+        agent.process.wait()
     for file in files_below(folder):
         repair(file)
     (recording,) = recordings_below(folder)

@@ -54,17 +54,18 @@ READ_HZ = 100.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """Rates in Hz, times in s, pixels."""
+    """What the observer's sensors give, and when it is judged."""
 
     detections_hz: float = 7.0
     latency_s: float = 0.150
+    """From the exposure to the arrival of its detections."""
     centre_sigma_px: float = 1.5
+    """Per axis, of a detection's centre."""
     p_detection: float = 0.95
     clutter_per_frame: float = 0.1
     imu_hz: float = 200.0
-    begins_s: float = (
-        HOVER_S - 1.0
-    )  # of the world's time: the swing sets in at HOVER_S and is full a second later
+    begins_s: float = HOVER_S - 1.0
+    """Of the world's time: the swing sets in at HOVER_S and is full a second later."""
     measured_from_s: float = HOVER_S + 1.0
     ends_s: float = HOVER_S + 9.0
 

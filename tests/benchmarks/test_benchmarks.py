@@ -12,7 +12,7 @@ import pytest
 
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents.bench import BENCHMARKS
-from swarmtrack.benchmarks import agent_budget, real_clips, report, rotating_observer
+from swarmtrack.benchmarks import agent_budget, lone_agent, real_clips, report, rotating_observer
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.config import load_config
 from swarmtrack.transport.base import Kind
@@ -189,12 +189,12 @@ def message(t_utc, exposure, sequence, status="confirmed"):
 
 
 def test_latency_is_taken_at_the_first_message_with_a_new_scan(monkeypatch):
-    heard = agent_budget.Heard()
+    heard = lone_agent.Heard()
     start = 1.7e9
     arrivals = [(0.004, 0.0, "tentative"), (0.024, 0.0, "confirmed"), (0.100, 0.0667, "confirmed")]
     for sequence, (arrival, exposure, status) in enumerate(arrivals):
-        monkeypatch.setattr(agent_budget.time, "time", lambda arrival=arrival: start + arrival)
-        monkeypatch.setattr(agent_budget.time, "monotonic", lambda arrival=arrival: arrival)
+        monkeypatch.setattr(lone_agent.time, "time", lambda arrival=arrival: start + arrival)
+        monkeypatch.setattr(lone_agent.time, "monotonic", lambda arrival=arrival: arrival)
         heard.take(Kind.TRACKS, message(start + arrival, start + exposure, sequence, status))
     assert heard.latencies == pytest.approx([0.004, 0.0333], abs=1e-5)
     assert heard.first_track_at == 0.024

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from swarmtrack.benchmarks.agent_budget import agent_process
+from swarmtrack.benchmarks.lone_agent import agent_process
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.runtime.live_video import PICTURE_WIDTH, with_picture
 from swarmtrack.transport import keys
