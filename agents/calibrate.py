@@ -17,7 +17,7 @@ from swarmtrack.arguments import add_file, add_flag, add_seconds, positive_secon
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera
-    from swarmtrack.doctor.watching import Watch
+    from swarmtrack.doctor.watching import SensorWatch
 
 DONE, FAILED = 0, 1
 SECONDS = 60.0
@@ -73,7 +73,7 @@ async def _extrinsics(args: argparse.Namespace) -> int:
     from swarmtrack.calibration.extrinsics import doubts, toml_lines, write_into
     from swarmtrack.clock import SystemClock
     from swarmtrack.config import mount_camera
-    from swarmtrack.doctor.watching import Watch
+    from swarmtrack.doctor.watching import SensorWatch
     from swarmtrack.motion.hand_eye import compare, solve
     from swarmtrack.runtime.assembly import make_simulation, simulated_mount
 
@@ -84,7 +84,7 @@ async def _extrinsics(args: argparse.Namespace) -> int:
     mounted = simulated_mount(config, simulation) if simulation else mount_camera(config.camera)
     seconds = args.seconds or (1e6 if recorded else SECONDS)
     reach = args.reach or (RECORDED_REACH if recorded else LIVE_REACH)
-    watch = Watch(config, mounted, clock, simulation)
+    watch = SensorWatch(config, mounted, clock, simulation)
     progress = asyncio.create_task(_tell(watch, seconds if args.seconds or not recorded else None))
     watched = await watch.run(seconds)
     progress.cancel()
@@ -130,7 +130,7 @@ def _config(args: argparse.Namespace) -> DroneConfig:
     return DroneConfig.model_validate(table)
 
 
-async def _tell(watch: Watch, seconds: float | None) -> None:
+async def _tell(watch: SensorWatch, seconds: float | None) -> None:
     """A line of progress on a terminal: what was turned so far, about which axis."""
     if not sys.stderr.isatty():
         return

@@ -38,7 +38,7 @@ class NotThere(SwarmtrackError):
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class FlownScenario:
     """What a simulator says it flies. epoch: its world time 0 on our monotonic clock, s."""
 
     scenario: str
@@ -128,7 +128,7 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
     )
 
 
-async def ask_simulator(url: str, patience_s: float) -> Flown:
+async def ask_simulator(url: str, patience_s: float) -> FlownScenario:
     """Until it answers. Raises NotThere."""
     import aiohttp
 
@@ -151,9 +151,9 @@ async def ask_simulator(url: str, patience_s: float) -> Flown:
     raise NotThere(f"{url}: {trouble}; is a simulator there, started with --host and --port?")
 
 
-def _understood(told: dict[str, Any], now: float) -> Flown:
+def _understood(told: dict[str, Any], now: float) -> FlownScenario:
     """now: when the simulator said it, to half of the time that the question took."""
-    return Flown(
+    return FlownScenario(
         scenario=str(told["scenario"]),
         seed=int(told["seed"]),
         drones=None if told["drones"] is None else int(told["drones"]),

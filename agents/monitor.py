@@ -80,7 +80,7 @@ async def serve(args: argparse.Namespace) -> int:
 async def _serve_swarm(args: argparse.Namespace) -> int:
     from swarmtrack.clock import SystemClock
     from swarmtrack.monitor.live import LiveFeed
-    from swarmtrack.monitor.team import Team
+    from swarmtrack.monitor.team import MonitoredTeam
     from swarmtrack.transport import keys
     from swarmtrack.transport.zenoh_listener import ZenohListener
 
@@ -89,7 +89,7 @@ async def _serve_swarm(args: argparse.Namespace) -> int:
         listener = ZenohListener(network, keys.all_but_video(network.team), newest_per_key=True)
     except TransportError as error:
         raise SwarmtrackError(str(error)) from None  # of what was written: exit code 2
-    feed = LiveFeed(Team(network.team, SystemClock()), listener)
+    feed = LiveFeed(MonitoredTeam(network.team, SystemClock()), listener)
     try:
         return await _serve(args, feed, f"monitor of team {network.team}", listener.open)
     finally:
@@ -97,7 +97,7 @@ async def _serve_swarm(args: argparse.Namespace) -> int:
 
 
 async def _serve_recording(args: argparse.Namespace) -> int:
-    from swarmtrack.monitor.player import Playback, Player
+    from swarmtrack.monitor.player import Playback, RecordingPlayer
     from swarmtrack.monitor.recorded import read_timeline
 
     if args.team or args.config or args.connect or args.keys or args.insecure:
@@ -110,7 +110,7 @@ async def _serve_recording(args: argparse.Namespace) -> int:
     timeline = read_timeline(args.recording)
     for note in timeline.notes:
         print(f"swarmtrack monitor: {note}", file=sys.stderr)
-    player = Player(Playback(timeline), name)
+    player = RecordingPlayer(Playback(timeline), name)
     return await _serve(args, player, f"recording {name} of team {timeline.team}, {timeline.seconds:.0f} s")
 
 
@@ -120,11 +120,11 @@ async def _serve(
     """begin: awaited once the page is there."""
     from aiohttp import web
 
-    from swarmtrack.monitor.access import Door, token_for
+    from swarmtrack.monitor.access import AccessGuard, token_for
     from swarmtrack.monitor.server import PAGE, MonitorServer
 
     token = token_for(args.bind, args.token)
-    server = MonitorServer(feed, Door(token, PAGE.read_text(encoding="utf-8")))
+    server = MonitorServer(feed, AccessGuard(token, PAGE.read_text(encoding="utf-8")))
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)

@@ -20,11 +20,11 @@ from swarmtrack.simulation.scenarios import (
     CAMERA,
     DRIFT_M,
     HOVER_S,
-    Fault,
     FaultKind,
     Plan,
     Radio,
     Scenario,
+    ScenarioFault,
     Station,
     Sway,
     Swing,
@@ -321,8 +321,8 @@ class FaultSection(Section):
             raise ValueError(f"{value:g}, expected none: {kind} has no strength")
         return value
 
-    def fault(self) -> Fault:
-        return Fault(self.kind, self.at_s, self.seconds, self.drones, self.value or 0.0)
+    def fault(self) -> ScenarioFault:
+        return ScenarioFault(self.kind, self.at_s, self.seconds, self.drones, self.value or 0.0)
 
 
 class ScenarioFile(Section):

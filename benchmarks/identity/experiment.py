@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.evaluation.intervals import Interval, fraction_interval
-from swarmtrack.evaluation.reliability import Calibration, Stated
+from swarmtrack.evaluation.reliability import Reliability, Stated
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.posterior import PRIOR, Prior, log_ratios, nearest, residuals
 from swarmtrack.identity.reprojection import Predictions
@@ -332,6 +332,6 @@ class Result(NamedTuple):
     layouts: int
     cells: dict[Cell, dict[str, Method]]
     left_out: dict[Cell, float]
-    calibrations: dict[Pool, Calibration]
+    calibrations: dict[Pool, Reliability]
     thinned: list[Thinned]
     costs: list[Cost]

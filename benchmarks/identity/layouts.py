@@ -31,7 +31,7 @@ from swarmtrack.benchmarks.identity.experiment import (
     scores,
     thinned,
 )
-from swarmtrack.evaluation.reliability import Calibration, Stated, calibration
+from swarmtrack.evaluation.reliability import Reliability, Stated, reliability_of
 
 NAME = "identity"
 DRONES = (3, 5, 8, 12, 16, 20, 25, 30)
@@ -76,7 +76,7 @@ def publish(out: Path, *, layouts: int, processes: int | None = None) -> Result:
     return result
 
 
-def calibrations(chunks: dict[Cell, list[Chunk]]) -> dict[Pool, Calibration]:
+def calibrations(chunks: dict[Cell, list[Chunk]]) -> dict[Pool, Reliability]:
     """By sky and method, of all cells and of those with one error."""
     parts: dict[Pool, list[Stated]] = {}
     for cell in sorted(chunks, key=lambda cell: (cell.sky.number, cell.drones, cell.error_px)):
@@ -84,7 +84,7 @@ def calibrations(chunks: dict[Cell, list[Chunk]]) -> dict[Pool, Calibration]:
             for method, stated in chunk.stated.items():
                 for error_px in (None, cell.error_px):
                     parts.setdefault(Pool(cell.sky.name, method, error_px), []).append(stated)
-    return {pool: calibration(Stated.joined(found)) for pool, found in parts.items()}
+    return {pool: reliability_of(Stated.joined(found)) for pool, found in parts.items()}
 
 
 def tasks(layouts: int) -> list[tuple[Cell, int, int]]:

@@ -26,7 +26,7 @@ from swarmtrack.benchmarks.identity.experiment import (
     Thinned,
 )
 from swarmtrack.evaluation.intervals import Interval
-from swarmtrack.evaluation.reliability import Agreement, Calibration
+from swarmtrack.evaluation.reliability import Reliability, ReliabilityBin
 from swarmtrack.tracking.marginals import WIDEST
 
 FEWEST = 100  # statements in a bin that is drawn
@@ -85,7 +85,7 @@ def _method_json(method: Method) -> dict[str, Any]:
     return {name: value._asdict() for name, value in method._asdict().items()}
 
 
-def _agreement_json(entry: Agreement) -> dict[str, Any]:
+def _agreement_json(entry: ReliabilityBin) -> dict[str, Any]:
     return {**entry._asdict(), "right": entry.right._asdict()}
 
 
@@ -228,7 +228,7 @@ def _thresholds(result: Result) -> str:
     return report.table(["IDs given at", *(f"{pool.sky}, {pool.method}" for pool, _ in pooled)], rows)
 
 
-def _in_order(found: dict[Pool, Calibration]) -> list[tuple[Pool, Calibration]]:
+def _in_order(found: dict[Pool, Reliability]) -> list[tuple[Pool, Reliability]]:
     """Pools of all errors before those of one."""
     return sorted(found.items(), key=lambda item: (item[0].sky, item[0].method, item[0].error_px or 0.0))
 
@@ -333,7 +333,7 @@ def plot_calibration(path: Path, result: Result) -> None:
     pyplot.close(figure)
 
 
-def _draw_bins(axis: Any, found: Calibration, colour: Any, label: str, *, size: float) -> None:
+def _draw_bins(axis: Any, found: Reliability, colour: Any, label: str, *, size: float) -> None:
     """Bins with their intervals; of one in which nothing was wrong only the upper end has a place on this axis."""
     drawn = [entry for entry in found.bins if entry.statements >= FEWEST]
     stated, wrong, low, high = np.array([_wrong(entry) for entry in drawn]).reshape(-1, 4).T
@@ -354,7 +354,7 @@ def _draw_bins(axis: Any, found: Calibration, colour: Any, label: str, *, size: 
     )
 
 
-def _wrong(entry: Agreement) -> tuple[float, float, float, float]:
+def _wrong(entry: ReliabilityBin) -> tuple[float, float, float, float]:
     """1 − p, the share that is wrong, and its interval."""
     right = entry.right
     return max(1.0 - entry.stated, FLOOR), 1.0 - right.value, 1.0 - right.high, 1.0 - right.low

@@ -15,7 +15,7 @@ from swarmtrack.benchmarks.trackers import oracle
 from swarmtrack.benchmarks.trackers.oracle import ConstantVelocity, Interacting, OracleFilter
 from swarmtrack.benchmarks.trackers.scenes import SCENES, Scene, Take, film
 from swarmtrack.evaluation.gospa import gospa
-from swarmtrack.evaluation.track_score import Claim, FoundScore, score_found, score_named
+from swarmtrack.evaluation.track_score import FoundScore, StatedTracks, score_found, score_named
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
 from swarmtrack.tracking import TRACKERS, create_tracker
 
@@ -67,7 +67,7 @@ class Recording:
     gone, None where nobody told the starts; ahead: the same of `at(now)` by latency [s].
     """
 
-    claims: list[Claim]
+    claims: list[StatedTracks]
     named: Array | None
     ahead: dict[float, Array]
     ms_per_scan: float
@@ -175,9 +175,9 @@ def _positions(tracks: tuple[Track, ...], ids: list[int]) -> Array:
     return np.array([by_id.get(track_id, gone) for track_id in ids])
 
 
-def _claim(tracks: tuple[Track, ...]) -> Claim:
+def _claim(tracks: tuple[Track, ...]) -> StatedTracks:
     held = [track for track in tracks if track.status is not TrackStatus.TENTATIVE]
-    return Claim(
+    return StatedTracks(
         np.array([track.id for track in held], np.int64),
         np.array([track.mean[::2] for track in held]).reshape(-1, 2),
         np.array([track.status is TrackStatus.CONFIRMED for track in held], np.bool_),
@@ -189,7 +189,7 @@ def _oracle_recording(take: Take, found: dict[float, Array], ms_per_scan: float)
     claims = []
     for positions in now:
         there = np.flatnonzero(np.isfinite(positions[:, 0]))
-        claims.append(Claim(there.astype(np.int64), positions[there], np.ones(len(there), np.bool_)))
+        claims.append(StatedTracks(there.astype(np.int64), positions[there], np.ones(len(there), np.bool_)))
     return Recording(claims, None if take.start is None else now, found, ms_per_scan)
 
 

@@ -15,7 +15,7 @@ from swarmtrack.diagnosis.findings import Finding, skipped
 from swarmtrack.diagnosis.mounting import MountFacts
 from swarmtrack.diagnosis.surroundings import DetectorFacts
 from swarmtrack.doctor import machine, team
-from swarmtrack.doctor.watching import Watch
+from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.runtime.assembly import make_simulation, simulated_mount
@@ -34,7 +34,7 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     mount = _mount(config, simulation)
     mounted = mount.mounted
     network = asyncio.create_task(team.ask(config, clock, min(seconds, NETWORK_SECONDS)))
-    watched = await Watch(config, mounted, clock, simulation).run(seconds)
+    watched = await SensorWatch(config, mounted, clock, simulation).run(seconds)
     findings = [] if mounted is None else sources.check_camera(watched.camera)
     findings += mounting.check_calibration(mount)
     if mounted is not None:

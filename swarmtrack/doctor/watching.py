@@ -32,7 +32,7 @@ LEAST_GYRO_SAMPLES = 50
 
 
 @dataclass
-class Heard(AutopilotListener):
+class SampleCollector(AutopilotListener):
     """An autopilot's listener that keeps what it is told."""
 
     samples: list[ImuSample] = field(default_factory=list)
@@ -61,7 +61,7 @@ class Heard(AutopilotListener):
         )
 
 
-class Watched(NamedTuple):
+class WatchedSensors(NamedTuple):
     """What came of watching both. newest: the camera's last frame."""
 
     camera: CameraFacts
@@ -71,7 +71,7 @@ class Watched(NamedTuple):
     newest: Frame | None
 
 
-class Watch:
+class SensorWatch:
     """Camera and autopilot of a config, opened together; either may be missing or broken."""
 
     def __init__(
@@ -95,13 +95,13 @@ class Watch:
             self._autopilot = make_autopilot(config, clock, simulation)
         except SwarmtrackError as error:
             self._autopilot_refused = str(error)
-        self.heard = Heard()
+        self.heard = SampleCollector()
         self.motion = None if mounted is None else ImageMotion(mounted.camera)
         self._frames = 0
         self._stamps: set[StampKind] = set()
         self._newest: Frame | None = None
 
-    async def run(self, seconds: float) -> Watched:
+    async def run(self, seconds: float) -> WatchedSensors:
         """Watch for so long, or until a recording ends."""
         tasks = [asyncio.create_task(self._watch_camera()), asyncio.create_task(self._listen())]
         try:
@@ -133,7 +133,7 @@ class Watch:
         if self._autopilot is not None:
             await self._autopilot.run(self.heard)
 
-    async def _facts(self, seconds: float) -> Watched:
+    async def _facts(self, seconds: float) -> WatchedSensors:
         section = self._config.camera
         address = None if section.simulated else parse_address(section.source)
         frame, heard = self._newest, self.heard
@@ -164,7 +164,7 @@ class Watch:
             np.array([pose.t for pose in heard.poses]),
             np.array([pose.world_from_body for pose in heard.poses]).reshape(-1, 3, 3),
         )
-        return Watched(camera, autopilot, imu, await asyncio.to_thread(self._compared), frame)
+        return WatchedSensors(camera, autopilot, imu, await asyncio.to_thread(self._compared), frame)
 
     def _compared(self) -> MotionFacts:
         """Image against gyro."""

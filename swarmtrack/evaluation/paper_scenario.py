@@ -49,7 +49,7 @@ BACK = (
 PERIOD = 100.0  # steps from the first way out to the second
 
 
-class Condition(NamedTuple):
+class PaperCondition(NamedTuple):
     """What the sensor does. sigma_px: noise per axis; clutter: false detections in *every* scan, uniform in the image;
     p_detection: of each drone and step, independently.
     """
@@ -60,19 +60,19 @@ class Condition(NamedTuple):
 
 
 CONDITIONS = {
-    "control": Condition(),
-    "clutter1": Condition(clutter=1),
-    "clutter5": Condition(clutter=5),
-    "clutter10": Condition(clutter=10),
-    "noise.25": Condition(sigma_px=0.5),
-    "noise.50": Condition(sigma_px=1.0),
-    "noise.75": Condition(sigma_px=1.5),
-    "pd.97": Condition(p_detection=0.97),
-    "pd.95": Condition(p_detection=0.95),
-    "pd.90": Condition(p_detection=0.90),
-    "pd.80": Condition(p_detection=0.80),
-    "mixedA": Condition(sigma_px=1.0, clutter=3, p_detection=0.99),
-    "mixedB": Condition(sigma_px=0.5, clutter=1, p_detection=0.97),
+    "control": PaperCondition(),
+    "clutter1": PaperCondition(clutter=1),
+    "clutter5": PaperCondition(clutter=5),
+    "clutter10": PaperCondition(clutter=10),
+    "noise.25": PaperCondition(sigma_px=0.5),
+    "noise.50": PaperCondition(sigma_px=1.0),
+    "noise.75": PaperCondition(sigma_px=1.5),
+    "pd.97": PaperCondition(p_detection=0.97),
+    "pd.95": PaperCondition(p_detection=0.95),
+    "pd.90": PaperCondition(p_detection=0.90),
+    "pd.80": PaperCondition(p_detection=0.80),
+    "mixedA": PaperCondition(sigma_px=1.0, clutter=3, p_detection=0.99),
+    "mixedB": PaperCondition(sigma_px=0.5, clutter=1, p_detection=0.97),
 }
 
 PUBLISHED_RMSE_PX = {  # the paper's text; all else it shows in figures only

@@ -43,7 +43,7 @@ class Stated:
         return Stated(self.p[chosen], self.right[chosen], self.group[chosen])
 
 
-class Agreement(NamedTuple):
+class ReliabilityBin(NamedTuple):
     """Statements of low ≤ p < high: how many, their mean p, and the share of them that is right."""
 
     low: float
@@ -53,23 +53,23 @@ class Agreement(NamedTuple):
     right: Interval
 
 
-class Calibration(NamedTuple):
+class Reliability(NamedTuple):
     """All statements; those of each bin of p; and those at or above each threshold. expected_error: the mean over all
     statements of how far stated and right are apart in their bin (Naeini et al., AAAI 2015)."""
 
-    overall: Agreement
+    overall: ReliabilityBin
     expected_error: float
-    bins: list[Agreement]
-    thresholds: list[Agreement]
+    bins: list[ReliabilityBin]
+    thresholds: list[ReliabilityBin]
 
 
-def calibration(stated: Stated) -> Calibration:
+def reliability_of(stated: Stated) -> Reliability:
     """Of statements with p ≥ 0.5; intervals over groups."""
     bins = [_between(stated, low, high) for low, high in pairwise(EDGES)]
     filled = [found for found in bins if found.statements]
     gaps = [found.statements * abs(found.stated - found.right.value) for found in filled]
     overall = _between(stated, EDGES[0], 1.0)
-    return Calibration(
+    return Reliability(
         overall,
         sum(gaps) / max(overall.statements, 1),
         filled,
@@ -77,10 +77,10 @@ def calibration(stated: Stated) -> Calibration:
     )
 
 
-def _between(stated: Stated, low: float, high: float) -> Agreement:
+def _between(stated: Stated, low: float, high: float) -> ReliabilityBin:
     chosen = stated.where((stated.p >= low) & ((stated.p < high) | (high == 1.0)))
     _, group = np.unique(chosen.group, return_inverse=True)
     trials: Array = np.bincount(group).astype(np.float64)
     hits: Array = np.bincount(group, weights=chosen.right).astype(np.float64)
     mean = float(chosen.p.mean()) if len(chosen.p) else float("nan")
-    return Agreement(low, high, len(chosen.p), mean, fraction_interval(hits, trials))
+    return ReliabilityBin(low, high, len(chosen.p), mean, fraction_interval(hits, trials))

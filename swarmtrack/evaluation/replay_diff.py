@@ -21,7 +21,7 @@ GATE_PX = 15.0
 APART_PX = 1.0  # from here on two tracks have parted
 
 
-class SeenTrack(NamedTuple):
+class ConfirmedTrack(NamedTuple):
     """One confirmed track, undistorted px."""
 
     id: int
@@ -35,7 +35,7 @@ class SeenScan(NamedTuple):
 
     sequence: int
     t: float
-    tracks: tuple[SeenTrack, ...]
+    tracks: tuple[ConfirmedTrack, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def seen_scans(reports: Iterable[ScanReport], begin: float) -> list[SeenScan]:
             report.sequence,
             report.tracks.t - begin,
             tuple(
-                SeenTrack(
+                ConfirmedTrack(
                     entry.track.id, entry.identity, float(entry.track.mean[0]), float(entry.track.mean[2])
                 )
                 for entry in report.tracks.tracks
@@ -137,7 +137,9 @@ def compare(one: Iterable[SeenScan], other: Iterable[SeenScan]) -> ReplayDiff:
     )
 
 
-def _pairs(one: tuple[SeenTrack, ...], other: tuple[SeenTrack, ...]) -> list[tuple[SeenTrack, SeenTrack]]:
+def _pairs(
+    one: tuple[ConfirmedTrack, ...], other: tuple[ConfirmedTrack, ...]
+) -> list[tuple[ConfirmedTrack, ConfirmedTrack]]:
     if not one or not other:
         return []
     a = np.array([(track.u, track.v) for track in one])
@@ -170,7 +172,7 @@ def scans_of(record: Any) -> list[SeenScan]:
             int(scan["frame"]),
             float(scan["t_s"]),
             tuple(
-                SeenTrack(
+                ConfirmedTrack(
                     int(part["id"]), _identity(part["identity"]), float(part["u_px"]), float(part["v_px"])
                 )
                 for part in scan["tracks"]

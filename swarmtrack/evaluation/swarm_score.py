@@ -72,7 +72,7 @@ class Glance:
     tracks: tuple[NamedTrack, ...] | None
 
 
-class Seen(NamedTuple):
+class JudgedTrack(NamedTuple):
     """One track of a glance, and the drone that it is in truth (None: nobody)."""
 
     track: NamedTrack
@@ -163,7 +163,7 @@ class SwarmScorer:
         """This life of the observer had the drone's announcement at t; the first time counts."""
         self._known.setdefault((observer, boot, drone_id), t)
 
-    def add(self, glance: Glance) -> list[Seen]:
+    def add(self, glance: Glance) -> list[JudgedTrack]:
         """Take in one glance; returns its tracks with who they are in truth."""
         life = (glance.observer, glance.boot)
         if life not in self._lives:
@@ -311,7 +311,7 @@ def _fits(box: Array, track: NamedTrack) -> bool:
     return bool(math.hypot(track.u - box[0], track.v - box[1]) <= radius)
 
 
-def _seen(glance: Glance, tracks: Mapping[int, NamedTrack], pairs: Mapping[int, int]) -> list[Seen]:
+def _seen(glance: Glance, tracks: Mapping[int, NamedTrack], pairs: Mapping[int, int]) -> list[JudgedTrack]:
     boxes = {**glance.in_view, **glance.hidden}
     drone_of = {track_id: drone_id for drone_id, track_id in pairs.items()}
     seen = []
@@ -319,7 +319,7 @@ def _seen(glance: Glance, tracks: Mapping[int, NamedTrack], pairs: Mapping[int, 
         drone_id = drone_of.get(track.id)
         box = None if drone_id is None else boxes[drone_id]
         error = math.nan if box is None else math.hypot(track.u - box[0], track.v - box[1])
-        seen.append(Seen(track, drone_id, error))
+        seen.append(JudgedTrack(track, drone_id, error))
     return seen
 
 

@@ -58,7 +58,7 @@ def _held(estimate: Array) -> Array:
     return held
 
 
-class Claim(NamedTuple):
+class StatedTracks(NamedTuple):
     """The tracks of one scan that are not tentative. id (m,); position (m, 2) px; sure (m,): confirmed, not lost."""
 
     id: NDArray[np.int64]
@@ -85,7 +85,7 @@ class FoundScore(NamedTuple):
     squared_error: Array
 
 
-def score_found(t: Array, truth: Array, claims: Sequence[Claim]) -> FoundScore:
+def score_found(t: Array, truth: Array, claims: Sequence[StatedTracks]) -> FoundScore:
     """t (k,) s; truth (k, n, 2) px, NaN where a target is absent; claims: of each scan."""
     n = truth.shape[1]
     holder: dict[int, int] = {}  # target: the track matched last
@@ -132,7 +132,7 @@ def score_found(t: Array, truth: Array, claims: Sequence[Claim]) -> FoundScore:
     )
 
 
-def _match(truth: Array, claim: Claim, before: dict[int, int]) -> tuple[dict[int, int], list[float]]:
+def _match(truth: Array, claim: StatedTracks, before: dict[int, int]) -> tuple[dict[int, int], list[float]]:
     """{target: track id} of one scan and their distances [px]: pairs of the scan before, then as many as possible."""
     distance = np.linalg.norm(truth[:, None] - claim.position[None], axis=2)
     allowed = distance <= FAR_PX
@@ -152,7 +152,7 @@ def _match(truth: Array, claim: Claim, before: dict[int, int]) -> tuple[dict[int
     return pairs, [float(distance[target, column]) for target, column in chosen.items()]
 
 
-def _drop_time(t: Array, claims: Sequence[Claim], last: int, track: int) -> float:
+def _drop_time(t: Array, claims: Sequence[StatedTracks], last: int, track: int) -> float:
     for k in range(last + 1, len(t)):
         if track not in claims[k].id:
             return float(t[k] - t[last])

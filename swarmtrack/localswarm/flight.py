@@ -31,7 +31,7 @@ from swarmtrack.localswarm.recording import FlightRecording
 from swarmtrack.localswarm.table import Spectator
 from swarmtrack.localswarm.watch import Watch
 from swarmtrack.scenario_file import load_limits, load_scenario
-from swarmtrack.simulation.scenarios import Fault, FaultKind, Scenario
+from swarmtrack.simulation.scenarios import FaultKind, Scenario, ScenarioFault
 from swarmtrack.tracking import DEFAULT_TRACKER
 from swarmtrack.transport import keys
 from swarmtrack.transport.settings import NetworkSettings
@@ -83,12 +83,12 @@ async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
         if plan.keep:
             spectator.note(f"configs and logs: {folder}")
         children = await stack.enter_async_context(Children(folder, keep=plan.keep))
-        return await _Flight(
+        return await _SwarmFlight(
             plan, scenario, folder=folder, children=children, air=air, spectator=spectator
         ).run()
 
 
-class _Flight:
+class _SwarmFlight:
     def __init__(
         self,
         plan: FlightPlan,
@@ -283,12 +283,12 @@ class _Flight:
             self._spectator.show(self._watch)
             await asyncio.sleep(1.0 / SHOW_HZ)
 
-    def _faults(self) -> Iterator[Fault]:
+    def _faults(self) -> Iterator[ScenarioFault]:
         """Those that are ours to play; the others are the simulator's."""
         ours = (FaultKind.KILL, FaultKind.PARTITION, FaultKind.LOSS, FaultKind.LATENCY)
         return (fault for fault in self._scenario.faults if fault.kind in ours)
 
-    async def _play(self, fault: Fault) -> None:
+    async def _play(self, fault: ScenarioFault) -> None:
         await self._until(fault.at_s)
         if fault.kind is FaultKind.KILL:
             await asyncio.gather(*(self._kill(d, fault.seconds) for d in fault.drones or self._agents))

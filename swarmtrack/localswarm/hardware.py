@@ -19,7 +19,7 @@ import numpy as np
 from swarmtrack.clock import Clock
 from swarmtrack.messages import Image
 from swarmtrack.simulation.autopilot import DroneSenses, SimulatedArduPilot
-from swarmtrack.simulation.scenarios import Fault, FaultKind, Scenario
+from swarmtrack.simulation.scenarios import FaultKind, Scenario, ScenarioFault
 from swarmtrack.simulation.sensors import ImuParameters, Instant, detect
 
 TICK = 0.002  # s: autopilots that have something to say within it are served together
@@ -50,7 +50,7 @@ class Watcher:
         return self._newest
 
 
-class Camera:
+class CameraHardware:
     """Exposes on time, as long as somebody watches; a picture is shown when it is made.
 
     make: what is sent of the exposure (index, t), t in world time. An exposure that falls due while the last one is
@@ -179,7 +179,7 @@ class Oracle:
         """Nothing is open."""
 
 
-def extra_clutter(faults: Iterable[Fault], drone_id: int, t: float) -> float:
+def extra_clutter(faults: Iterable[ScenarioFault], drone_id: int, t: float) -> float:
     """False detections to expect in a frame exposed at world time t, beyond the detector's own."""
     return sum(f.value for f in faults if f.kind is FaultKind.CLUTTER and f.concerns(drone_id, t))
 
@@ -236,7 +236,9 @@ async def keep_speaking(sockets: list[AutopilotSocket], clock: Clock) -> None:
         await asyncio.sleep(max(min(autopilot.due for autopilot in sockets) - now, TICK))
 
 
-async def play(fault: Fault, autopilots: dict[int, SimulatedArduPilot], epoch: float, clock: Clock) -> None:
+async def play(
+    fault: ScenarioFault, autopilots: dict[int, SimulatedArduPilot], epoch: float, clock: Clock
+) -> None:
     """A fault of autopilots, at its world time."""
     begin, end = epoch + fault.at_s, epoch + fault.at_s + fault.seconds
     concerned = [a for drone_id, a in autopilots.items() if not fault.drones or drone_id in fault.drones]
@@ -283,7 +285,7 @@ async def simulate(
     at `/` beside the world time.
     """
     images = Oracle(scenario, epoch) if oracle else Photographer(scenario, epoch)
-    cameras = {n: Camera(n, scenario, epoch, clock, images.make) for n in scenario.members}
+    cameras = {n: CameraHardware(n, scenario, epoch, clock, images.make) for n in scenario.members}
     autopilots = {n: make_autopilot(scenario, n, epoch, clock.now()) for n in scenario.members}
     async with AsyncExitStack() as stack:
         stack.callback(images.close)
@@ -318,7 +320,7 @@ async def simulate(
 
 async def serve_cameras(
     stack: AsyncExitStack,
-    cameras: dict[int, Camera],
+    cameras: dict[int, CameraHardware],
     content_type: str,
     address: tuple[str, int],
     *,

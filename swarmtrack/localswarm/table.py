@@ -12,11 +12,11 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from swarmtrack.evaluation.swarm_score import Seen, SwarmScore
+from swarmtrack.evaluation.swarm_score import JudgedTrack, SwarmScore
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.localswarm.watch import AgentView, Watch
 from swarmtrack.messages import FOREIGN, Identity
-from swarmtrack.simulation.scenarios import Fault
+from swarmtrack.simulation.scenarios import ScenarioFault
 from swarmtrack.wire.health import HealthMessage
 
 LARGE_TEAM = 8  # from here on a line has no room for everybody
@@ -112,7 +112,7 @@ def _state(agent: AgentView, team: Collection[int]) -> Text:
     return sightings(agent.seen, team)
 
 
-def sightings(seen: Sequence[Seen], team: Collection[int]) -> Text:
+def sightings(seen: Sequence[JudgedTrack], team: Collection[int]) -> Text:
     """Every track: who it is in truth, and as whom it is known."""
     text = Text()
     for one in sorted(seen, key=lambda s: (s.drone_id is None, s.drone_id or 0)):
@@ -120,7 +120,7 @@ def sightings(seen: Sequence[Seen], team: Collection[int]) -> Text:
     return text or Text("nobody", style="dim")
 
 
-def _sighting(seen: Seen, team: Collection[int]) -> Text:
+def _sighting(seen: JudgedTrack, team: Collection[int]) -> Text:
     truth, said = seen.drone_id, seen.track.identity
     if said is None:
         return Text(f"{_who(truth)} unknown", style="yellow")
@@ -136,7 +136,7 @@ def _who(identity: Identity) -> str:
     return "nobody" if identity is None else str(identity)
 
 
-def _error(seen: Sequence[Seen]) -> str:
+def _error(seen: Sequence[JudgedTrack]) -> str:
     """Root mean square of the tracks that are somebody."""
     squares = [one.error_px**2 for one in seen if one.drone_id is not None]
     return f"{math.sqrt(sum(squares) / len(squares)):.1f}" if squares else "–"
@@ -166,7 +166,7 @@ def team_line(watch: Watch) -> Text:
     return text
 
 
-def describe_fault(fault: Fault) -> str:
+def describe_fault(fault: ScenarioFault) -> str:
     """Kind, whose, how much."""
     whose = f" of {', '.join(map(str, fault.drones))}" if fault.drones else ""
     return f"{fault.kind}{whose}{f' {fault.value:g}' if fault.value else ''}"

@@ -17,10 +17,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, Seen, SwarmScorer
+from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, JudgedTrack, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
-from swarmtrack.simulation.scenarios import Fault, Scenario
+from swarmtrack.simulation.scenarios import Scenario, ScenarioFault
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
@@ -61,7 +61,7 @@ class AgentView:
     sequence: int = -1
     latencies: list[float] = field(default_factory=list)
     health: list[tuple[float, HealthMessage]] = field(default_factory=list)
-    seen: list[Seen] = field(default_factory=list)
+    seen: list[JudgedTrack] = field(default_factory=list)
     """Its tracks when last judged."""
     judged_t: float = math.nan
 
@@ -134,7 +134,7 @@ class Watch:
         ]
 
     @property
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[ScenarioFault]:
         """What is going wrong by plan; a moment is shown for a second."""
         t = self.t
         return [f for f in self._scenario.faults if f.at_s <= t < f.at_s + max(f.seconds, 1.0)]

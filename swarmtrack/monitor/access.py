@@ -41,7 +41,7 @@ def token_for(address: str, given: str | None) -> str | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class AccessGuard:
     """Judges every request."""
 
     token: str | None

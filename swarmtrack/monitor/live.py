@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from swarmtrack.errors import TransportError
 from swarmtrack.monitor.server import STATE_HZ, Audience
-from swarmtrack.monitor.team import Team
+from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 
@@ -27,7 +27,7 @@ class Listener(Protocol):
 class LiveFeed:
     """A drone's video is subscribed to while at least one viewer watches it."""
 
-    def __init__(self, team: Team, listener: Listener) -> None:
+    def __init__(self, team: MonitoredTeam, listener: Listener) -> None:
         self._team = team
         self._listener = listener
         self._subscribed: set[int] = set()

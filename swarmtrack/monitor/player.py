@@ -1,4 +1,4 @@
-"""The page of a recording: the same `Team` as of a running swarm, told again what was said.
+"""The page of a recording: the same `MonitoredTeam` as of a running swarm, told again what was said.
 
 Theory of operation. Playing goes in steps of STEP_S of the recording. In a step the team is told all words up to its
 end and then looks around once, so the state is a function of the step, however it was reached. To seek back, the
@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from swarmtrack.monitor.server import Audience
-from swarmtrack.monitor.team import VIEW_S, Team
+from swarmtrack.monitor.team import VIEW_S, MonitoredTeam
 from swarmtrack.monitor.timeline import Blob, Timeline
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -55,7 +55,7 @@ class _Scene:
     """All that changes while it is played. told: how many words."""
 
     clock: PlayedClock
-    team: Team
+    team: MonitoredTeam
     told: int
     views: dict[int, View]
 
@@ -68,7 +68,7 @@ class Playback:
         self.steps = math.ceil(timeline.seconds / STEP_S)
         self.step = 0
         clock = PlayedClock(timeline.begin)
-        self._scene = _Scene(clock, Team(timeline.team, clock), 0, {})
+        self._scene = _Scene(clock, MonitoredTeam(timeline.team, clock), 0, {})
         self._checkpoints: list[bytes] = []
         self._take_step(0)
         while self.step < self.steps:  # so that all checkpoints are there: seconds for ten minutes, once
@@ -129,7 +129,7 @@ class Playback:
             self._checkpoints.append(pickle.dumps(scene))
 
 
-class Player:
+class RecordingPlayer:
     """Plays it to the viewers, at the speed they ask for."""
 
     def __init__(self, playback: Playback, name: str) -> None:

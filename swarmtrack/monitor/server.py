@@ -22,7 +22,7 @@ from typing import Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from swarmtrack.monitor.access import Door
+from swarmtrack.monitor.access import AccessGuard
 from swarmtrack.monitor.overlay import boxes
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -67,7 +67,7 @@ class Feed(Protocol):
         """Something else that a page wants; whether that is known here."""
 
 
-class Viewer:
+class OpenPage:
     """One open page."""
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
@@ -114,10 +114,10 @@ class Viewer:
 class MonitorServer:
     """Passes to every viewer what the feed tells and shows."""
 
-    def __init__(self, feed: Feed, door: Door) -> None:
+    def __init__(self, feed: Feed, guard: AccessGuard) -> None:
         self._feed = feed
-        self._door = door
-        self._viewers: set[Viewer] = set()
+        self._guard = guard
+        self._viewers: set[OpenPage] = set()
 
     def application(self) -> web.Application:
         application = web.Application(client_max_size=4096)
@@ -161,22 +161,22 @@ class MonitorServer:
     # --- serving ------------------------------------------------------------------------
 
     async def _serve_page(self, request: web.Request) -> web.Response:
-        reason = self._door.refuse(request)
+        reason = self._guard.refuse(request)
         if reason is not None:
             return web.Response(status=403, text=f"403: {reason}\n")
         return web.Response(
-            text=self._door.page, content_type="text/html", headers=self._door.headers(request)
+            text=self._guard.page, content_type="text/html", headers=self._guard.headers(request)
         )
 
     async def _serve_viewer(self, request: web.Request) -> web.StreamResponse:
-        reason = self._door.refuse(request)
+        reason = self._guard.refuse(request)
         if reason is not None:
             return web.Response(status=403, text=f"403: {reason}\n")
         if len(self._viewers) >= MAX_VIEWERS:
             return web.Response(status=503, text=f"503: {MAX_VIEWERS} pages look already\n")
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_WORD, compress=False)
         await socket.prepare(request)
-        viewer = Viewer(socket)
+        viewer = OpenPage(socket)
         self._viewers.add(viewer)
         self._feed.on_watched()
         sending = asyncio.create_task(viewer.send(), name="viewer")
@@ -192,7 +192,7 @@ class MonitorServer:
             self._feed.on_watched()
         return socket
 
-    def _on_word(self, viewer: Viewer, word: str) -> bool:
+    def _on_word(self, viewer: OpenPage, word: str) -> bool:
         """Whether it was one that our page says."""
         if word == "+":
             viewer.on_drawn()

@@ -11,7 +11,7 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.geometry.rotation import from_quaternion
-from swarmtrack.monitor.verdict import Reports, Verdict
+from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.sender_clock import REPORTED_CLOCKS_AGREE_S, SenderClock
@@ -55,7 +55,7 @@ class Drone:
     told_events: tuple[str, ...] = ()
 
 
-class Team:
+class MonitoredTeam:
     """Told of samples; answers with the state. Only the event loop may call."""
 
     def __init__(self, name: str, clock: Clock) -> None:
@@ -67,7 +67,7 @@ class Team:
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_KEPT)
         self._event_count = 0
         self._light = ""
-        self._verdict = Verdict((), ())
+        self._verdict = TeamVerdict((), ())
         self._judged_at = -math.inf
 
     def on_sample(self, sample: Sample) -> VideoMessage | None:
@@ -238,7 +238,7 @@ class Team:
 
     # --- the one sentence ---------------------------------------------------------------
 
-    def _sentence(self, verdict: Verdict) -> tuple[str, str, list[str]]:
+    def _sentence(self, verdict: TeamVerdict) -> tuple[str, str, list[str]]:
         """Its kind (bad, warn, ok, idle), itself, and what else there would be to say."""
         bad = [
             f"{len(drone.boots)} processes speak as drone {drone_id}"

@@ -23,7 +23,7 @@ WAIT_S = 2.0  # s that a report waits for the others to speak, before it is judg
 BETWEEN_M = 0.3  # m: by how much a drone leaves the straight line between two places it told, a second apart
 
 
-class Look(NamedTuple):
+class JudgedSighting(NamedTuple):
     """One sighting, judged. called: the name it was given; whom: who stands there, None where nobody says so.
 
     right: None where there was nothing to compare it with.
@@ -37,10 +37,10 @@ class Look(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class TeamVerdict:
     """All looks, and a sentence for each disagreement."""
 
-    looks: tuple[Look, ...]
+    looks: tuple[JudgedSighting, ...]
     disagreements: tuple[str, ...]
 
 
@@ -67,13 +67,13 @@ class Reports:
         said = self._reports.get(drone_id)
         return said[-1] if said else None
 
-    def judge(self, alive: Iterable[int], now: float) -> Verdict:
+    def judge(self, alive: Iterable[int], now: float) -> TeamVerdict:
         """Of the drones that live."""
         lives = frozenset(alive)
         there = [drone_id for drone_id in lives if drone_id in self._reports]
         all_spoke = min((self._reports[i][-1].t for i in there), default=now)
         judged = {i: _last_before(self._reports[i], max(all_spoke, now - WAIT_S)) for i in there}
-        looks: list[Look] = []
+        looks: list[JudgedSighting] = []
         sentences: list[str] = []
         for report in judged.values():
             for sighting in report.sightings:
@@ -81,7 +81,7 @@ class Reports:
                 looks.append(look)
                 if look.right is False:
                     sentences.append(_sentence(look))
-        return Verdict(tuple(looks), tuple(sentences))
+        return TeamVerdict(tuple(looks), tuple(sentences))
 
     def _judge(
         self,
@@ -89,15 +89,15 @@ class Reports:
         sighting: Sighting,
         judged: Mapping[int, SightingReport],
         lives: frozenset[int],
-    ) -> Look:
+    ) -> JudgedSighting:
         observer, called = report.observer, sighting.drone_id
         if called in judged and self._miss(report, sighting, called) <= GATE:
-            return Look(observer, called, sighting.probability, called, True)
+            return JudgedSighting(observer, called, sighting.probability, called, True)
         if called in lives and called not in judged:  # it has not told yet where it stands
-            return Look(observer, called, sighting.probability, None, None)
+            return JudgedSighting(observer, called, sighting.probability, None, None)
         whom = self._who_stands_there(report, sighting, judged)
         right = False if called in judged or whom is not None else _seen_there(report, sighting, judged)
-        return Look(observer, called, sighting.probability, whom, right)
+        return JudgedSighting(observer, called, sighting.probability, whom, right)
 
     def _who_stands_there(
         self, report: SightingReport, sighting: Sighting, judged: Mapping[int, SightingReport]
@@ -168,7 +168,7 @@ def _last_before(said: deque[SightingReport], t: float) -> SightingReport:
     return next((report for report in reversed(said) if report.t <= t + 1e-9), said[0])
 
 
-def _sentence(look: Look) -> str:
+def _sentence(look: JudgedSighting) -> str:
     if look.whom is None:
         return f"drone {look.observer} sees drone {look.called} where it is not"
     return f"drone {look.observer} calls drone {look.whom} drone {look.called}"

@@ -98,7 +98,7 @@ class Told:
 
 
 @dataclass(slots=True)
-class Flown:
+class RecordedDrone:
     """What a recording says of its drone and of the others. clock_offset: common time minus the drone's clock, s."""
 
     recording: Recording
@@ -144,7 +144,7 @@ class FlightLabels:
                 if labels is not None:
                     yield LabelledPicture(observer.drone_id, sequence, t, jpeg, labels)
 
-    def _labels(self, observer: Flown, exposed: float) -> list[Label] | None:
+    def _labels(self, observer: RecordedDrone, exposed: float) -> list[Label] | None:
         """None where somebody who may be in the picture cannot be labelled; exposed: on the observer's clock."""
         common = exposed + observer.clock_offset
         here = observer.pose_at(common)
@@ -167,14 +167,16 @@ class FlightLabels:
             labels.append(Label(drone_id, box))
         return labels
 
-    def _pose_of(self, drone_id: int, observer: Flown, common: float) -> TeamPose | None:
+    def _pose_of(self, drone_id: int, observer: RecordedDrone, common: float) -> TeamPose | None:
         for flown in self._flown:
             if flown.drone_id == drone_id and (pose := flown.pose_at(common)) is not None:
                 return pose
         told = observer.told.get(drone_id)
         return told.at(common - observer.clock_offset) if told else None
 
-    def _project(self, observer: Flown, here: TeamPose, there: TeamPose) -> tuple[Array, float] | None:
+    def _project(
+        self, observer: RecordedDrone, here: TeamPose, there: TeamPose
+    ) -> tuple[Array, float] | None:
         """The box (4,) clipped to the picture, and the sigma of its centre, px; None where it is not in the picture."""
         camera, mount = observer.settings.mounted.camera, observer.settings.mounted.body_from_camera
         team_from_camera = Pose(here.world_from_body, here.position) @ mount
@@ -194,12 +196,12 @@ class FlightLabels:
         return np.concatenate([low, high - low]), focal * math.hypot(apart, here.attitude_sigma)
 
 
-def _read(recording: Recording, shift: float) -> Flown:
+def _read(recording: Recording, shift: float) -> RecordedDrone:
     """All poses of one recording. Raises RecordingError."""
     settings, _ = read_settings(recording)
     ego = make_ego_history(settings.config, settings.start, history_s=FOREVER)
     begin = float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
-    flown = Flown(recording, settings, ego, begin + shift)
+    flown = RecordedDrone(recording, settings, ego, begin + shift)
     for message in recording.messages(TOPICS):
         _, event = inputs.decode(message.topic, message.data)
         match event:

@@ -18,7 +18,7 @@ from swarmtrack.errors import SourceError
 from swarmtrack.messages import Image
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, read_options
 from swarmtrack.sensors.decode import READ_FLAGS
-from swarmtrack.sensors.playback import PACES, Picture, Playback, play
+from swarmtrack.sensors.playback import PACES, Picture, PlaybackCamera, play
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
@@ -125,7 +125,7 @@ def read_times(path: Path, folder: Path) -> list[tuple[float, Path]]:
 
 def open_images(
     address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
-) -> Playback:
+) -> PlaybackCamera:
     """A folder of images as a camera."""
     options = read_options(address, ImagesOptions)
     return play(ImageFolder(address.path(base), options), address, options, clock=clock, size=size)

@@ -32,7 +32,7 @@ class Picture:
     image: Image | None
 
 
-class Recording(Protocol):
+class Playable(Protocol):
     """What can be played. `play` reads from the start, in one thread, and closes what it opened when it is left."""
 
     period: float  # s between pictures, for the pause between two loops
@@ -60,10 +60,10 @@ class PlaybackOptions(Protocol):
     def resize(self) -> bool: ...
 
 
-class Playback:
+class PlaybackCamera:
     """A camera that is a recording."""
 
-    def __init__(self, recording: Recording, *, clock: Clock, slot: FrameSlot, pace: str, loop: bool) -> None:
+    def __init__(self, recording: Playable, *, clock: Clock, slot: FrameSlot, pace: str, loop: bool) -> None:
         self._recording = recording
         self._clock = clock
         self._slot = slot
@@ -141,17 +141,17 @@ def _unreadable() -> Image:
 
 
 def play(
-    recording: Recording,
+    recording: Playable,
     address: CameraAddress,
     options: PlaybackOptions,
     *,
     clock: Clock,
     size: tuple[int, int] | None,
-) -> Playback:
+) -> PlaybackCamera:
     """The recording as a camera. Raises SourceError where it was not calibrated for, see `check_size`."""
     try:
         check_size(recording.size, size, options.resize)
     except WrongSize as error:
         raise SourceError(f"camera source {address}: {error}") from None
     slot = FrameSlot(str(address), clock, size, options.resize)
-    return Playback(recording, clock=clock, slot=slot, pace=options.pace, loop=options.loop)
+    return PlaybackCamera(recording, clock=clock, slot=slot, pace=options.pace, loop=options.loop)

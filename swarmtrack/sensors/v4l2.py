@@ -127,7 +127,7 @@ class V4l2Camera:
             else:
                 self._slot.counts.reconnects += opened_before
                 opened_before = True
-                stream = Stream(capture, self._slot, self._clock, self._options, sequence)
+                stream = CaptureSession(capture, self._slot, self._clock, self._options, sequence)
                 self._slot.say(False, await stream.run())
                 sequence = stream.sequence
                 if stream.received:
@@ -147,7 +147,7 @@ class V4l2Camera:
             raise
 
 
-class Stream:
+class CaptureSession:
     """One capture on the event loop, from its first frame to its loss."""
 
     # Wake-ups in a row without a frame: a broken driver wakes us for ever and has nothing to say.

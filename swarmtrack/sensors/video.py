@@ -13,7 +13,7 @@ import numpy as np
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, nearest, read_options
-from swarmtrack.sensors.playback import PACES, Picture, Playback, play
+from swarmtrack.sensors.playback import PACES, Picture, PlaybackCamera, play
 
 # FFmpeg writes its complaints to stderr, before the sentence that we say. Read once, at OpenCV's first use of it.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -107,7 +107,7 @@ class VideoFile:
 
 def open_video_file(
     address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
-) -> Playback:
+) -> PlaybackCamera:
     """A video file as a camera."""
     options = read_options(address, VideoOptions)
     return play(VideoFile(address.path(base), options.fps), address, options, clock=clock, size=size)

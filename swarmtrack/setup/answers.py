@@ -33,7 +33,7 @@ WIRINGS = {
 }
 
 
-class Calibration(NamedTuple):
+class CalibrationFile(NamedTuple):
     """A file that could be read, and the image size it is for."""
 
     file: Path
@@ -72,14 +72,14 @@ def angle(text: str) -> float:
     return degrees
 
 
-def calibration(text: str) -> Calibration | None:
+def calibration(text: str) -> CalibrationFile | None:
     """None: there is none yet."""
     from swarmtrack.camera_files import load_calibration
 
     if text == "-":
         return None
     lens = load_calibration(Path(text), None).camera
-    return Calibration(Path(text), (lens.width, lens.height))
+    return CalibrationFile(Path(text), (lens.width, lens.height))
 
 
 def camera(text: str) -> str:

@@ -58,7 +58,7 @@ RADIO_FAULTS = frozenset({FaultKind.PARTITION, FaultKind.LOSS, FaultKind.LATENCY
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class ScenarioFault:
     """What goes wrong from world time `at_s` on for `seconds`, with `drones` (none named: with all).
 
     value: of a loss the share 0…1 of frames lost, of a latency s, of clutter the false detections expected per frame.
@@ -123,7 +123,7 @@ class Scenario:
     autopilot_skew: Mapping[int, float] = field(default_factory=dict)
     autopilot_boot_s: Mapping[int, float] = field(default_factory=dict)
     radio: Radio = Radio()
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[ScenarioFault, ...] = ()
 
     @property
     def seed(self) -> int:

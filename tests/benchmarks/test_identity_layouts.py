@@ -22,7 +22,7 @@ from swarmtrack.benchmarks.identity.experiment import (
     scores,
 )
 from swarmtrack.evaluation.intervals import fraction_interval
-from swarmtrack.evaluation.reliability import Stated, calibration
+from swarmtrack.evaluation.reliability import Stated, reliability_of
 from swarmtrack.identity.posterior import PRIOR
 from swarmtrack.tracking.marginals import matching_marginals
 
@@ -104,8 +104,8 @@ def test_statements_that_come_true_as_often_as_stated_are_calibrated_and_others_
     rng = np.random.default_rng(5)
     p = rng.uniform(0.5, 1.0, 40_000)
     group = np.arange(40_000)
-    honest = calibration(Stated(p, rng.random(40_000) < p, group))
-    boastful = calibration(Stated(p, rng.random(40_000) < p - 0.1, group))
+    honest = reliability_of(Stated(p, rng.random(40_000) < p, group))
+    boastful = reliability_of(Stated(p, rng.random(40_000) < p - 0.1, group))
     assert honest.expected_error < 0.01
     assert boastful.expected_error == pytest.approx(0.1, abs=0.01)
     for entry in honest.bins:

@@ -15,7 +15,7 @@ from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, make_tracker,
 from swarmtrack.benchmarks.trackers.results import paired_ratio
 from swarmtrack.benchmarks.trackers.scenes import MOST_P_DETECTION, SCENES, film
 from swarmtrack.evaluation.paper_scenario import CONDITIONS
-from swarmtrack.evaluation.track_score import FAR_PX, Claim, score_found, score_named
+from swarmtrack.evaluation.track_score import FAR_PX, StatedTracks, score_found, score_named
 from swarmtrack.tracking import TRACKERS, Scan
 from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.motion_model import propagate
@@ -90,7 +90,7 @@ def test_a_track_in_the_void_is_lost():
 
 def claim(**tracks):
     """claim(a1=(u, v)): confirmed track 1 at (u, v); b2: lost track 2."""
-    return Claim(
+    return StatedTracks(
         np.array([int(name[1:]) for name in tracks], np.int64),
         np.array(list(tracks.values()), float).reshape(-1, 2),
         np.array([name[0] == "a" for name in tracks], bool),

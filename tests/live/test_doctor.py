@@ -34,7 +34,7 @@ from swarmtrack.diagnosis.sources import check_autopilot, check_camera, check_im
 from swarmtrack.diagnosis.surroundings import check_detector, check_disk, check_network
 from swarmtrack.doctor import examination, team
 from swarmtrack.doctor.examination import examine
-from swarmtrack.doctor.watching import Watch
+from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.simulation.autopilot import Sensed
@@ -122,7 +122,7 @@ def lively(t: float, width: int = 160, height: int = 120):
 async def watched_camera(folder: Path, source: str, seconds: float = 2.0) -> set[str]:
     config = load_config(written(folder, camera=camera_at(source)))
     clock = SystemClock()
-    watch = Watch(config, examination._mount(config, None).mounted, clock)
+    watch = SensorWatch(config, examination._mount(config, None).mounted, clock)
     return faults(check_camera((await watch.run(seconds)).camera))
 
 
@@ -204,7 +204,7 @@ class Sluggish(FakeAutopilot):
 
 async def watched_autopilot(folder: Path, link: str, more: str = "", seconds: float = 5.0) -> set[str]:
     config = load_config(written(folder, autopilot=f'link = "{link}"\n{more}'))
-    watched = await Watch(config, None, SystemClock()).run(seconds)
+    watched = await SensorWatch(config, None, SystemClock()).run(seconds)
     return faults([*check_autopilot(watched.autopilot), *check_imu(watched.imu)])
 
 
@@ -310,7 +310,7 @@ async def turned_by_hand(folder: Path, signs: tuple[float, float, float]) -> Fin
         link = f'link = "udpin:127.0.0.1:{port}"'
         config = load_config(written(folder, camera=camera_at(server.url), autopilot=link))
         mounted = examination._mount(config, None).mounted
-        watched = await Watch(config, mounted, SystemClock()).run(8.0)
+        watched = await SensorWatch(config, mounted, SystemClock()).run(8.0)
     (finding,) = check_motion(watched.motion, mounted)
     return finding
 

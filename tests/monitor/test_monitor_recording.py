@@ -28,7 +28,7 @@ from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import RecordingError
 from swarmtrack.monitor.own_recording import OwnWords
-from swarmtrack.monitor.player import STEP_S, Playback, Player
+from swarmtrack.monitor.player import STEP_S, Playback, RecordingPlayer
 from swarmtrack.monitor.recorded import read_timeline
 from swarmtrack.monitor.timeline import Shelf
 from swarmtrack.recording.reader import recordings_below
@@ -275,7 +275,7 @@ async def playing(folder: Path) -> AsyncIterator[str]:
 
 
 def test_only_wishes_that_a_page_has_are_granted(heard):
-    player = Player(Playback(read_timeline([heard])), "x")
+    player = RecordingPlayer(Playback(read_timeline([heard])), "x")
     for wish in ({"seek": 3}, {"seek": -1.0}, {"seek": 1e6}, {"play": False}, {"speed": 0.25}):
         assert player.on_wish(wish), wish
     nonsense = ["NaN", "1e999", "9" * 400, '"3"', "null", "[1]"]

@@ -24,7 +24,7 @@ pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 from support.recorded_flight import fly
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.config import load_config
-from swarmtrack.evaluation.replay_diff import SeenScan, SeenTrack, compare
+from swarmtrack.evaluation.replay_diff import ConfirmedTrack, SeenScan, compare
 from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.recording import inputs
 from swarmtrack.recording.reader import recordings_below
@@ -205,7 +205,7 @@ def test_what_is_no_other_replay_is_said(flown, tmp_path, capsys, content):
 
 def test_the_difference_of_two_replays_by_hand():
     def scan(k, *tracks):
-        return SeenScan(k, k / 10, tuple(SeenTrack(*track) for track in tracks))
+        return SeenScan(k, k / 10, tuple(ConfirmedTrack(*track) for track in tracks))
 
     one = [scan(0, (1, 7, 10.0, 10.0)), scan(1, (1, 7, 20.0, 10.0), (2, None, 90.0, 90.0)), scan(2)]
     other = [scan(0, (5, 7, 10.0, 10.0)), scan(1, (5, None, 23.0, 14.0)), scan(3)]

@@ -24,7 +24,7 @@ from swarmtrack.errors import SourceError
 from swarmtrack.messages import LinkStatus
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.contact import Contact, News
-from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Frame, Framer
+from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, Diagnosis, State
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link
@@ -99,7 +99,7 @@ class MavlinkAutopilot:
             common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             **self._telemetry.readers,
         }
-        self._early: deque[tuple[float, Frame]] = deque(maxlen=EARLY_FRAMES)
+        self._early: deque[tuple[float, MavlinkFrame]] = deque(maxlen=EARLY_FRAMES)
         self._next_heartbeat = self._next_tick = -math.inf
         self._greeted = False
 
@@ -225,7 +225,7 @@ class MavlinkAutopilot:
             self.tick(t)
         return ours
 
-    def _take(self, t: float, frames: list[Frame]) -> bool:
+    def _take(self, t: float, frames: list[MavlinkFrame]) -> bool:
         ours = False
         for frame in frames:
             if self._contact.system is None:
@@ -238,7 +238,7 @@ class MavlinkAutopilot:
                 ours |= self._on_frame(t, frame)
         return ours
 
-    def _on_frame(self, t: float, frame: Frame) -> bool:
+    def _on_frame(self, t: float, frame: MavlinkFrame) -> bool:
         contact = self._contact
         if frame.component != AUTOPILOT or frame.system != contact.system:
             contact.foreign += 1
@@ -255,7 +255,7 @@ class MavlinkAutopilot:
         reader(t, message)
         return True
 
-    def _decode(self, frame: Frame) -> Any | None:
+    def _decode(self, frame: MavlinkFrame) -> Any | None:
         message = self._codec.decode(frame)
         if message is None and self._codec.has_key:
             who = f"{frame.system}/{frame.component}"
@@ -267,7 +267,7 @@ class MavlinkAutopilot:
 
     # ── who it is ────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _is_autopilot(self, t: float, frame: Frame) -> bool:
+    def _is_autopilot(self, t: float, frame: MavlinkFrame) -> bool:
         """Whether this frame is the heartbeat of the autopilot we look for; then it is ours from now on."""
         contact = self._contact
         source = (frame.system, frame.component)

@@ -36,7 +36,7 @@ except ImportError:
         return int(common.x25crc(bytearray(data)).crc)
 
 
-class Frame(NamedTuple):
+class MavlinkFrame(NamedTuple):
     """One frame whose CRC was right; `data` is all of it, from magic to signature."""
 
     id: int
@@ -72,16 +72,16 @@ class Framer:
         """Whether bytes wait for the rest of a frame."""
         return bool(self._buffer)
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> list[MavlinkFrame]:
         """Take the next bytes of a stream; return the frames that are complete. Holds back at most 280 bytes."""
         self._buffer += data
         return self._scan(final=False)
 
-    def flush(self) -> list[Frame]:
+    def flush(self) -> list[MavlinkFrame]:
         """The stream fell silent: nothing that waits is a frame, but one may lie inside it."""
         return self._scan(final=True)
 
-    def datagram(self, data: bytes) -> list[Frame]:
+    def datagram(self, data: bytes) -> list[MavlinkFrame]:
         """The frames of one datagram. Frames never span datagrams, so a truncated one spoils nothing after it."""
         self.reset()
         self._buffer += data
@@ -92,10 +92,10 @@ class Framer:
         self._settle(len(self._buffer), confirmed=False)
         self._cut(len(self._buffer))
 
-    def _scan(self, final: bool) -> list[Frame]:
+    def _scan(self, final: bool) -> list[MavlinkFrame]:
         buffer = self._buffer
         size = len(buffer)
-        frames: list[Frame] = []
+        frames: list[MavlinkFrame] = []
         position = 0
         while (magic := MAGIC.search(buffer, position)) is not None:
             start = magic.start()
@@ -143,7 +143,7 @@ class Framer:
             self.good += 1
             data = bytes(buffer[start:position])
             sequence, system, component = data[4:7] if version_2 else data[2:5]
-            frames.append(Frame(message_id, system, component, sequence, signed, data))
+            frames.append(MavlinkFrame(message_id, system, component, sequence, signed, data))
         else:
             position = size
             if final or self._explained < size:

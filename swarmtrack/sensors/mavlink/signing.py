@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
-from swarmtrack.sensors.mavlink.framer import Frame
+from swarmtrack.sensors.mavlink.framer import MavlinkFrame
 
 KEY_LENGTH = 32  # bytes
 EPOCH = 1_420_070_400  # s UTC: 2015-01-01, where signing's time begins
@@ -92,7 +92,7 @@ class Codec:
         self._mav.seq = (self._mav.seq + 1) % 256
         return data
 
-    def decode(self, frame: Frame) -> Any | None:
+    def decode(self, frame: MavlinkFrame) -> Any | None:
         """The message in the frame, or None: its signature is missing or wrong while we hold a key."""
         if self._key is not None and not frame.signed:
             self.unsigned += 1

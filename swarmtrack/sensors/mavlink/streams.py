@@ -104,7 +104,7 @@ class Answer(enum.Enum):
     REFUSED = enum.auto()
 
 
-class Stream:
+class MessageStream:
     """One message we want: `asked_hz` by the user, `target_hz` after denials, `rate_hz` got."""
 
     def __init__(self, message_id: int, asked_hz: float) -> None:
@@ -135,7 +135,7 @@ class StreamRequests:
     def reset(self) -> None:
         """Everything must be asked for again: the connection is new or the autopilot has rebooted."""
         self._rank = 0
-        self._busy: Stream | None = None
+        self._busy: MessageStream | None = None
         self._sent_at = 0.0
         self._window_start: float | None = None
         self._not_before = 0.0
@@ -148,14 +148,14 @@ class StreamRequests:
         return IMU_MESSAGES[self._rank]
 
     @property
-    def imu_stream(self) -> Stream:
+    def imu_stream(self) -> MessageStream:
         return self.streams[self.imu.id]
 
     def _choose(self) -> None:
         rates = {self.imu.id: self.imu_rate_hz}
         rates[ATTITUDE_QUATERNION] = max(ATTITUDE_RATE, rates.get(ATTITUDE_QUATERNION, 0.0))
         rates |= self._positions
-        self.streams = {i: Stream(i, rate) for i, rate in rates.items()}
+        self.streams = {i: MessageStream(i, rate) for i, rate in rates.items()}
         for i, granted in self._granted.items():
             if i in self.streams:
                 self.streams[i].target_hz = min(granted, rates[i])
@@ -286,7 +286,7 @@ _GROUPS: dict[int, int] = {
 }
 
 
-def _data_stream(stream: Stream, system: int) -> Any:
+def _data_stream(stream: MessageStream, system: int) -> Any:
     return common.MAVLink_request_data_stream_message(
         target_system=system,
         target_component=common.MAV_COMP_ID_AUTOPILOT1,
@@ -296,7 +296,7 @@ def _data_stream(stream: Stream, system: int) -> Any:
     )
 
 
-class Step(enum.Enum):
+class StampStep(enum.Enum):
     """What a stamp means after those before it."""
 
     NEXT = enum.auto()
@@ -329,21 +329,21 @@ class Cadence:
         self._gaps_in_a_row = 0
         self._just_lost = 0
 
-    def observe(self, stamp: float) -> Step:
+    def observe(self, stamp: float) -> StampStep:
         """Judge the next stamp [s]."""
         if self.newest is None:
             self.newest = stamp
-            return Step.NEXT
+            return StampStep.NEXT
         interval = stamp - self.newest
         if interval < -self.REBOOT:
-            return Step.REBOOT
+            return StampStep.REBOOT
         if interval <= 0:
             self.repeated += 1
             # A sample that was packed a moment late carries the next one's stamp: doubled, but not lost.
             if self._just_lost:
                 self._just_lost -= 1
                 self.lost -= 1
-            return Step.REPEATED
+            return StampStep.REPEATED
         self.newest = stamp
         if self._seen >= self.LEARNING and interval > self.GAP * self.period:
             self.gaps += 1
@@ -352,8 +352,8 @@ class Cadence:
             self._gaps_in_a_row += 1
             if self._gaps_in_a_row == self.LEARNING:
                 self._seen = self._gaps_in_a_row = 0
-            return Step.NEXT
+            return StampStep.NEXT
         self._gaps_in_a_row = self._just_lost = 0
         self._seen += 1
         self.period += (interval - self.period) / min(self._seen, self.MEMORY)
-        return Step.NEXT
+        return StampStep.NEXT

@@ -27,7 +27,7 @@ from swarmtrack.sensors.mavlink.streams import (
     SCALED_IMU,
     Cadence,
     ImuMessage,
-    Step,
+    StampStep,
     StreamRequests,
 )
 
@@ -150,9 +150,9 @@ class Telemetry:
             self._invalid += 1
             return
         step = self.cadence.observe(stamp)
-        if step is Step.REPEATED:
+        if step is StampStep.REPEATED:
             return
-        if step is Step.REBOOT:
+        if step is StampStep.REBOOT:
             self._rebooted(stamp)
             self.cadence.observe(stamp)
         self._observe_clock(stamp, t)
