@@ -168,8 +168,7 @@ class SimulatedArduPilot:
         self.boot_at = boot_at
         self.skew = skew
         self.offered = offered
-        self.mute = False
-        self.imu_gap = False
+        self.mute, self.imu_gap = False, False
         self.armed, self.status = True, common.MAV_STATE_ACTIVE  # as in the air
         self.system = system
         self.mav = common.MAVLink(None, system, component)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import enum
 import logging
 import math
+from dataclasses import dataclass
 
 from swarmtrack.messages import LinkStatus
 from swarmtrack.sensors.mavlink.contact import OPENING, Contact, News
@@ -36,50 +37,41 @@ class State(enum.StrEnum):
     ENDED = "ended"  # a recording has been played to its end
 
 
+@dataclass(slots=True, kw_only=True, eq=False)
 class Diagnosis:
     """Looks at all parts of a `MavlinkAutopilot` and changes none of them."""
 
-    def __init__(
-        self,
-        *,
-        link: Link,
-        contact: Contact,
-        framer: Framer,
-        codec: Codec,
-        requests: StreamRequests,
-        telemetry: Telemetry,
-        news: News,
-    ) -> None:
-        self._link = link
-        self._contact = contact
-        self._framer = framer
-        self._codec = codec
-        self._requests = requests
-        self._telemetry = telemetry
-        self._news = news
-        self.state = State.SEARCHING
-        self._trouble = "just started"  # the name of the present one, empty while streaming
+    link: Link
+    contact: Contact
+    framer: Framer
+    codec: Codec
+    requests: StreamRequests
+    telemetry: Telemetry
+    news: News
+    state: State = State.SEARCHING
+    _trouble: str = "just started"
+    """The name of the present one, empty while streaming."""
 
     def judge(self, now: float) -> None:
         """Set the state; log one line where it, or the reason for it, has changed."""
         self.state = self._state_at(now)
-        contact, telemetry, address = self._contact, self._telemetry, self._link.address
+        contact, telemetry, address = self.contact, self.telemetry, self.link.address
         if self.state is State.STALE or contact.down == OPENING:
             return  # a hiccup until it is called lost; nothing to say until the first attempt is over
         if self.state is State.STREAMING and not telemetry.lack(now):
             if self._trouble and telemetry.imu_rate_hz:  # the line tells the rate, so wait until it is known
                 self._trouble = ""
                 text = self._sentence(now)[1]
-                self._news.say(logging.INFO, "streaming", "%s: streaming: %s", address, text)
+                self.news.say(logging.INFO, "streaming", "%s: streaming: %s", address, text)
             return
         name, text = self._sentence(now)
         patient = contact.down is None and now - max(contact.opened_at, contact.known_at) < DIAGNOSE_AFTER
         if name != self._trouble and (not patient or self.state is State.LOST):
             self._trouble = name
-            self._news.warn(name, "%s: %s: %s", address, self.state, text)
+            self.news.warn(name, "%s: %s: %s", address, self.state, text)
 
     def _state_at(self, now: float) -> State:
-        contact, telemetry = self._contact, self._telemetry
+        contact, telemetry = self.contact, self.telemetry
         if contact.down is not None or contact.system is None:
             return State.SEARCHING
         if now - contact.heard_at > LOST_AFTER:
@@ -91,7 +83,7 @@ class Diagnosis:
 
     def _sentence(self, now: float) -> tuple[str, str]:
         """(name, text) of the present state; the name does not change while only a number does."""
-        contact, telemetry = self._contact, self._telemetry
+        contact, telemetry = self.contact, self.telemetry
         if contact.down is not None:
             return contact.down, contact.down if contact.down == OPENING else f"{contact.down}; trying again"
         match self.state:
@@ -102,7 +94,7 @@ class Diagnosis:
                 return "lost", f"{why} for {now - contact.heard_at:.0f} s"
             case State.REQUESTING:
                 return "no imu", "heartbeat, no IMU" + (
-                    "" if self._link.recording else f" ({self._requests.imu.name} asked for)"
+                    "" if self.link.recording else f" ({self.requests.imu.name} asked for)"
                 )
             case State.ENDED:
                 return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
@@ -114,12 +106,12 @@ class Diagnosis:
                 return "streaming", self._imu_text()
 
     def _why_no_autopilot(self) -> tuple[str, str]:
-        framer, contact = self._framer, self._contact
+        framer, contact = self.framer, self.contact
         if not contact.bytes:
-            remark = f" ({self._link.remark})" if self._link.remark else ""
+            remark = f" ({self.link.remark})" if self.link.remark else ""
             return f"0 bytes{remark}", f"port open, 0 bytes{remark}"
         if framer.good == contact.frames_before:
-            guess = "wrong baud?" if self._link.bytes_per_second is not None else "not MAVLink?"
+            guess = "wrong baud?" if self.link.bytes_per_second is not None else "not MAVLink?"
             return "no frame", f"bytes but no valid frame: {guess} ({framer.bad_bytes} bad)"
         if contact.signature_trouble:
             return "signature", f"frames, but {contact.signature_trouble}"
@@ -131,34 +123,34 @@ class Diagnosis:
         )
 
     def _imu_text(self) -> str:
-        telemetry = self._telemetry
+        telemetry = self.telemetry
         sigma = telemetry.clock_map.sigma
         clock = f", clock ±{sigma * 1e3:.1f} ms" if math.isfinite(sigma) else ""
-        asked = "" if self._link.recording else f"{self._requests.imu_stream.asked_hz:g} Hz asked, "
+        asked = "" if self.link.recording else f"{self.requests.imu_stream.asked_hz:g} Hz asked, "
         return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {telemetry.imu_source.name}{clock}"
 
     def trouble(self, now: float) -> str:
         """What is missing, in a few words for a pilot; a hiccup is nothing."""
         if self.state in (State.STREAMING, State.STALE, State.ENDED):
-            return "no position" if self._telemetry.lack(now) else ""
+            return "no position" if self.telemetry.lack(now) else ""
         return "no IMU" if self.state is State.REQUESTING else "no autopilot"
 
     def status(self, now: float) -> LinkStatus:
         """One line for people, and the counters, all since the start."""
-        if self._link.address.scheme == "none":
+        if self.link.address.scheme == "none":
             return LinkStatus("autopilot", True, "none: no autopilot asked for")
-        text = f"{self._link.address}: {self.state}: {self._sentence(now)[1]}"
-        framer, requests, codec = self._framer, self._requests, self._codec
+        text = f"{self.link.address}: {self.state}: {self._sentence(now)[1]}"
+        framer, requests, codec = self.framer, self.requests, self.codec
         counters: dict[str, float] = {
             "imu_rate_asked_hz": requests.imu_rate_hz,
             "imu_rate_granted_hz": requests.imu_stream.target_hz,
-            **self._telemetry.counters,
+            **self.telemetry.counters,
             "frames": framer.good,
             "frames_unknown": framer.unknown,
-            "foreign": self._contact.foreign,
+            "foreign": self.contact.foreign,
             "bad_bytes": framer.bad_bytes,
             "crc_failures": framer.crc_failures,
-            "reconnects": self._contact.reconnects,
+            "reconnects": self.contact.reconnects,
         }
         if codec.has_key:
             counters |= {
@@ -167,5 +159,5 @@ class Diagnosis:
                 "signed_old": codec.signed_old,
                 "unsigned": codec.unsigned,
             }
-        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self._telemetry.lack(now))
+        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self.telemetry.lack(now))
         return LinkStatus("autopilot", ok, text, tuple(counters.items()))
