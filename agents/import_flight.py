@@ -68,7 +68,7 @@ class _Log:
 
 
 def run(args: argparse.Namespace) -> int:
-    from swarmtrack.clock import ManualClock
+    from swarmtrack.clock import ManualClock, SystemClock
     from swarmtrack.config import load_config
     from swarmtrack.runtime.assembly import assemble
     from swarmtrack.toml.layers import Layer
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     }
     config = load_config(args.config, Layer(Path("swarmtrack import"), "", asked))
     clock = ManualClock(BEGIN_S, _first_stamp(args.tlog))
-    parts = assemble(config, clock)
+    parts = assemble(config, SystemClock(), clock)
     return asyncio.run(_import(parts, clock, args.offset))
 
 

@@ -166,7 +166,7 @@ def _replay(task: _Task) -> _Flown:
     what_if = bool(task.tracker or task.changes or task.detect)
 
     def fly(watcher: Watcher | None) -> Replayed:
-        detector = make_detector(settings.config) if task.detect else None
+        detector = make_detector(settings.config, clock) if task.detect else None
         return Replayer(
             task.recording, settings, detector=detector, watcher=watcher, every_answer=task.every_answer
         ).run()

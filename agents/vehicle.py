@@ -86,12 +86,13 @@ def _check(config: Path) -> int:
 def _fly(arguments: argparse.Namespace) -> int:
     gc.disable()  # while hundreds of modules load it finds nothing, at a tenth of the start's cost
     try:
+        from swarmtrack.clock import SystemClock
         from swarmtrack.config import load_config
         from swarmtrack.runtime.agent import Agent
         from swarmtrack.runtime.assembly import assemble
         from swarmtrack.runtime.console import Console
 
-        parts = assemble(load_config(arguments.config))
+        parts = assemble(load_config(arguments.config), SystemClock())
     finally:
         gc.freeze()  # what is loaded by now stays for good: no collection need look at it again
         gc.enable()

@@ -20,7 +20,7 @@ from typing import cast
 
 import numpy as np
 
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.detection.detector import Detector, Look
 from swarmtrack.detection.expectation import Expectation
@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--look-ms", type=float, default=0.0, help="how long the scripted detector takes")
     parser.add_argument("--detector", action="store_true", help="let the real detector look at every frame")
     options = parser.parse_args(arguments)
-    parts = assemble(load_config(options.config))
+    parts = assemble(load_config(options.config), SystemClock())
     size = parts.lens.width, parts.lens.height
     parts.camera = ScriptedCamera(parts.clock, options.fps, *size)
     scripted = ScriptedDetector(parts.detector if options.detector else None, 1e-3 * options.look_ms, *size)

@@ -44,7 +44,7 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
         findings += sources.check_imu(watched.imu)
     findings += mounting.check_motion(watched.motion, mounted)
     fps = dict(watched.camera.status.counters).get("fps") if watched.camera.status else None
-    detector = await asyncio.to_thread(_detector, config, mounted, watched.newest, fps)
+    detector = await asyncio.to_thread(_detector, config, clock, mounted, watched.newest, fps)
     findings += surroundings.check_detector(detector)
     findings += surroundings.check_network(await network)
     findings += surroundings.check_disk(machine.disk(config))
@@ -67,13 +67,17 @@ def _mount(config: DroneConfig, simulation: Simulation | None) -> MountFacts:
 
 
 def _detector(
-    config: DroneConfig, mounted: MountedCamera | None, newest: Frame | None, fps: float | None
+    config: DroneConfig,
+    clock: Clock,
+    mounted: MountedCamera | None,
+    newest: Frame | None,
+    fps: float | None,
 ) -> DetectorFacts:
     """Load it, and have it look at the newest frame, or at a grey one."""
     wanted = not config.camera.detects_by_itself
     providers = config.detector.providers
     try:
-        detector = make_detector(config)
+        detector = make_detector(config, clock)
     except ModelError as error:
         return DetectorFacts(wanted, str(error), providers=providers)
     if detector is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from swarmtrack.clock import Clock, ManualClock, SystemClock
+from swarmtrack.clock import Clock, ManualClock
 from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
@@ -38,10 +38,15 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Parts:
-    """What an agent is made of. `clock` is set by the frames where a recording is processed as fast as it goes."""
+    """What an agent is made of."""
 
     config: DroneConfig
     clock: Clock
+    """The flight's: that of every message."""
+    wall: Clock
+    """The machine's, which passes while we work: of durations, and of what is said how often."""
+    paced: ManualClock | None
+    """The flight's clock where its frames set it: a recording, processed as fast as it goes. None: it is the wall's."""
     boot: str
     lens: PinholeCamera
     camera: Camera | DetectionSource
@@ -57,22 +62,19 @@ class Parts:
     """Where the drone says it starts, in the team frame; None: wherever its autopilot says it is."""
     simulated_teammates: list[tuple[Transport, Announcement]]
 
-    @property
-    def paced_by_frames(self) -> bool:
-        return isinstance(self.clock, ManualClock)
 
-
-def assemble(config: DroneConfig, imported: ManualClock | None = None) -> Parts:
+def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = None) -> Parts:
     """Make the parts; nothing is opened or connected yet.
 
-    imported: the clock of a flight that is over, which whoever imports it sets; else the config tells which it is.
+    wall: the machine's clock. imported: the clock of a flight that is over, which whoever imports it sets.
     Raises ConfigError at the entry that leads to something that can never work.
     """
-    system = SystemClock()
     boot = new_boot()
     with config.blamed("camera", "source"):
-        paced = ManualClock(system.now(), system.utc()) if _as_fast_as_it_goes(config) else None
-        clock: Clock = imported or paced or system
+        paced = imported
+        if paced is None and _as_fast_as_it_goes(config):
+            paced = ManualClock(wall.now(), wall.utc())
+        clock: Clock = paced or wall
         simulation = make_simulation(config, clock)
     if simulation is not None:
         mounted = simulated_mount(config, simulation)
@@ -88,15 +90,18 @@ def assemble(config: DroneConfig, imported: ManualClock | None = None) -> Parts:
         in_step = imported is None and paced is not None
         autopilot = make_autopilot(config, clock, simulation, in_step=in_step)
     with config.blamed("detector", "model"):
-        detector = make_detector(config)
+        detector = make_detector(config, wall)
     hub = MemoryHub()
     with config.blamed("network"):
         transport = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
     onboard = make_onboard(config, mounted, start)
+    recorder = _recorder(config, mounted, start, boot, clock=clock, wall=wall, waits=paced is not None)
     return Parts(
         config=config,
         clock=clock,
+        wall=wall,
+        paced=paced,
         boot=boot,
         lens=mounted.camera,
         camera=camera,
@@ -104,7 +109,7 @@ def assemble(config: DroneConfig, imported: ManualClock | None = None) -> Parts:
         detector=detector,
         onboard=onboard,
         door=Door(onboard),
-        recorder=_recorder(config, mounted, start, boot, clock),
+        recorder=recorder,
         transport=transport,
         start=start,
         simulated_teammates=_teammates(config, simulation, hub, clock),
@@ -218,14 +223,21 @@ def credentials_of(config: DroneConfig, clock: Clock) -> Credentials | None:
 
 
 def _recorder(
-    config: DroneConfig, mounted: MountedCamera, start: Pose | None, boot: str, clock: Clock
+    config: DroneConfig,
+    mounted: MountedCamera,
+    start: Pose | None,
+    boot: str,
+    *,
+    clock: Clock,
+    wall: Clock,
+    waits: bool,
 ) -> Recorder | None:
     if config.recording.dir is None:
         return None
     from swarmtrack.recording.settings import FlightSettings  # noqa: PLC0415
     from swarmtrack.runtime.recorder import Recorder  # noqa: PLC0415
 
-    return Recorder(FlightSettings(config, mounted, start), boot, clock)
+    return Recorder(FlightSettings(config, mounted, start), boot, clock, wall, waits=waits)
 
 
 def _teammates(

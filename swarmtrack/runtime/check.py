@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.outputs import check_outputs
@@ -22,7 +23,7 @@ DANGERS = {
 def check(path: Path) -> None:
     """`--check`: print what an agent would do with this config. Raises SwarmtrackError where it could not."""
     config = load_config(path)
-    parts = assemble(config)
+    parts = assemble(config, SystemClock())
     with config.blamed("output"):
         check_outputs(config.output.jsonl, config.output.video)
     lens = parts.lens

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from typing import Protocol
 
-from swarmtrack.clock import SystemClock
+from swarmtrack.clock import Clock
 from swarmtrack.diagnosis.readiness import Readiness, judge
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
 from swarmtrack.onboard import Onboard
-from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
 from swarmtrack.wire.fields import VERSION
 from swarmtrack.wire.health import (
@@ -30,10 +30,55 @@ PERIOD = 1.0  # s between two messages
 LAG_PERIOD = 0.05  # s between two looks at how late the event loop is
 
 
-class Health:
-    """Meters that the agent's tasks tick, and the message of what they show."""
+class HasStatus(Protocol):
+    """Something that this agent is connected to."""
 
-    def __init__(self, parts: Parts) -> None:
+    def status(self) -> LinkStatus: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """All of them; None: there is none."""
+
+    camera: HasStatus
+    network: HasStatus
+    autopilot: HasStatus | None = None
+    detector: HasStatus | None = None
+    recorder: HasStatus | None = None
+
+    def statuses(self) -> list[LinkStatus]:
+        sources = (self.autopilot, self.camera, self.detector, self.network, self.recorder)
+        return [source.status() for source in sources if source is not None]
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What the config asks for. imu_hz None: of no autopilot."""
+
+    imu_hz: float | None
+    tracks_hz: float
+    frame_age_s: float
+
+
+class Health:
+    """Meters that the agent's tasks tick, and the message of what they show.
+
+    clock: the flight's, of the message's stamp; wall: the machine's, of rates and ages. live: frames come when they
+    come, and can stay away.
+    """
+
+    def __init__(
+        self,
+        drone_id: int,
+        boot: str,
+        links: Links,
+        onboard: Onboard,
+        expected: Expected,
+        *,
+        clock: Clock,
+        wall: Clock,
+        live: bool,
+    ) -> None:
         self.imu = Rate()
         self.scans = Rate()
         self.published = Rate()
@@ -43,8 +88,16 @@ class Health:
         self.loop_lag = Latency(round(PERIOD / LAG_PERIOD))
         self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
         self.drops: Counter[str] = Counter()
-        self._parts = parts
-        self._wall = SystemClock()
+        self.tracked_at: float | None = None
+        """When a scan was tracked last, by the wall; None: none yet."""
+        self._drone_id = drone_id
+        self._boot = boot
+        self._links = links
+        self._onboard = onboard
+        self._expected = expected
+        self._clock = clock
+        self._wall = wall
+        self._live = live
         self._started = self._wall.now()
         self._process = ProcessMeter(self._wall.now)
         self.rates: dict[str, RateHealth] = {}
@@ -53,51 +106,51 @@ class Health:
 
     def links(self) -> list[LinkStatus]:
         """State of everything this agent is connected to."""
-        parts = self._parts
-        sources = [parts.autopilot, parts.camera, parts.detector, parts.transport, parts.recorder]
-        return [source.status() for source in sources if source is not None]
+        return self._links.statuses()
+
+    def on_scan(self) -> None:
+        """A scan was tracked."""
+        self.scans.tick()
+        self.tracked_at = self._wall.now()
 
     def on_membership(self, event: PeerArrived | PeerDeparted | IdClash) -> None:
         """Who speaks as this very drone."""
-        if event.drone_id != self._parts.config.drone.id:
+        if event.drone_id != self._drone_id:
             return
         if isinstance(event, IdClash):
-            self._clones |= set(event.boots) - {self._parts.boot}
+            self._clones |= set(event.boots) - {self._boot}
         elif isinstance(event, PeerDeparted):
             self._clones.discard(event.boot)
 
     def readiness(self) -> Readiness:
         """Whether the drone could fly now, by what is counted anyway."""
-        parts, now = self._parts, self._wall.now()
-        camera = parts.camera.status()
+        links, now = self._links, self._wall.now()
+        camera, autopilot, detector = links.camera.status(), links.autopilot, links.detector
         numbers = dict(camera.counters)
         frames = numbers.get("frames", float(numbers.get("fps", 0.0) > 0.0))
         if frames != self._frames:
             self._frames, self._frame_at = frames, now
-        live = not parts.paced_by_frames
+        limit, live = self._expected.frame_age_s, self._live
         return judge(
-            camera=CameraFacts(
-                now - self._frame_at, parts.config.camera.max_age_s, camera, frames=int(frames), live=live
-            ),
+            camera=CameraFacts(now - self._frame_at, limit, camera, frames=int(frames), live=live),
             autopilot=AutopilotFacts(
                 now - self._started,
-                wanted=parts.autopilot is not None,
-                status=None if parts.autopilot is None else parts.autopilot.status(),
+                wanted=autopilot is not None,
+                status=None if autopilot is None else autopilot.status(),
                 live=live,
             ),
-            detector=None if parts.detector is None else parts.detector.status(),
-            network=parts.transport.status(),
+            detector=None if detector is None else detector.status(),
+            network=links.network.status(),
             clones=tuple(sorted(self._clones)),
         )
 
     def message(self) -> HealthMessage:
         """Everything since the last call."""
-        parts, now = self._parts, self._wall.now()
-        config = parts.config
+        onboard, now = self._onboard, self._wall.now()
         self.rates = {
-            "imu": RateHealth(config.autopilot.imu_rate_hz if parts.autopilot else None, self.imu.read(now)),
+            "imu": RateHealth(self._expected.imu_hz, self.imu.read(now)),
             "detections": RateHealth(None, self.scans.read(now)),
-            "tracks": RateHealth(config.output.tracks_hz, self.published.read(now)),
+            "tracks": RateHealth(self._expected.tracks_hz, self.published.read(now)),
         }
         meters = {
             "exposure_to_detector": self.exposure_to_detector,
@@ -113,15 +166,14 @@ class Health:
             for name, value in link.counters
             if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
         }
-        onboard = parts.onboard
         consistency = onboard.consistency
         drops: Counter[str] = Counter()
         for counts in (asdict(onboard.counters), onboard.part_counters, self.drops):
             drops.update(counts)  # adds: Onboard and its tracker both refuse late scans
         return HealthMessage(
             version=VERSION,
-            t_utc_s=parts.clock.utc(),
-            boot=parts.boot,
+            t_utc_s=self._clock.utc(),
+            boot=self._boot,
             uptime_s=now - self._started,
             cpu_percent=self._process.cpu_percent(),
             rss_mb=self._process.rss_mb(),

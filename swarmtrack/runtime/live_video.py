@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from swarmtrack.clock import UTC_SIGMA, SystemClock
+from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import Image
-from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.health import Health
-from swarmtrack.transport.base import Kind
+from swarmtrack.onboard import Onboard
+from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.fields import MAX_JPEG, VERSION
 from swarmtrack.wire.video import VideoMessage, lens_message
@@ -32,35 +33,49 @@ ATTEMPTS = ((70, 1.0), (45, 1.0), (45, 0.5), (25, 0.25))
 
 
 class LiveVideo:
-    """Offered every frame; only the event loop may call."""
+    """Offered every frame; only the event loop may call.
 
-    def __init__(self, parts: Parts, health: Health) -> None:
-        self._parts = parts
-        self._health = health
-        self._wall = SystemClock()
-        self._lens = lens_message(parts.lens)
+    clock: the flight's; wall: the machine's, for how often. drops: where what no reader would accept is counted.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        onboard: Onboard,
+        lens: PinholeCamera,
+        drops: Counter[str],
+        *,
+        clock: Clock,
+        wall: Clock,
+    ) -> None:
+        self._transport = transport
+        self._onboard = onboard
+        self._width, self._height = lens.width, lens.height
+        self._lens = lens_message(lens)
+        self._drops = drops
+        self._clock = clock
+        self._wall = wall
         self._last = -math.inf
         self._worker: ThreadPoolExecutor | None = None
         self._encoding: asyncio.Future[VideoMessage | None] | None = None
 
     def offer(self, t: float, frame: int, image: Image | None) -> None:
         """A frame with its stamp; image None: of a camera that sends no pictures. Returns at once."""
-        parts = self._parts
-        if self._encoding is not None or not parts.transport.has_listener(Kind.VIDEO):
+        if self._encoding is not None or not self._transport.has_listener(Kind.VIDEO):
             return
         now = self._wall.now()
         if now - self._last < 1.0 / MAX_HZ - JITTER_S:
             return
         self._last = now
-        exposed = t + parts.onboard.camera_clock.used_s
-        pose = parts.onboard.camera_pose(exposed)
+        exposed = t + self._onboard.camera_clock.used_s
+        pose = self._onboard.camera_pose(exposed)
         view = VideoMessage(
             version=VERSION,
-            t_utc_s=float(exposed + parts.clock.utc() - parts.clock.now()),
+            t_utc_s=float(exposed + self._clock.utc() - self._clock.now()),
             t_sigma_s=UTC_SIGMA,
             frame=frame,
-            width=parts.lens.width,
-            height=parts.lens.height,
+            width=self._width,
+            height=self._height,
             jpeg=b"",
             lens=self._lens,
             position_m=tuple(pose.position.tolist()) if pose else None,
@@ -84,15 +99,15 @@ class LiveVideo:
             return
         view = done.result()
         if view is None:
-            self._health.drops["unsendable_video"] += 1
+            self._drops["unsendable_video"] += 1
         else:
             self._publish(view)
 
     def _publish(self, view: VideoMessage) -> None:
         try:
-            self._parts.transport.publish(Kind.VIDEO, codec.encode(view))
+            self._transport.publish(Kind.VIDEO, codec.encode(view))
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
-            self._health.drops["unsendable_video"] += 1
+            self._drops["unsendable_video"] += 1
 
 
 def with_picture(view: VideoMessage, image: Image) -> VideoMessage | None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmtrack.clock import Clock
 from swarmtrack.config import DroneConfig, MountedCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
@@ -55,8 +56,8 @@ def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: floa
     )
 
 
-def make_detector(config: DroneConfig) -> Detector | None:
-    """None for a camera that detects by itself."""
+def make_detector(config: DroneConfig, clock: Clock) -> Detector | None:
+    """None for a camera that detects by itself. clock: of how long it takes."""
     if config.camera.detects_by_itself:
         return None
     from swarmtrack.detection.attention import AttentionParameters  # noqa: PLC0415
@@ -86,4 +87,5 @@ def make_detector(config: DroneConfig) -> Detector | None:
             scale=section.scale,
             mean=section.mean,
         ),
+        clock=clock,
     )

@@ -11,7 +11,7 @@ from functools import partial
 
 import msgspec
 
-from swarmtrack.clock import Clock, ManualClock
+from swarmtrack.clock import Clock
 from swarmtrack.messages import Frame, Input, LinkStatus, SightingReport, TrackList
 from swarmtrack.onboard import ScanReport
 from swarmtrack.recording import inputs, outputs, schemas
@@ -30,16 +30,21 @@ HEALTH = Topic.of_json("/health", schemas.HEALTH)
 
 
 class Recorder:
-    """Implements `DoorListener`, and hears beside the door what viewers want to see."""
+    """Implements `DoorListener`, and hears beside the door what viewers want to see.
 
-    def __init__(self, settings: FlightSettings, boot: str, clock: Clock) -> None:
+    clock: the flight's; wall: the machine's, by which the file is flushed. waits: nothing is lost, the flight waits for
+    the disk: for what is as fast as it goes.
+    """
+
+    def __init__(
+        self, settings: FlightSettings, boot: str, clock: Clock, wall: Clock, *, waits: bool
+    ) -> None:
         self._settings = settings
         self._boot = boot
         self._clock = clock
         self._utc_offset = clock.utc() - clock.now()
         """As it is now, for the whole recording: a wall clock that is set must not fold the time axis."""
-        # As fast as it goes, nobody is late: the flight waits for the disk instead of losing records.
-        self._thread = RecordingThread(waits=isinstance(clock, ManualClock))
+        self._thread = RecordingThread(wall, waits=waits)
         self._n = 0
         self._next_frame = -math.inf
         self._views = Views(settings.mounted.camera)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from swarmtrack.clock import SystemClock
+from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
 from swarmtrack.recording.writer import Bounds, Counters, Preface, RecordingWriter, Topic
 
@@ -31,13 +31,13 @@ Job = Callable[[Write, int], None]
 
 
 class RecordingThread:
-    """waits: a full queue holds up who puts, instead of losing what is put: for what is no live flight."""
+    """wall: the machine's clock. waits: a full queue holds up who puts, instead of losing what is put."""
 
-    def __init__(self, *, waits: bool = False) -> None:
+    def __init__(self, wall: Clock, *, waits: bool = False) -> None:
         self.waits = waits
         self._queue: deque[tuple[int, Job]] = deque()
         self._overrun = 0
-        self._wall = SystemClock()
+        self._wall = wall
         self._writer: RecordingWriter | None = None
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None

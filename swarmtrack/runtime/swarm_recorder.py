@@ -80,13 +80,13 @@ class TruePose(NamedTuple):
 
 
 class SwarmRecorder:
-    """Heard samples, and what only the simulation knows, into `folder/swarm`."""
+    """Heard samples, and what only the simulation knows, into `folder/swarm`. clock: the machine's."""
 
     def __init__(self, clock: Clock, team: str) -> None:
         self._clock = clock
         self._team = team
         self._utc_offset = clock.utc() - clock.now()
-        self._thread = RecordingThread()
+        self._thread = RecordingThread(clock)
         self._topics: dict[tuple[int, Kind], Topic] = {}
 
     def open(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import socket
 
+STUCK_DETECTOR = 10.0  # s on one frame: no longer slow but stuck, and the supervisor should know
+
 
 class Notifier:
     """Speaks to $NOTIFY_SOCKET when there is one."""
@@ -36,3 +38,24 @@ class Notifier:
                 notify.send(text.encode())
             except OSError:
                 pass  # a supervisor that has gone away must not stop a flight
+
+
+class Watchdog:
+    """Fed while the agent works: while its loop turns, and its detector comes back from every frame."""
+
+    def __init__(self, supervisor: Notifier) -> None:
+        self._supervisor = supervisor
+        self._look_began: float | None = None
+
+    def look_began(self, now: float) -> None:
+        """The detector has got a frame."""
+        self._look_began = now
+
+    def look_ended(self) -> None:
+        """It has come back from it."""
+        self._look_began = None
+
+    def feed(self, now: float) -> None:
+        """Unless the detector is stuck."""
+        if self._look_began is None or now - self._look_began < STUCK_DETECTOR:
+            self._supervisor.alive()

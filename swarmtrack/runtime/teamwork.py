@@ -6,10 +6,12 @@ import asyncio
 import logging
 import math
 from collections import Counter
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from swarmtrack.clock import UTC_SIGMA
+from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     Announcement,
@@ -20,7 +22,8 @@ from swarmtrack.messages import (
     PeerEvent,
     SightingReport,
 )
-from swarmtrack.runtime.assembly import Parts
+from swarmtrack.onboard import Onboard
+from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.telling import Teller
 from swarmtrack.transport.base import Kind, Transport
@@ -36,12 +39,40 @@ LINES, LINES_PERIOD = 16, 10.0
 
 
 class Teamwork:
-    """Carries events from the transport into Onboard, and Onboard's wishes and findings to the team."""
+    """Carries events from the transport into Onboard, and Onboard's wishes and findings to the team.
 
-    def __init__(self, parts: Parts, health: Health, teller: Teller) -> None:
-        self._parts = parts
+    start: in the team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that
+    frame. on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
+    """
+
+    def __init__(
+        self,
+        door: Door,
+        onboard: Onboard,
+        transport: Transport,
+        health: Health,
+        teller: Teller,
+        *,
+        drone_id: int,
+        boot: str,
+        clock: Clock,
+        start: Pose | None,
+        start_sigma_m: float,
+        on_report: Callable[[SightingReport], None] | None = None,
+        simulated: Sequence[tuple[Transport, Announcement]] = (),
+    ) -> None:
+        self._drone_id = drone_id
+        self._boot = boot
+        self._start = start
+        self._start_sigma_m = start_sigma_m
+        self._door = door
+        self._onboard = onboard
+        self._transport = transport
         self._health = health
         self._teller = teller
+        self._clock = clock
+        self._on_report = on_report
+        self._simulated = simulated
         self._posed = asyncio.Event()
         self._asked = asyncio.Event()
         self._announced = 0
@@ -58,8 +89,8 @@ class Teamwork:
 
     async def listen(self) -> None:
         """Every event of the transport into Onboard, and a line of it into health and log."""
-        door = self._parts.door
-        async for event in self._parts.transport.events():
+        door = self._door
+        async for event in self._transport.events():
             match event:
                 case Announcement():
                     door.tell(event)
@@ -81,11 +112,10 @@ class Teamwork:
     async def announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is, and those of simulated teammates; then again
         when somebody asks, until cancelled."""
-        parts = self._parts
-        if parts.start is None:
+        if self._start is None:
             await self._posed.wait()
         await self._announce(first=True)
-        for transport, announcement in parts.simulated_teammates:
+        for transport, announcement in self._simulated:
             await _speak_for(transport, announcement)
         while True:  # again whenever somebody asks; those who ask meanwhile get the same answer
             await self._asked.wait()
@@ -97,13 +127,13 @@ class Teamwork:
         doubt."""
         while True:
             await asyncio.sleep(CHANGE_PERIOD)
-            for drone_id in self._parts.onboard.take_wanted():
-                self._parts.transport.request_announcement(drone_id)
+            for drone_id in self._onboard.take_wanted():
+                self._transport.request_announcement(drone_id)
             self._report()
 
     def _report(self) -> None:
-        parts, now = self._parts, self._parts.clock.now()
-        report = parts.onboard.sighting_report(parts.boot, self._reports + 1)
+        now = self._clock.now()
+        report = self._onboard.sighting_report(self._boot, self._reports + 1)
         if report is None:
             return
         whom = (report.known, frozenset(sighting.drone_id for sighting in report.sightings))
@@ -112,26 +142,25 @@ class Teamwork:
         self._reports += 1
         self._reported, self._reported_at = whom, now
         try:
-            payload = codec.encode(sightings_message(report, parts.clock.utc() - now, now))
+            payload = codec.encode(sightings_message(report, self._clock.utc() - now, now))
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._health.drops["unsendable_identities"] += 1
             return
-        parts.transport.publish(Kind.IDENTITIES, payload)
-        if parts.recorder is not None:
-            parts.recorder.said(report)
+        self._transport.publish(Kind.IDENTITIES, payload)
+        if self._on_report is not None:
+            self._on_report(report)
 
     async def _announce(self, *, first: bool) -> None:
         """first: from where the config says that it starts; else from where the autopilot says it is."""
-        parts, now = self._parts, self._parts.clock.now()
-        pose = parts.onboard.ego_pose(now)
+        now = self._clock.now()
+        pose = self._onboard.ego_pose(now)
         assert pose is not None
-        start = parts.start if first else None
-        sigma = parts.config.drone.start.frame_sigma_m
+        start, sigma = self._start if first else None, self._start_sigma_m
         self._announced += 1
-        await parts.transport.announce(
+        await self._transport.announce(
             Announcement(
-                drone_id=parts.config.drone.id,
-                boot=parts.boot,
+                drone_id=self._drone_id,
+                boot=self._boot,
                 sequence=self._announced,
                 t=now,
                 t_sigma=UTC_SIGMA,
@@ -142,7 +171,7 @@ class Teamwork:
         )
 
     def _tell_of_disagreements(self) -> None:
-        for found in self._parts.onboard.take_disagreements():
+        for found in self._onboard.take_disagreements():
             pair = (found.observer, found.drone_id)
             if found.overruled or pair not in self._disputed:
                 self._note(found.observer, _describe_disagreement(found), logging.WARNING)
@@ -152,7 +181,7 @@ class Teamwork:
                 self._disputed.clear()
 
     def _note(self, about: int, line: str, level: int) -> None:
-        now = self._parts.clock.now()
+        now = self._clock.now()
         if now - self._lines_since >= LINES_PERIOD:
             self._lines.clear()
             self._lines_since = now

@@ -9,13 +9,14 @@ from __future__ import annotations
 import asyncio
 import math
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from swarmtrack.clock import SystemClock
+from swarmtrack.clock import Clock
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     Array,
@@ -26,8 +27,7 @@ from swarmtrack.messages import (
     SightingReport,
     TrackStatus,
 )
-from swarmtrack.onboard import ScanReport
-from swarmtrack.runtime.assembly import Parts
+from swarmtrack.onboard import Onboard, ScanReport
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 from swarmtrack.runtime.stated_places import StatedPlaces
 from swarmtrack.runtime.status_lines import Lasting, StatusLines
@@ -47,14 +47,35 @@ SIGHT_HOLD, SIGHT_REST = 2.0, 10.0
 
 
 class Teller:
-    """Told of scans and events, it speaks to the autopilot of `parts` where that is one that can be spoken to."""
+    """Told of scans and events, it speaks to the autopilot.
 
-    def __init__(self, parts: Parts) -> None:
+    autopilot: None where there is none that can be spoken to. tell: what of, as in the config. origin: of the team
+    frame on the Earth. clock: the flight's, of reports; wall: the machine's, of what is said how often.
+    """
+
+    def __init__(
+        self,
+        autopilot: MavlinkAutopilot | None,
+        tell: Collection[str],
+        onboard: Onboard,
+        lens: PinholeCamera,
+        *,
+        drone_id: int,
+        boot: str,
+        team: str,
+        origin: Geodetic | None,
+        clock: Clock,
+        wall: Clock,
+    ) -> None:
         self.lines = StatusLines()
-        self._parts = parts
-        self._wall = SystemClock()
-        tell = parts.config.autopilot.tell
-        self._autopilot = parts.autopilot if isinstance(parts.autopilot, MavlinkAutopilot) and tell else None
+        self._autopilot = autopilot if tell else None
+        self._drone_id = drone_id
+        self._boot = boot
+        self._team = team
+        self._onboard = onboard
+        self._lens = lens
+        self._clock = clock
+        self._wall = wall
         self._texts, self._boxes = "status" in tell, "camera_tracking" in tell
         self._scan: ScanReport | None = None
         self._scan_at = -math.inf
@@ -68,9 +89,8 @@ class Teller:
         self._texts_sent = 0
         self._shown: int | None = None  # the track whose box is told
         self._idle_at = -math.inf
-        origin = parts.config.team.origin
         # A config that asks for "adsb" has an origin.
-        self._places = StatedPlaces(origin.place()) if origin is not None and "adsb" in tell else None
+        self._places = StatedPlaces(origin) if origin is not None and "adsb" in tell else None
         self._places_at = -math.inf
 
     # ── what happens ─────────────────────────────────────────────────────────────────────────────────────────────
@@ -143,7 +163,6 @@ class Teller:
         )
 
     def _look_for_news(self, named: int, now: float) -> None:
-        parts = self._parts
         assert self._autopilot is not None
         trouble = self._autopilot.trouble
         if not self._links or trouble == "no autopilot":
@@ -153,7 +172,7 @@ class Teller:
         if not self._ready:
             self._ready = self._scan is not None and camera and not trouble
             if self._ready:
-                self.add(Severity.INFO, f"ready, drone {parts.config.drone.id}")
+                self.add(Severity.INFO, f"ready, drone {self._drone_id}")
         if self._camera.is_news(camera, now):
             self._say_of("" if camera else "no camera", "camera")
         if self._network.is_news(network, now):
@@ -161,7 +180,7 @@ class Teller:
         before = self._trouble.told
         if self._trouble.is_news(trouble, now):
             self._say_of(trouble, before.removeprefix("no "))
-        team = len(parts.onboard.teammates)
+        team = len(self._onboard.teammates)
         if self._sight.is_news((named, team), now):
             self.add(Severity.INFO, f"sees {named} of {team}")
 
@@ -182,11 +201,10 @@ class Teller:
 
     def _tell_places(self, places: StatedPlaces) -> None:
         """Teammates on the map: each where it says that it is, while our camera sees it there."""
-        parts = self._parts
         assert self._autopilot is not None
-        own = parts.onboard.sighting_report(parts.boot, 0)
-        for found in places.seen(own, parts.clock.now()):
-            address = _address(parts.config.network.team, found.drone_id)
+        own = self._onboard.sighting_report(self._boot, 0)
+        for found in places.seen(own, self._clock.now()):
+            address = _address(self._team, found.drone_id)
             self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address))
 
     def _show(self, now: float) -> None:
@@ -198,8 +216,8 @@ class Teller:
         if self._shown is not None and self._scan is not None:
             one = self._scan._replace(tracks=replace(self._scan.tracks, tracks=(boxed[self._shown],)))
             self._idle_at = -math.inf
-            for track in as_seen(one, self._parts.lens):
-                self._autopilot.tell(image_status(_corners(track, self._parts.lens)))
+            for track in as_seen(one, self._lens):
+                self._autopilot.tell(image_status(_corners(track, self._lens)))
         elif now - self._idle_at >= NUMBER_EVERY:
             self._idle_at = now
             self._autopilot.tell(image_status(None))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from support.places import ROOT
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import MountedCamera, load_config
 from swarmtrack.diagnosis.findings import FAULTS, Finding, Level, markdown_table, worst
 from swarmtrack.diagnosis.mounting import (
@@ -46,8 +47,8 @@ from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import IdClash, LinkStatus, PeerDeparted, StampKind
 from swarmtrack.motion.hand_eye import Agreement, HandEye
+from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.health import Health
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import HealthMessage
 
@@ -316,8 +317,8 @@ def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
         "intrinsics = { fx = 160, fy = 160, cx = 79.5, cy = 59.5, width = 160, height = 120 }\n"
         '[network]\ntransport = "memory"\n[detector]\nscore_threshold = 0.5\n'
     )
-    parts = assemble(load_config(path))
-    health = Health(parts)
+    parts = assemble(load_config(path), SystemClock())
+    health = make_health(parts)
     sent = codec.decode(HealthMessage, codec.encode(health.message())).readiness
     assert sent is not None
     assert not sent.ready

@@ -14,9 +14,10 @@ import cv2
 import pytest
 
 from support.places import ROOT
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
+from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.health import Health
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import GyroBiasHealth, HealthMessage, TimeOffsetHealth
 
@@ -194,11 +195,11 @@ import threading, sys
 from swarmtrack.agents import vehicle
 from swarmtrack.detection.detector import Detector
 
-def detect(self, frame, tracks=None, earlier=None):
+def look(self, planned):
     print("stuck", flush=True)
     threading.Event().wait(3600)
 
-Detector.detect = detect
+Detector.look = look
 sys.exit(vehicle.main(["--config", sys.argv[1], "--quiet"]))
 """
 
@@ -369,7 +370,7 @@ def test_its_health_can_be_sent_before_the_autopilot_was_ever_heard(tmp_path):
         gyro_bias_rad_s = [0.01, 0.0, -0.02]
         """,
     )
-    health = Health(assemble(load_config(config)))
+    health = make_health(assemble(load_config(config), SystemClock()))
     sent = codec.decode(HealthMessage, codec.encode(health.message()))
     assert sent.clock_offset_s is None
     assert sent.clock_offset_sigma_s is None
@@ -383,7 +384,7 @@ def test_what_is_found_in_flight_can_be_switched_off(tmp_path):
     text = f'drone.id = 1\nnetwork.transport = "memory"\n[camera]\nsource = "v4l2:///dev/video97"\n{LENS}\n'
     off = text + "estimate_time_offset = false\n[motion]\nestimate_gyro_bias = false\n"
     for config, on in ((text, True), (off, False)):
-        onboard = assemble(load_config(write(tmp_path, config))).onboard
+        onboard = assemble(load_config(write(tmp_path, config)), SystemClock()).onboard
         assert (onboard.camera_clock._evidence is not None, onboard._bias._estimates) == (on, on)
 
 

@@ -212,7 +212,7 @@ async def test_agents_announce_where_gps_says_they_are_and_how_well_it_knows(tmp
         port = free_port()
         path = tmp_path / f"drone-{drone_id}.toml"
         path.write_text(CONFIG.format(id=drone_id, port=port), encoding="utf-8")
-        parts = assemble(load_config(path))
+        parts = assemble(load_config(path), SystemClock())
         parts.transport = MemoryTransport(hub, "swarm", drone_id, parts.boot, clock)
         autopilot = FakeAutopilot(boot_at=time.monotonic() - 40.0)
         autopilot.gps = at(*places[drone_id], sigma=0.7)
@@ -282,7 +282,9 @@ async def test_an_agent_that_wakes_up_in_the_air_says_that_its_fixed_start_is_wr
     port = free_port()
     path = tmp_path / "drone.toml"
     path.write_text(CONFIG.format(id=1, port=port).replace('from = "gps"', start), encoding="utf-8")
-    agent = Agent(parts := assemble(load_config(path)), console=Console(parts.lens, quiet=True))
+    agent = Agent(
+        parts := assemble(load_config(path), SystemClock()), console=Console(parts.lens, quiet=True)
+    )
     task = asyncio.create_task(agent.run())
     async with serve_udp(FakeAutopilot(boot_at=time.monotonic() - 40.0), "127.0.0.1", port):
         async with asyncio.timeout(PATIENCE):

@@ -23,18 +23,18 @@ STUCK = """
 import sys, threading
 from swarmtrack.agents import vehicle
 from swarmtrack.detection.detector import Detector
-from swarmtrack.runtime import agent
+from swarmtrack.runtime import systemd
 
-agent.STUCK_DETECTOR = 1.0
-detect, frames = Detector.detect, []
+systemd.STUCK_DETECTOR = 1.0
+look_at, looks = Detector.look, []
 
-def detect_three(self, frame, tracks=None, earlier=None):
-    frames.append(frame)
-    if len(frames) > 3:
+def look_thrice(self, look):
+    looks.append(look)
+    if len(looks) > 3:
         threading.Event().wait(3600)
-    return detect(self, frame, tracks)
+    return look_at(self, look)
 
-Detector.detect = detect_three
+Detector.look = look_thrice
 sys.exit(vehicle.main(["--config", sys.argv[1], "--quiet"]))
 """
 

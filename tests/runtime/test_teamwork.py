@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted
+from swarmtrack.runtime.agent import make_health, make_teamwork, make_teller
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.health import EVENTS_KEPT, Health
-from swarmtrack.runtime.teamwork import LINES, Teamwork
-from swarmtrack.runtime.telling import Teller
+from swarmtrack.runtime.health import EVENTS_KEPT
+from swarmtrack.runtime.teamwork import LINES
 
 CONFIG = """
 drone.id = 1
@@ -39,13 +40,13 @@ class Told:
 def parts(tmp_path):
     config = tmp_path / "drone.toml"
     config.write_text(CONFIG, encoding="utf-8")
-    return assemble(load_config(config))
+    return assemble(load_config(config), SystemClock())
 
 
 def listen(parts, events):
     told = replace(parts, transport=Told(events))
-    health = Health(parts)
-    asyncio.run(Teamwork(told, health, Teller(told)).listen())
+    health = make_health(parts)
+    asyncio.run(make_teamwork(told, health, make_teller(told)).listen())
     return health
 
 

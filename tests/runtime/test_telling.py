@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import dataclasses
 import math
 import os
 import socket
@@ -36,9 +35,9 @@ from swarmtrack.messages import (
     TrackStatus,
 )
 from swarmtrack.onboard import ScanReport
+from swarmtrack.runtime.agent import make_teller
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.status_lines import Lasting, StatusLines
-from swarmtrack.runtime.telling import Teller
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_value, status_text
 from swarmtrack.wire.health import link_health
@@ -153,18 +152,17 @@ class Source:
 class Told:
     """A teller and the autopilot that it tells, on a perfect link in simulated time."""
 
-    def __init__(self, tmp_path, tell='["status"]'):
+    def __init__(self, tmp_path, tell='["status"]', *, looking=False):
         path = tmp_path / "drone.toml"
         path.write_text(CONFIG.format(tell=tell) + ORIGIN, encoding="utf-8")
         self.ground = Ground(boot_at=60.0)
         self.flight = Flight(self.ground)
         self.camera, self.network = Source("camera"), Source("zenoh")
-        self.parts = dataclasses.replace(
-            assemble(load_config(path)),
-            autopilot=self.flight.unit,
-        )
-        self.teller = Teller(self.parts)
-        self.teller._wall = self.flight.clock
+        self.parts = assemble(load_config(path), self.flight.clock)
+        self.parts.autopilot = self.flight.unit
+        if looking:
+            self.parts.onboard = Looking(self.flight.clock)
+        self.teller = make_teller(self.parts)
         self.sequence = 0
 
     def fly(self, seconds, identities=(), box=(20.0, 10.0)):
@@ -331,10 +329,8 @@ def says_it_stands(drone_id, t, position, sigma=0.1):
 
 
 async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_sees_it_there(tmp_path):
-    told = Told(tmp_path, '["adsb"]')
+    told = Told(tmp_path, '["adsb"]', looking=True)
     clock = told.flight.clock
-    told.parts.onboard = Looking(clock)
-    told.parts.clock = clock
     async with told.flight:
         told.fly(4.0)
         assert not told.ground.of("ADSB_VEHICLE")  # nobody has said where it is

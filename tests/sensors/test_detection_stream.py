@@ -375,10 +375,10 @@ async def test_check_says_that_there_is_no_detector(tmp_path: Path) -> None:
 def test_a_video_is_refused_where_no_pictures_come(tmp_path: Path) -> None:
     path = config(tmp_path, "detections://127.0.0.1:8091/front", '[output]\nvideo = "seen.mp4"\n')
     with pytest.raises(ConfigError, match=r"output\.video: found seen\.mp4, expected no video"):
-        assemble(load_config(path))
+        assemble(load_config(path), SystemClock())
 
 
 def test_the_example_is_valid() -> None:
-    parts = assemble(load_config(ROOT / "configs" / "smart-camera.toml"))
+    parts = assemble(load_config(ROOT / "configs" / "smart-camera.toml"), SystemClock())
     assert isinstance(parts.camera, DetectionSource)
     assert parts.detector is None

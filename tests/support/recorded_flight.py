@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swarmtrack.clock import ManualClock
+from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config, mount_camera
 from swarmtrack.localswarm.configs import Sources, write_configs
 from swarmtrack.messages import (
@@ -50,7 +50,8 @@ class Flight:
         self.onboard = make_onboard(self.config, mounted, None)
         self.door = Door(self.onboard)
         self.boot = f"{drone_id:08x}"
-        self.recorder = Recorder(FlightSettings(self.config, mounted, None), self.boot, self.clock)
+        settings = FlightSettings(self.config, mounted, None)
+        self.recorder = Recorder(settings, self.boot, self.clock, SystemClock(), waits=True)
         self.recorder.open()
         self.door.listener = self.recorder
         self.imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))

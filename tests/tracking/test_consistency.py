@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Detections
+from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.health import Health
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.consistency import FEWEST, WINDOW, InnovationWindow, of_sure_pairs
@@ -147,8 +148,8 @@ intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, heig
 def test_health_tells_it_and_all_that_the_tracker_and_onboard_refused(tmp_path):
     config = tmp_path / "drone.toml"
     config.write_text(AGENT, encoding="utf-8")
-    parts = assemble(load_config(config))
-    health = Health(parts)
+    parts = assemble(load_config(config), SystemClock())
+    health = make_health(parts)
     assert codec.decode(HealthMessage, codec.encode(health.message())).consistency is None
     rng = np.random.default_rng(0)
     for k in range(200):

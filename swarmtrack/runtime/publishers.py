@@ -1,0 +1,159 @@
+"""The two messages that an agent sends by the clock: its tracks, and how it is."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.runtime.console import Console
+from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.health import PERIOD, Health
+from swarmtrack.runtime.health_file import HealthFile
+from swarmtrack.runtime.systemd import Notifier, Watchdog
+from swarmtrack.runtime.telling import Teller
+from swarmtrack.transport.base import Kind, Transport
+from swarmtrack.wire import codec
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.records import as_record
+from swarmtrack.wire.tracks import tracks_message
+
+if TYPE_CHECKING:
+    from swarmtrack.runtime.recorder import Recorder
+
+log = logging.getLogger(__name__)
+
+
+class TracksPublisher:
+    """`tracks/<id>`: `hz` times a second, and at once when a scan was tracked. Each time the watchdog is fed."""
+
+    def __init__(
+        self,
+        door: Door,
+        transport: Transport,
+        health: Health,
+        watchdog: Watchdog,
+        *,
+        clock: Clock,
+        wall: Clock,
+        hz: float,
+    ) -> None:
+        self._door = door
+        self._transport = transport
+        self._health = health
+        self._watchdog = watchdog
+        self._clock = clock
+        self._wall = wall
+        self._period = 1.0 / hz
+        self._tracked = asyncio.Event()
+        self._detected_at: float | None = None
+        self._sequence = 0
+
+    def on_detections(self) -> None:
+        """A scan has come: how long until it is published is measured from now."""
+        self._detected_at = self._wall.now()
+
+    def on_scan(self) -> None:
+        """A scan was tracked."""
+        self._tracked.set()
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        due = self._wall.now() + self._period
+        while True:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(due - self._wall.now()):
+                    await self._tracked.wait()
+            now = self._wall.now()
+            due = now + self._period if self._tracked.is_set() else max(due + self._period, now)
+            self._tracked.clear()
+            self._publish()
+
+    def _publish(self) -> None:
+        now = self._clock.now()
+        tracks = self._door.tracks(now)
+        self._sequence += 1
+        message = tracks_message(tracks, self._sequence, self._clock.utc() - now, UTC_SIGMA)
+        try:
+            self._transport.publish(Kind.TRACKS, codec.encode(message))
+            self._health.published.tick()
+        except ValueError:  # what no reader would accept is not sent, and must not end the flight
+            self._health.drops["unsendable_tracks"] += 1
+        if self._detected_at is not None:
+            self._health.detections_to_published.add(self._wall.now() - self._detected_at)
+            self._detected_at = None
+        self._watchdog.feed(self._wall.now())
+
+
+class HealthPublisher:
+    """`health/<id>` once a second, and the same to all who look after this agent: files, the console, systemd."""
+
+    def __init__(
+        self,
+        health: Health,
+        transport: Transport,
+        teller: Teller,
+        console: Console,
+        supervisor: Notifier,
+        *,
+        drone_id: int,
+        wall: Clock,
+        recorder: Recorder | None,
+        file: HealthFile | None,
+    ) -> None:
+        self._drone_id = drone_id
+        self._health = health
+        self._transport = transport
+        self._teller = teller
+        self._console = console
+        self._supervisor = supervisor
+        self._wall = wall
+        self._recorder = recorder
+        self._file = file
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        self._health.message()  # starts the meters
+        while True:
+            await asyncio.sleep(PERIOD)
+            self._publish()
+
+    def _publish(self) -> None:
+        self._note_trouble_of_the_disk()
+        self._health.drops["status_texts_untold"] = self._teller.lines.untold
+        message = self._health.message()
+        if self._recorder is not None:
+            self._recorder.health(message)
+        self._teller.see_links(message.links)
+        try:
+            self._transport.publish(Kind.HEALTH, codec.encode(message))
+        except ValueError:
+            self._health.drops["unsendable_health"] += 1
+        self._write(message)
+        self._console.line(self._footnotes())
+        assert message.readiness is not None
+        self._supervisor.status("; ".join(message.readiness.reasons) or "ready")
+
+    def _note_trouble_of_the_disk(self) -> None:
+        news = self._recorder.take_news() if self._recorder is not None else None
+        if news is not None:
+            self._health.events.append(news)
+            log.warning(news)
+
+    def _write(self, message: HealthMessage) -> None:
+        if self._file is None:
+            return
+        now, tracked_at = self._wall.now(), self._health.tracked_at
+        age = None if tracked_at is None else now - tracked_at
+        self._file.write(as_record(message), drone_id=self._drone_id, now=now, frame_age_s=age)
+        self._health.drops["health_files"] = self._file.failed
+
+    def _footnotes(self) -> list[str]:
+        """How the agent is doing, for a line of the console."""
+        rates = self._health.rates
+        notes = [f"tracks {rates['tracks'].got_hz:.0f} Hz", f"camera {rates['detections'].got_hz:.0f} Hz"]
+        if rates["imu"].asked_hz is not None:
+            notes.append(f"gyro {rates['imu'].got_hz:.0f} Hz")
+        return notes + [f"{link.name}: {link.text}" for link in self._health.links() if not link.ok]
