@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
-from swarmtrack.arguments import add_file, add_flag, add_seconds, positive_seconds
+from swarmtrack.arguments import add_file, add_flag, add_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera
@@ -41,12 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(extrinsics, "--video", "instead of a config: a recorded minute, …")
     add_file(extrinsics, "--tlog", "… its telemetry, …")
     add_file(extrinsics, "--calibration", "… and the camera's intrinsics")
-    add_seconds(extrinsics, f"how long (default: {SECONDS:g}; a recording: to its end)")
-    extrinsics.add_argument(
+    add_seconds(extrinsics, "--seconds", f"how long (default: {SECONDS:g}; a recording: to its end)")
+    add_seconds(
+        extrinsics,
         "--reach",
-        type=positive_seconds,
-        metavar="S",
-        help=f"search offsets of up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
+        f"search offsets of up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
     )
     add_file(extrinsics, "--write", "put the lines into this config, if they can be believed")
     add_flag(extrinsics, "--json", "the numbers instead of words")

@@ -62,7 +62,7 @@ def add_intrinsics_command(steps: Any) -> None:
         choices=["radtan", "equidistant"],
         help="of the lens: equidistant for fisheyes, above about 100 degrees (default: %(default)s)",
     )
-    add_seconds(intrinsics, "at most (default: %(default)g)", default=SECONDS)
+    add_seconds(intrinsics, "--seconds", "at most (default: %(default)g)", default=SECONDS)
     add_file(intrinsics, "--plot", "a PNG of residuals (needs swarmtrack[bench])")
     add_flag(intrinsics, "--json", "the numbers instead of words")
     _add_board_arguments(intrinsics)

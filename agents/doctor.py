@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit code 0: all works, 1: something does not, 2: the config is wrong."
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
-    add_seconds(parser, "how long to watch rates (default: %(default)g)", default=SECONDS)
+    add_seconds(parser, "--seconds", "how long to watch rates (default: %(default)g)", default=SECONDS)
     add_flag(parser, "--json", "a list of findings instead of lines")
 
 

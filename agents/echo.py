@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_network_arguments(parser)
     parser.add_argument("--count", type=count, metavar="N", help="end after N messages")
-    add_seconds(parser, "end after S seconds")
+    add_seconds(parser, "--seconds", "end after S seconds")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ import argparse
 import json
 from typing import Any
 
-from swarmtrack.arguments import add_file, positive_seconds
+from swarmtrack.arguments import add_file, add_seconds
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import SourceError
 from swarmtrack.runtime.health_file import ENVIRONMENT, health_path
@@ -24,19 +24,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "autopilot and detector are well. Exit code 0: yes; 1: no, and why; 2: wrong usage."
     )
     add_file(parser, "file", f"output.health of the agent's config (default: ${ENVIRONMENT})", nargs="?")
-    parser.add_argument(
+    add_seconds(
+        parser,
         "--max-age",
-        type=positive_seconds,
+        "an agent that has not written for so long hangs or is gone (default: %(default)g)",
         default=5.0,
-        metavar="S",
-        help="an agent that has not written for so long hangs or is gone (default: %(default)g)",
     )
-    parser.add_argument(
+    add_seconds(
+        parser,
         "--max-frame-age",
-        type=positive_seconds,
+        "an agent that has tracked no frame for so long is blind (default: %(default)g)",
         default=10.0,
-        metavar="S",
-        help="an agent that has tracked no frame for so long is blind (default: %(default)g)",
     )
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
-from swarmtrack.arguments import add_file, add_seconds, positive_seconds
+from swarmtrack.arguments import add_file, add_seconds
 from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, first_of
 
 if TYPE_CHECKING:
@@ -55,13 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="where `python -m swarmtrack.agents.simulator --port P` serves its cameras, http://HOST:P",
     )
-    add_seconds(parser, "to judge, once everybody is there (default: %(default)g)", default=20.0)
-    parser.add_argument(
+    add_seconds(parser, "--seconds", "to judge, once everybody is there (default: %(default)g)", default=20.0)
+    add_seconds(
+        parser,
         "--patience",
-        type=positive_seconds,
+        "for the simulator and all agents to be there (default: %(default)g)",
         default=90.0,
-        metavar="S",
-        help="for the simulator and all agents to be there (default: %(default)g)",
     )
     add_file(parser, "--json", "write the verdict and all figures there")
     add_network_arguments(parser)

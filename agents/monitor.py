@@ -27,6 +27,7 @@ DEFAULT_PORT = 8080
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_network_arguments(parser)
     add_file(
         parser,
         "--recording",
@@ -34,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         nargs="+",
     )
-    add_network_arguments(parser)
     parser.add_argument(
         "--bind",
         default="127.0.0.1",

@@ -9,7 +9,7 @@ import signal
 import sys
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
-from swarmtrack.arguments import add_flag, add_folder, add_seconds, positive_seconds
+from swarmtrack.arguments import add_flag, add_folder, add_seconds, positive
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
@@ -28,10 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--video",
         "the drones' pictures too, at most 10 a second each: every drone then makes and sends them",
     )
-    add_seconds(parser, "end after S seconds")
+    add_seconds(parser, "--seconds", "end after S seconds")
     parser.add_argument(
         "--max-mb",
-        type=positive_seconds,
+        type=positive,
         default=4000.0,
         metavar="MB",
         help="of all recordings below DIR/swarm; then the oldest files go (default: %(default)g)",

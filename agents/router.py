@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="which of network.routers this is (default: the one that is an address of this machine)",
     )
-    add_seconds(parser, "end after S seconds")
+    add_seconds(parser, "--seconds", "end after S seconds")
     add_flag(parser, "--quiet", "no lines, only warnings")
 
 

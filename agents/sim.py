@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drones", type=_drones, metavar="N", help="size of the team (default: the scenario's)"
     )
-    add_seconds(parser, "length of the flight (default: the scenario's)")
+    add_seconds(parser, "--seconds", "length of the flight (default: the scenario's)")
     parser.add_argument(
         "--seed",
         type=seed,

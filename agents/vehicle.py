@@ -64,7 +64,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
     add_flag(parser, "--check", "validate the config and what it points at, then exit")
-    add_seconds(parser, "stop after so long (default: never)")
+    add_seconds(parser, "--seconds", "stop after so long (default: never)")
     add_flag(parser, "--quiet", "no line a second (the default under systemd), only the log")
     parser.add_argument(
         "--log",

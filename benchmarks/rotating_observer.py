@@ -18,7 +18,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,6 +50,7 @@ AGILE = {
 MAX_ROTATING = 2.0  # times the still observer's error: the claim
 MIN_WITHOUT_GYRO = 5.0  # times the error with the gyro: the claim
 READ_HZ = 100.0
+DETECTOR = DetectorParameters(centre_sigma=1.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,10 +60,7 @@ class Experiment:
     detections_hz: float = 7.0
     latency_s: float = 0.150
     """From the exposure to the arrival of its detections."""
-    centre_sigma_px: float = 1.5
-    """Per axis, of a detection's centre."""
-    p_detection: float = 0.95
-    clutter_per_frame: float = 0.1
+    detector: DetectorParameters = DETECTOR
     imu_hz: float = 200.0
     begins_s: float = HOVER_S - 1.0
     """Of the world's time: the swing sets in at HOVER_S and is full a second later."""
@@ -146,12 +144,11 @@ def _sense(scenario: Scenario, e: Experiment) -> Sensed:
     world, camera = scenario.world, scenario.camera
     imu = Imu(world, OBSERVER, ImuParameters(rate_hz=e.imu_hz))
     samples = [imu.sample(k) for k in range(int(e.begins_s * e.imu_hz), int(e.ends_s * e.imu_hz) + 1)]
-    detector = DetectorParameters(e.p_detection, e.centre_sigma_px, clutter_per_frame=e.clutter_per_frame)
     scans = []
     for k in range(int(e.begins_s * e.detections_hz) + 1, int(e.ends_s * e.detections_hz) + 1):
         t = k / e.detections_hz
         boxes = visible(world, OBSERVER, camera, scenario.body_from_camera, t)
-        scans.append(detect(boxes, camera, detector, world.chance("detector", k), t=t, sequence=k))
+        scans.append(detect(boxes, camera, e.detector, world.chance("detector", k), t=t, sequence=k))
     times = np.arange(round(e.measured_from_s * READ_HZ), round(e.ends_s * READ_HZ)) / READ_HZ
     others = [drone_id for drone_id in world.drones if drone_id != OBSERVER]
     truth = np.full((len(times), len(others), 2), np.nan)
@@ -281,7 +278,7 @@ def publish(
         "seeds": seeds,
         "tracker": tracker,
         "parameters": parameters,
-        "experiment": {name: getattr(experiment, name) for name in experiment.__slots__},
+        "experiment": asdict(experiment),
         **summarise(runs),
     }
     report.write(out, NAME, result, _markdown(result))
@@ -311,8 +308,8 @@ def _markdown(result: dict[str, Any]) -> str:
         [
             "# Rotating observer",
             f"Yaw ±2 rad/s, {e['detections_hz']:g} Hz detections {1e3 * e['latency_s']:.0f} ms late,"
-            f" σ {e['centre_sigma_px']:g} px, tracker `{result['tracker']}`, {result['seeds']} seeds, tracks read at"
-            f" {READ_HZ:g} Hz for the instant of reading; 95 % intervals over seeds.",
+            f" σ {e['detector']['centre_sigma']:g} px, tracker `{result['tracker']}`, {result['seeds']} seeds, tracks"
+            f" read at {READ_HZ:g} Hz for the instant of reading; 95 % intervals over seeds.",
             report.table(
                 ["observer", "error between detections, px RMSE", "median, px", "in view, not tracked"], rows
             ),

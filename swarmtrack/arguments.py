@@ -60,9 +60,9 @@ def add_list(parser: argparse.ArgumentParser, name: str, help: str, metavar: str
     parser.add_argument(name, action="append", default=[], metavar=metavar, help=help, **more)
 
 
-def add_seconds(parser: argparse.ArgumentParser, help: str, default: float | None = None) -> None:
-    """--seconds S, above 0: for how long something is done."""
-    parser.add_argument("--seconds", type=positive_seconds, default=default, metavar="S", help=help)
+def add_seconds(parser: argparse.ArgumentParser, name: str, help: str, default: float | None = None) -> None:
+    """An option that is a length of time, above 0 s."""
+    parser.add_argument(name, type=positive_seconds, default=default, metavar="S", help=help)
 
 
 def positive_seconds(text: str) -> float:
