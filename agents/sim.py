@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.errors import TransportError
     from swarmtrack.localswarm.flight import FlightPlan
     from swarmtrack.localswarm.processes import ProcessDied
-    from swarmtrack.localswarm.radio import AirError
+    from swarmtrack.localswarm.radio import RadioError
     from swarmtrack.localswarm.recording import check_empty
 
     if args.json is not None:
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     load = MachineLoad()
     try:
         report = asyncio.run(_fly(plan, spectator))
-    except (AirError, ProcessDied, TransportError) as error:
+    except (RadioError, ProcessDied, TransportError) as error:
         spectator.close()
         print(f"swarmtrack sim: {error}", file=sys.stderr)
         print("FAILED")

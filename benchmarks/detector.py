@@ -29,7 +29,7 @@ from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.evaluation import detector_score
-from swarmtrack.evaluation.detector_score import EMPTY, Looked, Matches, by_centre, match
+from swarmtrack.evaluation.detector_score import EMPTY, Matches, ScoredImage, by_centre, match
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
 from swarmtrack.scenario_file import load_scenario
@@ -49,8 +49,8 @@ CURVE = 200  # points of a plotted curve
 class Sets(NamedTuple):
     """What was looked at, by scene and by clip."""
 
-    images: dict[str, list[Looked]]
-    clips: dict[str, list[Looked]]
+    images: dict[str, list[ScoredImage]]
+    clips: dict[str, list[ScoredImage]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -123,11 +123,11 @@ def _look(
     scenarios: Sequence[Scenario],
     every: int,
 ) -> Sets:
-    by_scene: dict[str, list[Looked]] = {}
+    by_scene: dict[str, list[ScoredImage]] = {}
     with report.progress(NAME, len(frames) + len(clips) + len(scenarios)) as advance:
         for frame in frames:
             seen = _detect(detector, frame.image)
-            look = Looked(seen, frame.drones, frame.distractors, frame.kinds)
+            look = ScoredImage(seen, frame.drones, frame.distractors, frame.kinds)
             by_scene.setdefault(frame.scene, []).append(look)
             advance(frame.scene)
         by_clip = {}
@@ -195,7 +195,7 @@ class _TurnsKnown(_StandsStill):
         return lambda pixels: camera.project(camera.bearing(pixels) @ then_from_now.T)[0]
 
 
-def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterator[Looked]:
+def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterator[ScoredImage]:
     """What the first drones of a scenario see, and what they should, once the others have left their places."""
     camera, mount = scenario.camera, scenario.body_from_camera
     renderer = Renderer(scenario.world, camera, mount)
@@ -208,10 +208,10 @@ def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterat
             # Truth is undistorted, detections are not.
             boxes = np.array(list(truth.view(observer, t).in_view.values())).reshape(-1, 4)
             boxes[:, :2] = camera.distort(boxes[:, :2])
-            yield Looked(found, boxes)
+            yield ScoredImage(found, boxes)
 
 
-def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]:
+def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[ScoredImage]:
     """Each `every`-th frame of a clip, with its labels."""
     truth = real_clips.read_truth(clip.truth)
     video = cv2.VideoCapture(str(clip.video))
@@ -225,7 +225,7 @@ def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]
                 seen = _detect(detector, np.asarray(image, np.uint8), t, _StandsStill())
                 boxes = truth.get(index)
                 drones = EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
-                yield Looked(seen, drones)
+                yield ScoredImage(seen, drones)
     finally:
         video.release()
 
@@ -233,7 +233,7 @@ def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[Looked]
 # --- counting -----------------------------------------------------------------------------------------
 
 
-def _summaries(sets: dict[str, list[Looked]], threshold: float) -> dict[str, Any]:
+def _summaries(sets: dict[str, list[ScoredImage]], threshold: float) -> dict[str, Any]:
     if not sets:
         return {}
     everything = [look for looks in sets.values() for look in looks]
@@ -241,7 +241,7 @@ def _summaries(sets: dict[str, list[Looked]], threshold: float) -> dict[str, Any
     return {name: detector_score.summary(looks, threshold) for name, looks in named.items()}
 
 
-def _fired(looks: Sequence[Looked], thresholds: dict[str, float]) -> list[dict[str, Any]]:
+def _fired(looks: Sequence[ScoredImage], thresholds: dict[str, float]) -> list[dict[str, Any]]:
     """For each kind of distractor the share of them that is taken for a drone, at each threshold."""
     counted = {name: detector_score.fired_on(looks, threshold) for name, threshold in thresholds.items()}
     kinds = sorted({kind for fired in counted.values() for kind in fired})

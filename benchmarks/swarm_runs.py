@@ -24,7 +24,7 @@ from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracke
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.localswarm.flight import FlightPlan, fly
-from swarmtrack.localswarm.table import Silent
+from swarmtrack.localswarm.table import NoTable
 
 NAME = "swarm"
 MAX_WRONG = 0.001  # of all judged views of a scenario: the claim
@@ -95,7 +95,7 @@ def _fly(plan: FlightPlan, advance: Callable[[str], None], lost: list[str]) -> S
     """None, and a line in `lost`, where a process died: the other flights are not lost with it."""
     flight = None
     try:
-        flight = asyncio.run(fly(plan, Silent()))
+        flight = asyncio.run(fly(plan, NoTable()))
     except SwarmtrackError as error:
         lost.append(f"{plan.scenario}, {plan.drones} drones, seed {plan.seed}: {error}")
     advance(f"{plan.scenario}, seed {plan.seed}")

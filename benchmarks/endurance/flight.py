@@ -91,7 +91,7 @@ async def flying(folder: Path, seconds: float, tracker: str) -> AsyncIterator[Sw
             try:
                 await asyncio.wait_for(launcher.wait(), STOP_S)
             except TimeoutError:
-                launcher.kill()  # the keeper ends the children
+                launcher.kill()  # the reaper ends the children
                 await launcher.wait()
         listening.cancel()
 
@@ -154,7 +154,7 @@ def command_of(pid: int) -> list[str]:
 
 
 def name_of(pid: int) -> str | None:
-    """What a process of the swarm is, by its arguments; None: nothing that is measured, such as the keeper."""
+    """What a process of the swarm is, by its arguments; None: nothing that is measured, such as the reaper."""
     arguments = command_of(pid)
     if "swarmtrack.agents.simulator" in arguments:
         return "simulator"

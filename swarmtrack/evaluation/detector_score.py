@@ -20,7 +20,7 @@ from swarmtrack.messages import Array, Detections
 EMPTY = np.empty((0, 4))
 
 
-class Looked(NamedTuple):
+class ScoredImage(NamedTuple):
     """What was found in one image, and what is there: drones (n, 4), distractors (m, 4): boxes (u, v, w, h) px; kinds:
     what each distractor is."""
 
@@ -83,7 +83,7 @@ def by_overlap(detection: Array, labels: Array) -> Array:
     return np.asarray(common / (labels[:, 2:].prod(axis=1) + detection[2:].prod() - common) - 0.5)
 
 
-def match(looks: Sequence[Looked], quality: Quality) -> Matches:
+def match(looks: Sequence[ScoredImage], quality: Quality) -> Matches:
     """Give each detection, best first, the free label of its image that fits it best."""
     rows: list[tuple[float, bool, float, float]] = []
     for look in looks:
@@ -112,7 +112,7 @@ def match(looks: Sequence[Looked], quality: Quality) -> Matches:
     )
 
 
-def summary(looks: Sequence[Looked], threshold: float) -> dict[str, Any]:
+def summary(looks: Sequence[ScoredImage], threshold: float) -> dict[str, Any]:
     """The numbers of one set of images, as JSON."""
     centre, overlap = match(looks, by_centre), match(looks, by_overlap)
     shown = centre.score >= threshold
@@ -166,7 +166,7 @@ def by_size(matches: Matches, threshold: float) -> list[OfSize]:
     return bins
 
 
-def fired_on(looks: Sequence[Looked], threshold: float) -> dict[str, tuple[int, int]]:
+def fired_on(looks: Sequence[ScoredImage], threshold: float) -> dict[str, tuple[int, int]]:
     """By kind of distractor: how many of them are taken for a drone, and how many there are. `anything`: images without
     a drone in which there is any detection, and such images."""
     fired: dict[str, tuple[int, int]] = {}

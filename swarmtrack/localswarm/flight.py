@@ -26,7 +26,7 @@ from swarmtrack.errors import first_of
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
 from swarmtrack.localswarm.processes import Child, Children, ProcessDied
-from swarmtrack.localswarm.radio import Air
+from swarmtrack.localswarm.radio import RadioEmulator
 from swarmtrack.localswarm.recording import FlightRecording
 from swarmtrack.localswarm.table import Spectator
 from swarmtrack.localswarm.watch import Watch
@@ -74,17 +74,17 @@ async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
     """Raises AirError before anything was started, and ProcessDied with the last lines of a log."""
     scenario = plan.load()
     async with AsyncExitStack() as stack:
-        air = None
+        emulator = None
         if scenario.needs_radio:
-            air = await stack.enter_async_context(Air(scenario.members, seed=scenario.seed))
-            air.loss, air.latency_s = scenario.radio.loss, scenario.radio.latency_s
-            air.jitter_s = scenario.radio.jitter_s
+            emulator = await stack.enter_async_context(RadioEmulator(scenario.members, seed=scenario.seed))
+            emulator.loss, emulator.latency_s = scenario.radio.loss, scenario.radio.latency_s
+            emulator.jitter_s = scenario.radio.jitter_s
         folder = Path(tempfile.mkdtemp(prefix="swarmtrack-sim-"))
         if plan.keep:
             spectator.note(f"configs and logs: {folder}")
         children = await stack.enter_async_context(Children(folder, keep=plan.keep))
         return await _SwarmFlight(
-            plan, scenario, folder=folder, children=children, air=air, spectator=spectator
+            plan, scenario, folder=folder, children=children, emulator=emulator, spectator=spectator
         ).run()
 
 
@@ -96,14 +96,14 @@ class _SwarmFlight:
         *,
         folder: Path,
         children: Children,
-        air: Air | None,
+        emulator: RadioEmulator | None,
         spectator: Spectator,
     ) -> None:
         self._plan = plan
         self._scenario = scenario
         self._folder = folder
         self._children = children
-        self._air = air
+        self._emulator = emulator
         self._spectator = spectator
         self._team = f"sim-{secrets.token_hex(4)}"
         self._clock = SystemClock()
@@ -112,7 +112,7 @@ class _SwarmFlight:
         starters = [drone_id for drone_id in scenario.members if scenario.starts_s.get(drone_id, 0.0) <= 0.0]
         busy = min(1.0 + os.getloadavg()[0] / self._cores, MAX_SLOWDOWN)
         starting = busy * len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
-        lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if air is not None else 0.0)
+        lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if emulator is not None else 0.0)
         self._epoch = self._clock.now() + lead
         self._recording = FlightRecording(
             plan.record, scenario, self._clock, team=self._team, epoch=self._epoch, seconds=self._seconds
@@ -173,8 +173,8 @@ class _SwarmFlight:
     async def _start_simulator(self) -> dict[int, Sources]:
         self._spectator.note("starting the simulator …")
         argv = [sys.executable, *self._simulator_arguments(), "--epoch", repr(self._epoch)]
-        if self._air is not None:
-            argv += ["--host", self._air.wire_address]
+        if self._emulator is not None:
+            argv += ["--host", self._emulator.wire_address]
         simulator = await self._children.start("simulator", argv, talks=True)
         assert simulator.process.stdout is not None
         try:
@@ -216,22 +216,27 @@ class _SwarmFlight:
 
     def _radio_ends(self) -> dict[int, RadioEnds] | None:
         """Each listens on its radio, and on its cable for us; it dials the radios of lower IDs."""
-        air = self._air
-        if air is None:
+        emulator = self._emulator
+        if emulator is None:
             return None
         members = self._scenario.members
         return {
             drone_id: RadioEnds(
-                listen=(_endpoint(air.radio_address(drone_id)), _endpoint(air.drone_wire_address(drone_id))),
-                connect=tuple(_endpoint(air.radio_address(other)) for other in members if other < drone_id),
+                listen=(
+                    _endpoint(emulator.radio_address(drone_id)),
+                    _endpoint(emulator.drone_wire_address(drone_id)),
+                ),
+                connect=tuple(
+                    _endpoint(emulator.radio_address(other)) for other in members if other < drone_id
+                ),
             )
             for drone_id in members
         }
 
     def _listening(self) -> NetworkSettings:
-        if self._air is None:
+        if self._emulator is None:
             return NetworkSettings(team=self._team)
-        cables = tuple(_endpoint(self._air.drone_wire_address(d)) for d in self._scenario.members)
+        cables = tuple(_endpoint(self._emulator.drone_wire_address(d)) for d in self._scenario.members)
         return NetworkSettings(team=self._team, connect=cables, insecure=True)
 
     async def _start_agents(self) -> None:
@@ -261,8 +266,8 @@ class _SwarmFlight:
             program = [sys.executable, "-m", "swarmtrack.localswarm.skewed_clock", str(skew)]
             argv = [*program, "swarmtrack.agents.vehicle", *arguments]
         argv = ["nice", "-n", str(AGENT_NICENESS), *argv]
-        if self._air is not None:
-            argv = self._air.wrap(drone_id, argv)
+        if self._emulator is not None:
+            argv = self._emulator.wrap(drone_id, argv)
         self._watch.started(drone_id)
         self._recording.flown("started", drone_id)
         self._agents[drone_id] = await self._children.start(f"drone {drone_id}", argv)
@@ -293,24 +298,24 @@ class _SwarmFlight:
         if fault.kind is FaultKind.KILL:
             await asyncio.gather(*(self._kill(d, fault.seconds) for d in fault.drones or self._agents))
             return
-        air, radio = self._air, self._scenario.radio
-        assert air is not None, "such a scenario needs a radio"
+        emulator, radio = self._emulator, self._scenario.radio
+        assert emulator is not None, "such a scenario needs a radio"
         drones = fault.drones or self._scenario.members
         match fault.kind:
             case FaultKind.PARTITION:
-                air.cut(drones)
+                emulator.cut(drones)
             case FaultKind.LOSS:
-                air.impair(drones, loss=fault.value)
+                emulator.impair(drones, loss=fault.value)
             case FaultKind.LATENCY:
-                air.impair(drones, latency_s=fault.value)
+                emulator.impair(drones, latency_s=fault.value)
         await self._until(fault.at_s + fault.seconds)
         match fault.kind:
             case FaultKind.PARTITION:
-                air.heal()
+                emulator.heal()
             case FaultKind.LOSS:
-                air.impair(drones, loss=radio.loss)
+                emulator.impair(drones, loss=radio.loss)
             case FaultKind.LATENCY:
-                air.impair(drones, latency_s=radio.latency_s)
+                emulator.impair(drones, latency_s=radio.latency_s)
 
     async def _kill(self, drone_id: int, away_s: float) -> None:
         """kill -9, and start again unless it is to stay dead."""

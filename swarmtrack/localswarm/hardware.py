@@ -32,7 +32,7 @@ BOUNDARY = "frame"
 AUTOPILOT_FAULTS = (FaultKind.IMU_GAP, FaultKind.AUTOPILOT_REBOOT)
 
 
-class Watcher:
+class CameraClient:
     """One client of a camera: it gets the newest, and misses what comes while it is busy."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class CameraHardware:
         self._epoch = epoch
         self._clock = clock
         self._make = make
-        self._watchers: set[Watcher] = set()
+        self._watchers: set[CameraClient] = set()
         self._watched = asyncio.Event()
 
     async def run(self) -> None:
@@ -90,7 +90,7 @@ class CameraHardware:
                 watcher.show(part)
 
     async def parts(self) -> AsyncIterator[bytes]:
-        watcher = Watcher()
+        watcher = CameraClient()
         self._watchers.add(watcher)
         self._watched.set()
         try:
@@ -102,7 +102,7 @@ class CameraHardware:
                 self._watched.clear()
 
 
-class Photographer:
+class CameraRenderer:
     """Renders what a camera sees, in worker threads: OpenCV lets go of Python's lock while it draws."""
 
     content_type = f"multipart/x-mixed-replace; boundary={BOUNDARY}"
@@ -139,7 +139,7 @@ class Photographer:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
 
-class Oracle:
+class OracleDetector:
     """Knows where everybody is, and says it as a detector would: with misses, noise and clutter."""
 
     content_type = "application/x-ndjson"
@@ -284,7 +284,7 @@ async def simulate(
     port: of the cameras; that of drone N's autopilot is N higher. 0: whichever are free. flown: what the server tells
     at `/` beside the world time.
     """
-    images = Oracle(scenario, epoch) if oracle else Photographer(scenario, epoch)
+    images = OracleDetector(scenario, epoch) if oracle else CameraRenderer(scenario, epoch)
     cameras = {n: CameraHardware(n, scenario, epoch, clock, images.make) for n in scenario.members}
     autopilots = {n: make_autopilot(scenario, n, epoch, clock.now()) for n in scenario.members}
     async with AsyncExitStack() as stack:

@@ -54,7 +54,7 @@ class Children:
     def __init__(self, folder: Path, *, keep: bool) -> None:
         self._folder = folder
         self._keep = keep
-        self._keeper: asyncio.subprocess.Process | None = None
+        self._reaper: asyncio.subprocess.Process | None = None
         self._watches: set[asyncio.Task[None]] = set()
         self._running: list[Child] = []
         self.died: asyncio.Future[Child] = asyncio.get_running_loop().create_future()
@@ -62,7 +62,7 @@ class Children:
 
     async def __aenter__(self) -> Self:
         folders = [] if self._keep else [str(self._folder)]
-        self._keeper = await asyncio.create_subprocess_exec(
+        self._reaper = await asyncio.create_subprocess_exec(
             *(sys.executable, "-I", "-S", reaper.__file__, *folders),
             stdin=asyncio.subprocess.PIPE,
             process_group=0,
@@ -75,13 +75,13 @@ class Children:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        assert self._keeper is not None
-        assert self._keeper.stdin is not None
+        assert self._reaper is not None
+        assert self._reaper.stdin is not None
         try:
             await asyncio.gather(*(self.end(child) for child in list(self._running)))
         finally:
-            self._keeper.stdin.close()  # kills what is left, and removes the folder
-            await self._keeper.wait()
+            self._reaper.stdin.close()  # kills what is left, and removes the folder
+            await self._reaper.wait()
 
     async def start(self, name: str, argv: Sequence[str], *, talks: bool = False) -> Child:
         """talks: its standard input and output are pipes of ours."""
@@ -126,7 +126,7 @@ class Children:
             self.died.set_result(child)
 
     def _tell_keeper(self, line: str) -> None:
-        assert self._keeper is not None
-        assert self._keeper.stdin is not None
-        if not self._keeper.stdin.is_closing():
-            self._keeper.stdin.write(f"{line}\n".encode())
+        assert self._reaper is not None
+        assert self._reaper.stdin is not None
+        if not self._reaper.stdin.is_closing():
+            self._reaper.stdin.write(f"{line}\n".encode())

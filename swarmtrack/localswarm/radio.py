@@ -32,11 +32,11 @@ from types import TracebackType
 from typing import Final, Self
 
 from swarmtrack.errors import SwarmtrackError
-from swarmtrack.localswarm.radio_switch import MTU, Ether
+from swarmtrack.localswarm.radio_switch import MTU, RadioChannel
 
 # 198.18.0.0/15 is kept for benchmarks (RFC 2544): no network that a machine is really on.
 RADIO_NETWORK: Final = "198.18"  # the rest of an address is the drone's ID
-WIRE_NETWORK: Final = "198.19"  # the third byte is the air's own, as several may be open on one machine
+WIRE_NETWORK: Final = "198.19"  # the third byte is the emulator's own, as several may be open on one machine
 WIRE_HOST: Final = 254
 MAX_DRONES: Final = WIRE_HOST - 1
 MAX_DRONE_ID: Final = 0xFFFE  # 198.18.255.255 is everybody
@@ -48,12 +48,12 @@ TUNSETIFF: Final = 0x400454CA
 IFF_TAP, IFF_NO_PI = 0x0002, 0x1000
 
 
-class AirError(SwarmtrackError):
-    """The air cannot be made here; the text says what is missing, and how to get it."""
+class RadioError(SwarmtrackError):
+    """No radio can be emulated here; the text says what is missing, and how to get it."""
 
 
 @dataclass(frozen=True, slots=True)
-class AirCounters:
+class RadioCounters:
     """What one drone's radio sent: a frame to everybody counts once. lost, cut: receptions that failed."""
 
     frames: int
@@ -62,7 +62,7 @@ class AirCounters:
     cut: int
 
 
-class Air:
+class RadioEmulator:
     """Use with `async with`. Needs root, or the root that `unshare -Urn` makes; else AirError.
 
     loss, latency_s and jitter_s hold for every link; `impair` sets those of some drones. Delays are uniform in
@@ -71,16 +71,16 @@ class Air:
 
     def __init__(self, drones: Sequence[int], *, seed: int) -> None:
         if len(set(drones)) != len(drones) or not 0 < len(drones) <= MAX_DRONES:
-            raise AirError(
-                f"air: found the drones {list(drones)}, expected 1 to {MAX_DRONES} of different IDs"
+            raise RadioError(
+                f"radio: found the drones {list(drones)}, expected 1 to {MAX_DRONES} of different IDs"
             )
         if not all(1 <= drone <= MAX_DRONE_ID for drone in drones):
-            raise AirError(f"air: found the drones {list(drones)}, expected IDs of 1 to {MAX_DRONE_ID}")
+            raise RadioError(f"radio: found the drones {list(drones)}, expected IDs of 1 to {MAX_DRONE_ID}")
         self._ports: Mapping[int, int] = {drone: port for port, drone in enumerate(drones)}
         self._seed = seed
-        self._memory = FileIO(os.memfd_create("swarmtrack-air"), "r+")
-        self._memory.truncate(Ether.size(len(drones)))
-        self._ether = Ether(self._memory.fileno(), len(drones))
+        self._memory = FileIO(os.memfd_create("swarmtrack-radio"), "r+")
+        self._memory.truncate(RadioChannel.size(len(drones)))
+        self._channel = RadioChannel(self._memory.fileno(), len(drones))
         # By drone: what keeps its namespace alive, and the far side of its radio, until the switch has that.
         self._namespaces: dict[int, FileIO] = {}
         self._taps: dict[int, FileIO] = {}
@@ -106,7 +106,7 @@ class Air:
         died = self._switch is not None and self._switch.returncode is not None
         await self._close()
         if died and error is None:
-            raise AirError("air: its switch ended by itself, so nobody was heard any more; see above")
+            raise RadioError("radio: its switch ended by itself, so nobody was heard any more; see above")
 
     # --- where things are ---------------------------------------------------------------
 
@@ -135,7 +135,7 @@ class Air:
     @property
     def loss(self) -> float:
         """Probability that a frame is lost on its way to one receiver, worst link; setting it sets every link."""
-        return max(self._ether.loss)
+        return max(self._channel.loss)
 
     @loss.setter
     def loss(self, probability: float) -> None:
@@ -143,7 +143,7 @@ class Air:
 
     @property
     def latency_s(self) -> float:
-        return max(self._ether.latency_s)
+        return max(self._channel.latency_s)
 
     @latency_s.setter
     def latency_s(self, seconds: float) -> None:
@@ -151,7 +151,7 @@ class Air:
 
     @property
     def jitter_s(self) -> float:
-        return max(self._ether.jitter_s)
+        return max(self._channel.jitter_s)
 
     @jitter_s.setter
     def jitter_s(self, seconds: float) -> None:
@@ -174,17 +174,17 @@ class Air:
         ports = {self._ports[drone] for drone in drones}
         for pair in self._pairs(lambda a, b: a in ports or b in ports):
             if loss is not None:
-                self._ether.loss[pair] = loss
+                self._channel.loss[pair] = loss
             if latency_s is not None:
-                self._ether.latency_s[pair] = latency_s
+                self._channel.latency_s[pair] = latency_s
             if jitter_s is not None:
-                self._ether.jitter_s[pair] = jitter_s
+                self._channel.jitter_s[pair] = jitter_s
 
     def cut(self, side: Iterable[int]) -> None:
         """These drones and the others no longer hear each other; several cuts add up."""
         ports = {self._ports[drone] for drone in side}
         for pair in self._pairs(lambda a, b: (a in ports) != (b in ports)):
-            self._ether.blocked[pair] = 1.0
+            self._channel.blocked[pair] = 1.0
 
     def silence(self, drone: int) -> None:
         """Nobody hears this drone, and it hears nobody."""
@@ -193,23 +193,23 @@ class Air:
     def heal(self) -> None:
         """Undo every cut."""
         for pair in self._pairs(lambda a, b: True):
-            self._ether.blocked[pair] = 0.0
+            self._channel.blocked[pair] = 0.0
 
     def _pairs(self, chosen: Callable[[int, int], bool]) -> Iterator[int]:
-        """Indices into the ether of the ordered pairs of ports that are chosen."""
-        n = self._ether.ports
+        """Indices into the channel of the ordered pairs of ports that are chosen."""
+        n = self._channel.ports
         return (a * n + b for a in range(n) for b in range(n) if chosen(a, b))
 
     @property
-    def counters(self) -> Mapping[int, AirCounters]:
+    def counters(self) -> Mapping[int, RadioCounters]:
         """By drone, since the start."""
-        ether = self._ether
+        channel = self._channel
         return {
-            drone: AirCounters(
-                frames=int(ether.sent_frames[port]),
-                bytes=int(ether.sent_bytes[port]),
-                lost=int(ether.lost_frames[port]),
-                cut=int(ether.blocked_frames[port]),
+            drone: RadioCounters(
+                frames=int(channel.sent_frames[port]),
+                bytes=int(channel.sent_bytes[port]),
+                lost=int(channel.lost_frames[port]),
+                cut=int(channel.blocked_frames[port]),
             )
             for drone, port in self._ports.items()
         }
@@ -219,7 +219,7 @@ class Air:
     def _build(self) -> None:
         missing = [program for program in PROGRAMS if shutil.which(program) is None]
         if missing:
-            raise AirError(f"air: no {', '.join(missing)} here; install iproute2 and util-linux")
+            raise RadioError(f"radio: no {', '.join(missing)} here; install iproute2 and util-linux")
         self._claim, self._block = _claim_block()
         for drone in self._ports:
             _in_a_thread_of_its_own(partial(self._make_namespace, drone))
@@ -259,7 +259,7 @@ class Air:
         self._switch = await asyncio.create_subprocess_exec(
             sys.executable,
             *("-m", "swarmtrack.localswarm.radio_switch"),
-            *("--ether", str(self._memory.fileno()), "--seed", str(self._seed), *radios),
+            *("--channel", str(self._memory.fileno()), "--seed", str(self._seed), *radios),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             pass_fds=(self._memory.fileno(), *(tap.fileno() for tap in self._taps.values())),
@@ -268,7 +268,9 @@ class Air:
             tap.close()  # the switch's are the only ones now: when it ends, the radios do
         assert self._switch.stdout is not None
         if not await self._switch.stdout.readline():
-            raise AirError(f"air: its switch ended at once, exit code {await self._switch.wait()}; see above")
+            raise RadioError(
+                f"radio: its switch ended at once, exit code {await self._switch.wait()}; see above"
+            )
 
     async def _close(self) -> None:
         if self._switch is not None and self._switch.returncode is None:
@@ -285,7 +287,7 @@ class Air:
         if self._claim is not None:
             # The kernel takes the cables with their namespaces, but in its own time.
             cables = [f"link del {self._cable(drone)}" for drone in self._namespaces]
-            with contextlib.suppress(AirError):
+            with contextlib.suppress(RadioError):
                 await asyncio.to_thread(_ip, cables, to_the_end=True)
             self._claim.close()
 
@@ -317,23 +319,23 @@ def _cable_prefix(block: int) -> str:
 
 
 def _claim_block() -> tuple[socket.socket, int]:
-    """A third byte for the wire's addresses that no other air in this network namespace uses.
+    """A third byte for the wire's addresses that no other emulator in this network namespace uses.
 
     The claim is an abstract socket: as anonymous as all else here, and bound to this namespace, as addresses are.
-    Cables of an air that was killed may be there for a moment more.
+    Cables of an emulator that was killed may be there for a moment more.
     """
     names = [name for _, name in socket.if_nameindex()]
     for block in range(256):
         claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
-            claim.bind(f"\0swarmtrack-air-{block}")
+            claim.bind(f"\0swarmtrack-radio-{block}")
         except OSError:
             claim.close()
             continue
         if not any(name.startswith(_cable_prefix(block)) for name in names):
             return claim, block
         claim.close()
-    raise AirError("air: 256 airs are open on this machine, expected one of them to end first")
+    raise RadioError("radio: 256 radio emulators are open on this machine, expected one of them to end first")
 
 
 def _unshare_network() -> None:
@@ -343,13 +345,15 @@ def _unshare_network() -> None:
         return
     number = ctypes.get_errno()
     if number == errno.EPERM and os.geteuid() != 0:
-        raise AirError("air: radios in network namespaces need root; run as root, or below `unshare -Urn`")
+        raise RadioError(
+            "radio: radios in network namespaces need root; run as root, or below `unshare -Urn`"
+        )
     if number == errno.EPERM:
-        raise AirError(
-            "air: this root may not make network namespaces (no CAP_SYS_ADMIN); "
+        raise RadioError(
+            "radio: this root may not make network namespaces (no CAP_SYS_ADMIN); "
             "a container needs --cap-add SYS_ADMIN --cap-add NET_ADMIN --device /dev/net/tun"
         )
-    raise AirError(f"air: this kernel makes no network namespaces: {os.strerror(number)}")
+    raise RadioError(f"radio: this kernel makes no network namespaces: {os.strerror(number)}")
 
 
 def _open_tap(name: str) -> FileIO:
@@ -357,16 +361,16 @@ def _open_tap(name: str) -> FileIO:
     try:
         tap = FileIO(os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK), "r+")
     except OSError as error:
-        raise AirError(
-            f"air: /dev/net/tun: {error.strerror}; `modprobe tun`, give a container --device /dev/net/tun, "
+        raise RadioError(
+            f"radio: /dev/net/tun: {error.strerror}; `modprobe tun`, give a container --device /dev/net/tun, "
             f"and whoever is not root read and write access to it"
         ) from None
     try:
         fcntl.ioctl(tap, TUNSETIFF, struct.pack("16sH22x", name.encode(), IFF_TAP | IFF_NO_PI))
     except OSError as error:
         tap.close()
-        raise AirError(
-            f"air: no TAP device {name}: {error.strerror}; it needs CAP_NET_ADMIN, which root has"
+        raise RadioError(
+            f"radio: no TAP device {name}: {error.strerror}; it needs CAP_NET_ADMIN, which root has"
         ) from None
     return tap
 
@@ -386,4 +390,4 @@ def _ip(commands: Sequence[str], *, to_the_end: bool = False) -> None:
         reasons = finished.stderr.strip().splitlines()
         line = reasons[-1].rpartition(":")[2] if reasons else ""
         failed = commands[int(line) - 1] if line.isdecimal() else commands[0]
-        raise AirError(f"air: `ip {failed}`: {reasons[0] if reasons else 'failed without a word'}")
+        raise RadioError(f"radio: `ip {failed}`: {reasons[0] if reasons else 'failed without a word'}")

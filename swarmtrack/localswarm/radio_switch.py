@@ -1,9 +1,10 @@
-"""The switch behind `Air`: a process that carries Ethernet frames between TAP devices, and loses, delays and cuts.
+"""The radio emulator's switch: a process that carries Ethernet frames between TAP devices, and loses and delays them.
 
 Theory of operation. A drone's radio is a TAP device in its namespace; what it sends is read here, what it hears is
-written here. Launcher and switch share one page of memory, `Ether`: faults go one way, counters the other, so a fault
-holds from the next frame on and nobody waits for anybody. The switch is a process of its own because a frame must not
-wait until the launcher has drawn its table. It ends when its standard input does, so it cannot outlive the launcher.
+written here. Launcher and switch share one page of memory, `RadioChannel`: faults go one way, counters the other, so a
+fault holds from the next frame on and nobody waits for anybody. The switch is a process of its own because a frame
+must not wait until the launcher has drawn its table. It ends when its standard input does, so it cannot outlive the
+launcher.
 
 A frame is on the air once and heard by each receiver or not: that is decided for each ordered pair of drones by a
 generator of its own, so the pattern of losses between two drones does not depend on what others send. There is no
@@ -30,12 +31,12 @@ from swarmtrack.clock import SystemClock
 MTU: Final = 1500  # bytes
 MAX_FRAME: Final = MTU + 64  # bytes, with the Ethernet header and whatever tags
 BATCH: Final = 32  # frames of one radio before the others get their turn
-MAX_WAITING: Final = 8192  # delayed frames: 12 MB, a second of 100 Mbit/s; the air holds no more
+MAX_WAITING: Final = 8192  # delayed frames: 12 MB, a second of 100 Mbit/s; the channel holds no more
 NUMBER: Final = 8  # bytes of a double, exact for counts up to 2^53
 
 
-class Ether:
-    """What the air does to frames, of each ordered pair of ports, and what it carried, of each port.
+class RadioChannel:
+    """What the radio channel does to frames, of each ordered pair of ports, and what it carried, of each port.
 
     A page of doubles in memory that two processes share; pairs are indexed `source * ports + receiver`. `blocked` is
     0 for a pair that can hear each other.
@@ -70,22 +71,22 @@ class Delivery(NamedTuple):
 class Switch:
     """Decides who hears a frame, and when. Told the time; reads and writes nothing."""
 
-    def __init__(self, ether: Ether, addresses: Sequence[bytes], seed: int) -> None:
+    def __init__(self, channel: RadioChannel, addresses: Sequence[bytes], seed: int) -> None:
         """addresses: of each port, 6 bytes."""
-        self._ether = ether
+        self._channel = channel
         self._ports = {address: port for port, address in enumerate(addresses)}
-        self._others = [[p for p in range(ether.ports) if p != port] for port in range(ether.ports)]
-        pairs = itertools.product(range(ether.ports), repeat=2)
+        self._others = [[p for p in range(channel.ports) if p != port] for port in range(channel.ports)]
+        pairs = itertools.product(range(channel.ports), repeat=2)
         self._chance = [random.Random(f"{seed}/{source}/{receiver}") for source, receiver in pairs]
-        self._last_due = [0.0] * ether.ports**2
+        self._last_due = [0.0] * channel.ports**2
         self._serial = itertools.count()
         self._waiting: list[Delivery] = []
 
     def send(self, source: int, frame: bytes, now: float) -> list[int]:
         """A frame left the radio of `source`: the ports that hear it at once. Delayed ones wait for `deliver`."""
-        ether = self._ether
-        ether.sent_frames[source] += 1
-        ether.sent_bytes[source] += len(frame)
+        channel = self._channel
+        channel.sent_frames[source] += 1
+        channel.sent_bytes[source] += len(frame)
         if frame[0] & 1:  # broadcast and multicast
             receivers = self._others[source]
         else:
@@ -96,14 +97,14 @@ class Switch:
         return [port for port in receivers if self._arrives_at_once(source, port, frame, now)]
 
     def _arrives_at_once(self, source: int, port: int, frame: bytes, now: float) -> bool:
-        ether, pair = self._ether, source * self._ether.ports + port
-        if ether.blocked[pair]:
-            ether.blocked_frames[source] += 1
+        channel, pair = self._channel, source * self._channel.ports + port
+        if channel.blocked[pair]:
+            channel.blocked_frames[source] += 1
             return False
-        loss, latency, jitter = ether.loss[pair], ether.latency_s[pair], ether.jitter_s[pair]
+        loss, latency, jitter = channel.loss[pair], channel.latency_s[pair], channel.jitter_s[pair]
         # Drawn for each frame that could be lost, and only then: what is delayed does not change what is lost.
         if loss and self._chance[pair].random() < loss:
-            ether.lost_frames[source] += 1
+            channel.lost_frames[source] += 1
             return False
         due = max(self._last_due[pair], now + latency)
         if jitter:
@@ -115,7 +116,7 @@ class Switch:
 
     def _delay(self, pair: int, delivery: Delivery, source: int) -> None:
         if len(self._waiting) >= MAX_WAITING:
-            self._ether.lost_frames[source] += 1
+            self._channel.lost_frames[source] += 1
             return
         self._last_due[pair] = delivery.due
         heapq.heappush(self._waiting, delivery)
@@ -164,15 +165,17 @@ def _read(tap: int) -> list[bytes]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The switch of swarmtrack's simulated air; Air starts it.")
-    parser.add_argument("--ether", type=int, required=True, metavar="FD")
+    parser = argparse.ArgumentParser(
+        description="The switch of swarmtrack's radio emulator, which starts it."
+    )
+    parser.add_argument("--channel", type=int, required=True, metavar="FD")
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("radios", nargs="+", metavar="FD=MAC", help="a TAP device and its radio's address")
     arguments = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the launcher says when
     taps, addresses = zip(*(radio.split("=") for radio in arguments.radios), strict=True)
-    ether = Ether(arguments.ether, len(taps))
-    switch = Switch(ether, [bytes.fromhex(address) for address in addresses], arguments.seed)
+    channel = RadioChannel(arguments.channel, len(taps))
+    switch = Switch(channel, [bytes.fromhex(address) for address in addresses], arguments.seed)
     print("ready", flush=True)
     run(switch, [int(tap) for tap in taps], sys.stdin.fileno())
 

@@ -1,6 +1,6 @@
 """Ends what a launcher started and removes its folder, once the launcher is gone: also when that was killed.
 
-    python -I -S keeper.py [FOLDER]
+    python -I -S reaper.py [FOLDER]
 
 On standard input, a line each: `+PID`, the leader of a process group that was started, and `-PID`, one that has ended.
 At its end, every group that is left is killed, and the folder removed. Imports nothing of ours, so that it is small

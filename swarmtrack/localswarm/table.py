@@ -77,7 +77,7 @@ class PlainLines:
     def close(self) -> None: ...
 
 
-class Silent:
+class NoTable:
     """For programs."""
 
     def note(self, text: str) -> None: ...

@@ -1,4 +1,4 @@
-"""One drone's own recording, as the words that the monitor would have heard of it, and of those it heard."""
+"""One drone's own recording, as the messages that the monitor would have heard of it, and of those it heard."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from swarmtrack.messages import (
     PeerDeparted,
     SightingReport,
 )
-from swarmtrack.monitor.timeline import Blob, Shelf, Tracked, Word
+from swarmtrack.monitor.timeline import Blob, BlobFile, TimelineEvent, Tracked
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
@@ -58,17 +58,17 @@ JITTER_S = 0.01
 Heard = Announcement | SightingReport | PeerArrived | PeerDeparted | IdClash
 
 
-class OwnWords:
+class DroneRecording:
     """To be read once, then asked; times of what is kept are UTC by its own clock until they are shifted."""
 
-    def __init__(self, recording: Recording, shelf: Shelf) -> None:
+    def __init__(self, recording: Recording, blob_file: BlobFile) -> None:
         self.drone_id = recording.drone_id
         self.hearsay = Hearsay()
         self.refused = 0
         self.observers: set[int] = set()
         """Whose reports it heard."""
         self._recording = recording
-        self._shelf = shelf
+        self._blob_file = blob_file
         self._team = recording.preface["team"]
         self.boot = recording.preface["boot"]
         self._offset = utc_offset(recording)
@@ -122,7 +122,7 @@ class OwnWords:
         elif topic == IMAGES_TOPIC:
             jpeg = jpeg_of(message.data)
             if jpeg is not None and math.isfinite(self._frame_t) and _is_due(self._pictures, t):
-                self._pictures.append((t, self._view(self._frame_t), self._shelf.put(jpeg)))
+                self._pictures.append((t, self._view(self._frame_t), self._blob_file.put(jpeg)))
 
     def _on_input(self, event: Input, t: float) -> None:
         match event:
@@ -142,7 +142,7 @@ class OwnWords:
 
     def _on_scan(self, data: bytes, t: float) -> None:
         exposed = _DECODE_TIME(data).t_s
-        self.tracked.add(exposed + self._offset, self._shelf.put(data))
+        self.tracked.add(exposed + self._offset, self._blob_file.put(data))
         if _is_due(self._scans, t):
             self._scans.append((t, self._view(exposed), None))
         observer = self._ego.at(exposed)
@@ -188,7 +188,7 @@ class OwnWords:
 
     # --- telling ------------------------------------------------------------------------
 
-    def views(self, shift: float) -> Iterator[Word]:
+    def views(self, shift: float) -> Iterator[TimelineEvent]:
         """Where its camera looked, with pictures where it recorded any."""
         for t, view, picture in self._pictures or self._scans:
             try:
@@ -196,18 +196,20 @@ class OwnWords:
             except ValueError:
                 self.refused += 1
                 continue
-            yield self._word(Kind.VIDEO, self.drone_id, t + shift, payload)._replace(picture=picture)
+            yield self._message(Kind.VIDEO, self.drone_id, t + shift, payload)._replace(picture=picture)
 
-    def words(self, shift: float, *, lives: set[tuple[int, str]], says_itself: bool) -> Iterator[Word]:
+    def events(
+        self, shift: float, *, lives: set[tuple[int, str]], says_itself: bool
+    ) -> Iterator[TimelineEvent]:
         """lives: drone and boot of those that recorded themselves; says_itself: whom it sees, since nobody recorded
         hearing it."""
         if math.isnan(self._first):
             return
         yield self._token(self.drone_id, self.boot, self._first + shift)
         for t in self._spoke:
-            yield Word(t + shift, self.drone_id, None)
+            yield TimelineEvent(t + shift, self.drone_id, None)
         for t, payload in self._health:
-            yield self._word(Kind.HEALTH, self.drone_id, t + shift, payload)
+            yield self._message(Kind.HEALTH, self.drone_id, t + shift, payload)
         for t, event in [*self._heard, *(self._reports if says_itself else ())]:
             try:
                 yield from self._of_event(event, t + shift, self._offset + shift, lives)
@@ -215,22 +217,24 @@ class OwnWords:
                 self.refused += 1
         yield from self._silent_teammates(shift, lives)
 
-    def departure(self, shift: float) -> Word | None:
+    def departure(self, shift: float) -> TimelineEvent | None:
         """When it ended; None where it holds nothing."""
         if math.isnan(self._last):
             return None
         return self._token(self.drone_id, self.boot, self._last + shift, alive=False)
 
-    def _of_event(self, event: Heard, t: float, offset: float, lives: set[tuple[int, str]]) -> Iterator[Word]:
+    def _of_event(
+        self, event: Heard, t: float, offset: float, lives: set[tuple[int, str]]
+    ) -> Iterator[TimelineEvent]:
         drone_id = event.observer if isinstance(event, SightingReport) else event.drone_id
         match event:
             case Announcement():
-                yield self._word(
+                yield self._message(
                     Kind.POSE, drone_id, t, codec.encode(announcement_message(event, offset, t - offset))
                 )
             case SightingReport():
                 payload = codec.encode(sightings_message(event, offset, t - offset))
-                yield self._word(Kind.IDENTITIES, drone_id, t, payload)
+                yield self._message(Kind.IDENTITIES, drone_id, t, payload)
             case PeerArrived(boot=boot) | PeerDeparted(boot=boot) if (drone_id, boot) not in lives:
                 yield self._token(drone_id, boot, t, alive=isinstance(event, PeerArrived))
             case IdClash(boots=boots):
@@ -238,7 +242,7 @@ class OwnWords:
                     if (drone_id, boot) not in lives:
                         yield self._token(drone_id, boot, t)
 
-    def _silent_teammates(self, shift: float, lives: set[tuple[int, str]]) -> Iterator[Word]:
+    def _silent_teammates(self, shift: float, lives: set[tuple[int, str]]) -> Iterator[TimelineEvent]:
         """Of those who did not record themselves it is known that they lived while their token stood."""
         since: dict[int, float] = {}
         spans: list[tuple[int, float, float]] = []
@@ -250,13 +254,15 @@ class OwnWords:
         spans += [(drone_id, t, self._last) for drone_id, t in since.items()]
         for drone_id, begin, end in spans:
             for k in range(int((end - begin) / SILENT_WORD_S) + 1):
-                yield Word(begin + k * SILENT_WORD_S + shift, drone_id, None)
+                yield TimelineEvent(begin + k * SILENT_WORD_S + shift, drone_id, None)
 
-    def _word(self, kind: Kind, drone_id: int, t: float, payload: bytes) -> Word:
-        return Word(t, drone_id, Sample(keys.key(self._team, kind, drone_id), payload, True, t))
+    def _message(self, kind: Kind, drone_id: int, t: float, payload: bytes) -> TimelineEvent:
+        return TimelineEvent(t, drone_id, Sample(keys.key(self._team, kind, drone_id), payload, True, t))
 
-    def _token(self, drone_id: int, boot: str, t: float, *, alive: bool = True) -> Word:
-        return Word(t, drone_id, Sample(keys.key(self._team, Kind.ALIVE, drone_id, boot), b"", alive, t))
+    def _token(self, drone_id: int, boot: str, t: float, *, alive: bool = True) -> TimelineEvent:
+        return TimelineEvent(
+            t, drone_id, Sample(keys.key(self._team, Kind.ALIVE, drone_id, boot), b"", alive, t)
+        )
 
 
 class _Time(msgspec.Struct):

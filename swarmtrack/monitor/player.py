@@ -52,7 +52,7 @@ class View:
 
 @dataclass(slots=True)
 class _Scene:
-    """All that changes while it is played. told: how many words."""
+    """All that changes while it is played. told: how many events."""
 
     clock: PlayedClock
     team: MonitoredTeam
@@ -106,22 +106,22 @@ class Playback:
             return None
         message = view.message
         if view.picture is not None:
-            message = msgspec.structs.replace(message, jpeg=self.timeline.shelf.get(view.picture))
+            message = msgspec.structs.replace(message, jpeg=self.timeline.blob_file.get(view.picture))
         return message, self.timeline.tracks_at(drone_id, message.t_utc_s)
 
     def _take_step(self, step: int) -> None:
-        scene, words = self._scene, self.timeline.words
+        scene, events = self._scene, self.timeline.events
         end = self.timeline.begin + step * STEP_S
-        while scene.told < len(words) and words[scene.told].t <= end:
-            word = words[scene.told]
+        while scene.told < len(events) and events[scene.told].t <= end:
+            event = events[scene.told]
             scene.told += 1
-            scene.clock.t = word.t
-            if word.sample is None:
-                scene.team.on_sign_of_life(word.drone_id, word.t)
+            scene.clock.t = event.t
+            if event.sample is None:
+                scene.team.on_sign_of_life(event.drone_id, event.t)
                 continue
-            view = scene.team.on_sample(word.sample)
+            view = scene.team.on_sample(event.sample)
             if view is not None:
-                scene.views[word.drone_id] = View(word.t, view, word.picture)
+                scene.views[event.drone_id] = View(event.t, view, event.picture)
         scene.clock.t = end
         scene.team.look()
         self.step = step

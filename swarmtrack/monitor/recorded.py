@@ -17,9 +17,9 @@ from pathlib import Path
 import msgspec
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.monitor.own_recording import OwnWords
+from swarmtrack.monitor.own_recording import DroneRecording
 from swarmtrack.monitor.team import SILENT_S
-from swarmtrack.monitor.timeline import Shelf, Timeline, Tracked, Word
+from swarmtrack.monitor.timeline import BlobFile, Timeline, TimelineEvent, Tracked
 from swarmtrack.recording.merge import Hearsay, shifts_by, utc_offset
 from swarmtrack.recording.reader import Recording, recordings_below
 from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, Heard, read_heard
@@ -51,10 +51,10 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
         raise RecordingError(
             f"{where}: holds recordings of the teams {', '.join(teams)}, expected those of one"
         )
-    shelf = Shelf()
-    swarms = [_HeardWords(r, shelf) for r in recordings if r.kind == "swarm"]
-    drones = [OwnWords(r, shelf) for r in recordings if r.kind == "drone"]
-    sources: list[_HeardWords | OwnWords] = [*swarms, *drones]
+    blob_file = BlobFile()
+    swarms = [_SwarmRecording(r, blob_file) for r in recordings if r.kind == "swarm"]
+    drones = [DroneRecording(r, blob_file) for r in recordings if r.kind == "drone"]
+    sources: list[_SwarmRecording | DroneRecording] = [*swarms, *drones]
     try:
         offsets = [utc_offset(recording) for recording in recordings]
     except (KeyError, ValueError):
@@ -62,54 +62,54 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
     for source in sources:
         source.read()
     moved = [shift.seconds for shift in shifts_by([source.hearsay for source in sources], offsets)]
-    words: list[Word] = []
+    events: list[TimelineEvent] = []
     tracked: dict[int, list[Tracked]] = {}
-    ends: list[Word] = []
+    ends: list[TimelineEvent] = []
     recorded = {own.drone_id for own in drones}
     lives = {(own.drone_id, own.boot) for own in drones}
     for heard, shift in zip(swarms, moved, strict=False):
-        words += heard.words(shift, recorded)
+        events += heard.events(shift, recorded)
         for drone_id, told in heard.tracked.items():
             if drone_id not in recorded:
                 tracked.setdefault(drone_id, []).append(told)
     heard_of = set().union(*(own.observers for own in drones))
     for own, shift in zip(drones, moved[len(swarms) :], strict=True):
-        words += own.views(shift)
+        events += own.views(shift)
         tracked.setdefault(own.drone_id, []).append(own.tracked)
         if not swarms:
-            words += own.words(shift, lives=lives, says_itself=own.drone_id not in heard_of)
+            events += own.events(shift, lives=lives, says_itself=own.drone_id not in heard_of)
             ends += filter(None, [own.departure(shift)])
-    end = max((word.t for word in words), default=0.0)
-    words += [word for word in ends if word.t < end - SILENT_S]  # later ones ended with the recording
-    words.sort(key=lambda word: word.t)
+    end = max((event.t for event in events), default=0.0)
+    events += [event for event in ends if event.t < end - SILENT_S]  # later ones ended with the recording
+    events.sort(key=lambda event: event.t)
     notes = [sentence for recording in recordings for sentence in recording.damage]
     if refused := sum(source.refused for source in sources):
         notes.append(f"{where}: {refused} records cannot be read and are left out")
-    if not words:
+    if not events:
         raise RecordingError(
             "; ".join([f"{where}: holds no word of any drone, expected the recording of a flight", *notes])
         )
     flights = [
-        k for k, (one, next_one) in enumerate(pairwise(words), 1) if next_one.t - one.t > FLIGHTS_APART_S
+        k for k, (one, next_one) in enumerate(pairwise(events), 1) if next_one.t - one.t > FLIGHTS_APART_S
     ]
     if flights:
         notes.append(
             f"{where}: holds {len(flights) + 1} flights, plays the last; name the folder of another for it"
         )
-        del words[: flights[-1]]
-    return Timeline(teams[0], words, tracked, shelf, notes)
+        del events[: flights[-1]]
+    return Timeline(teams[0], events, tracked, blob_file, notes)
 
 
-class _HeardWords:
+class _SwarmRecording:
     """What `swarmtrack record` and `sim --record` heard."""
 
-    def __init__(self, recording: Recording, shelf: Shelf) -> None:
+    def __init__(self, recording: Recording, blob_file: BlobFile) -> None:
         self.hearsay = Hearsay()
         self.refused = 0
         self.tracked: dict[int, Tracked] = {}
         self._recording = recording
-        self._shelf = shelf
-        self._words: list[tuple[keys.Address, Word]] = []
+        self._blob_file = blob_file
+        self._events: list[tuple[keys.Address, TimelineEvent]] = []
 
     def read(self) -> None:
         offset = utc_offset(self._recording)
@@ -118,17 +118,17 @@ class _HeardWords:
                 heard = read_heard(message)
                 address = keys.parse(heard.key)
                 if address is not None:
-                    self._words.append((address, self._word(heard, address, heard.t + offset)))
+                    self._events.append((address, self._word(heard, address, heard.t + offset)))
             except (RecordingError, DecodeError, msgspec.MsgspecError):
                 self.refused += 1
 
-    def words(self, shift: float, seen_by_themselves: set[int]) -> Iterator[Word]:
+    def events(self, shift: float, seen_by_themselves: set[int]) -> Iterator[TimelineEvent]:
         """But the views of those who recorded them themselves."""
-        for address, word in self._words:
+        for address, event in self._events:
             if address.kind is not Kind.VIDEO or address.drone_id not in seen_by_themselves:
-                yield _shifted(word, shift)
+                yield _shifted(event, shift)
 
-    def _word(self, heard: Heard, address: keys.Address, t: float) -> Word:
+    def _word(self, heard: Heard, address: keys.Address, t: float) -> TimelineEvent:
         drone_id, sample = address.drone_id, Sample(heard.key, heard.payload, heard.alive, t)
         match address.kind:
             case Kind.IDENTITIES:
@@ -137,18 +137,18 @@ class _HeardWords:
             case Kind.TRACKS:
                 head = msgspec.msgpack.decode(heard.payload, type=_TracksHead)
                 tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))
-                tracked.add(head.t_utc_s, self._shelf.put(heard.payload))
-                return Word(t, drone_id, None)
+                tracked.add(head.t_utc_s, self._blob_file.put(heard.payload))
+                return TimelineEvent(t, drone_id, None)
             case Kind.VIDEO:
                 view = codec.decode(VideoMessage, heard.payload)
                 payload = codec.encode(msgspec.structs.replace(view, jpeg=b""))
-                picture = self._shelf.put(view.jpeg) if view.jpeg else None
-                return Word(t, drone_id, sample._replace(payload=payload), picture)
-        return Word(t, drone_id, sample)
+                picture = self._blob_file.put(view.jpeg) if view.jpeg else None
+                return TimelineEvent(t, drone_id, sample._replace(payload=payload), picture)
+        return TimelineEvent(t, drone_id, sample)
 
 
-def _shifted(word: Word, shift: float) -> Word:
+def _shifted(event: TimelineEvent, shift: float) -> TimelineEvent:
     """On another clock."""
-    t = word.t + shift
-    sample = word.sample and word.sample._replace(arrived=t)
-    return word._replace(t=t, sample=sample)
+    t = event.t + shift
+    sample = event.sample and event.sample._replace(arrived=t)
+    return event._replace(t=t, sample=sample)

@@ -20,13 +20,13 @@ from swarmtrack.wire.tracks import TracksMessage
 
 
 class Blob(NamedTuple):
-    """Where bytes lie in the shelf."""
+    """Where bytes lie in the file."""
 
     offset: int
     length: int
 
 
-class Shelf:
+class BlobFile:
     """A temporary file that nobody else sees, and that goes with us."""
 
     def __init__(self) -> None:
@@ -50,8 +50,11 @@ class Shelf:
         return os.pread(self._file.fileno(), blob.length, blob.offset)
 
 
-class Word(NamedTuple):
-    """Something a drone said. sample None: no more than that it spoke; picture: of a view, whose own is empty."""
+class TimelineEvent(NamedTuple):
+    """Something a drone said, and when. sample None: no more than that it spoke.
+
+    picture: of a view, whose own is empty.
+    """
 
     t: float
     drone_id: int
@@ -81,21 +84,21 @@ class Tracked:
 
 @dataclass(slots=True)
 class Timeline:
-    """words: in order, never empty. notes: what people should know of the recording, a sentence each."""
+    """events: in order, never empty. notes: what people should know of the recording, a sentence each."""
 
     team: str
-    words: list[Word]
+    events: list[TimelineEvent]
     tracked: dict[int, list[Tracked]]
-    shelf: Shelf
+    blob_file: BlobFile
     notes: list[str]
 
     @property
     def begin(self) -> float:
-        return self.words[0].t
+        return self.events[0].t
 
     @property
     def seconds(self) -> float:
-        return self.words[-1].t - self.words[0].t
+        return self.events[-1].t - self.events[0].t
 
     def tracks_at(self, drone_id: int, t_utc_s: float) -> TracksMessage | None:
         """What a drone tracked at the instant of a frame, or nearest to it; None also where it cannot be read."""
@@ -104,6 +107,6 @@ class Timeline:
             return None
         _, blob, life = min(found, key=lambda one: one[0])
         try:
-            return life.read(self.shelf.get(blob))
+            return life.read(self.blob_file.get(blob))
         except (DecodeError, RecordingError):
             return None

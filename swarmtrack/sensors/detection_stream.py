@@ -48,7 +48,7 @@ class BadLine(Exception):
     """The text says what was found and what was expected."""
 
 
-class Sent(msgspec.Struct):
+class StreamLine(msgspec.Struct):
     """A line of the stream."""
 
     detections: list[tuple[float, float, float, float, float]]
@@ -56,14 +56,14 @@ class Sent(msgspec.Struct):
     sequence: Annotated[int, msgspec.Meta(ge=0, le=2**62)] | None = None
 
 
-class Timed(NamedTuple):
+class TimedDetections(NamedTuple):
     """Detections, and the standard deviation of their time [s]."""
 
     detections: Detections
     t_sigma: float
 
 
-_DECODER = msgspec.json.Decoder(Sent)
+_DECODER = msgspec.json.Decoder(StreamLine)
 
 
 class DetectionStream:
@@ -73,7 +73,7 @@ class DetectionStream:
         options = read_options(address, StreamOptions)
         url = server_url(address, StreamOptions).replace(f"{address.scheme}:", "http:", 1)
         self._clock = clock
-        self._slot: NewestSlot[Timed] = NewestSlot(str(address), clock)
+        self._slot: NewestSlot[TimedDetections] = NewestSlot(str(address), clock)
         self._stream = HttpStream(url, options, clock, self._slot)
         self._task: asyncio.Task[None] | None = None
         self._last_sequence: int | None = None
@@ -115,7 +115,7 @@ class DetectionStream:
         self._count_lost(sequence)
         _, t, t_sigma = self._stream.exposure(sent.t_s, arrived)
         self._slot.say(True, "streaming")
-        self._slot.put(Timed(_as_detections(sent, t, sequence), t_sigma))
+        self._slot.put(TimedDetections(_as_detections(sent, t, sequence), t_sigma))
 
     def _count_lost(self, sequence: int) -> None:
         last, self._last_sequence = self._last_sequence, sequence
@@ -152,7 +152,7 @@ class LineReader:
         return lines
 
 
-def parse_line(line: bytes | None) -> Sent:
+def parse_line(line: bytes | None) -> StreamLine:
     """A line that can be trusted: finite numbers, sizes from 0, scores in 0 … 1. Raises BadLine."""
     if line is None:
         raise BadLine(f"longer than {MAX_LINE} bytes")
@@ -167,7 +167,7 @@ def parse_line(line: bytes | None) -> Sent:
     return sent
 
 
-def _as_detections(sent: Sent, t: float, sequence: int) -> Detections:
+def _as_detections(sent: StreamLine, t: float, sequence: int) -> Detections:
     best = sorted(sent.detections, key=lambda detection: -detection[4])[:MAX_DETECTIONS]
     table = np.array(best, dtype=float).reshape(-1, 5)
     return Detections(t, sequence, centre=table[:, :2], size=table[:, 2:4], score=table[:, 4])

@@ -50,7 +50,7 @@ REOPEN_AFTER = 3.0  # s of silence: many USB cameras recover only so; the first 
 DEFAULT_PERIOD = 1 / 30  # s, where the driver does not tell
 
 
-class Away(Exception):
+class CameraUnavailable(Exception):
     """The camera cannot be used now. The text says why and what helps."""
 
 
@@ -122,7 +122,7 @@ class V4l2Camera:
         while True:
             try:
                 capture = await self._open()
-            except Away as away:
+            except CameraUnavailable as away:
                 self._slot.say(False, str(away))
             else:
                 self._slot.counts.reconnects += opened_before
@@ -349,14 +349,14 @@ def open_capture(path: str, options: V4l2Options, size: tuple[int, int] | None) 
     try:
         fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise Away(_why_not_opened(path, error)) from None
+        raise CameraUnavailable(_why_not_opened(path, error)) from None
     driver = ""
     try:
         capability = abi.Capability()
         try:
             fcntl.ioctl(fd, abi.VIDIOC_QUERYCAP, capability)
         except OSError as error:
-            raise Away(f"{path} is no V4L2 device ({os.strerror(error.errno or 0)})") from None
+            raise CameraUnavailable(f"{path} is no V4L2 device ({os.strerror(error.errno or 0)})") from None
         driver = capability.driver.decode("utf-8", "replace")
         _expect_capture_node(path, capability)
         pix = _set_format(path, fd, options.fourcc, size)
@@ -366,20 +366,20 @@ def open_capture(path: str, options: V4l2Options, size: tuple[int, int] | None) 
         name = f"{capability.card.decode('utf-8', 'replace')}: {abi.fourcc_name(pix.pixelformat)} "
         description = f"{name}{pix.width}x{pix.height} at {1 / period:.4g} fps{remarks}"
         capture = Capture(fd, pix, period, description)
-    except Away as away:
+    except CameraUnavailable as away:
         os.close(fd)
         if driver in LIBCAMERA_DRIVERS:
-            raise Away(_needs_libcamera(driver, str(away))) from None
+            raise CameraUnavailable(_needs_libcamera(driver, str(away))) from None
         raise
     except BaseException:
         os.close(fd)
         raise
     try:
         _start_streaming(path, capture, options.buffers)
-    except Away as away:
+    except CameraUnavailable as away:
         capture.close()
         if driver in LIBCAMERA_DRIVERS:
-            raise Away(_needs_libcamera(driver, str(away))) from None
+            raise CameraUnavailable(_needs_libcamera(driver, str(away))) from None
         raise
     return capture
 
@@ -391,12 +391,12 @@ def _expect_capture_node(path: str, capability: abi.Capability) -> None:
     card = capability.card.decode("utf-8", "replace")
     if not flags & abi.CAP_VIDEO_CAPTURE:
         if flags & abi.CAP_VIDEO_CAPTURE_MPLANE:
-            raise Away(f"{path} ({card}) captures multi-planar only, which is not supported")
-        raise Away(
+            raise CameraUnavailable(f"{path} ({card}) captures multi-planar only, which is not supported")
+        raise CameraUnavailable(
             f"{path} ({card}) captures no video; cameras often have a second node for metadata, {_nodes(path)}"
         )
     if not flags & abi.CAP_STREAMING:
-        raise Away(f"{path} ({card}) cannot stream into mapped buffers")
+        raise CameraUnavailable(f"{path} ({card}) cannot stream into mapped buffers")
 
 
 def _set_format(path: str, fd: int, wanted: tuple[str, ...], size: tuple[int, int] | None) -> abi.PixFormat:
@@ -413,7 +413,7 @@ def _set_format(path: str, fd: int, wanted: tuple[str, ...], size: tuple[int, in
             return pix
         second_best = second_best or pix
     if second_best is None:
-        raise Away(
+        raise CameraUnavailable(
             f"{path} offers {', '.join(offered) or 'no format'}, expected one of {', '.join(wanted)}: "
             "choose another camera or mode, or widen fourcc= in the address"
         )
@@ -444,7 +444,7 @@ def _try_format(path: str, fd: int, name: str, size: tuple[int, int] | None) -> 
             request.fmt.pix.width, request.fmt.pix.height = size
         fcntl.ioctl(fd, abi.VIDIOC_S_FMT, request)
     except OSError as error:
-        raise Away(_why_refused(path, f"refused {name}", error)) from None
+        raise CameraUnavailable(_why_refused(path, f"refused {name}", error)) from None
     pix: abi.PixFormat = request.fmt.pix
     return abi.PixFormat.from_buffer_copy(pix)
 
@@ -499,7 +499,7 @@ def _start_streaming(path: str, capture: Capture, count: int) -> None:
     try:
         fcntl.ioctl(capture.fd, abi.VIDIOC_REQBUFS, request)
         if request.count < 2:
-            raise Away(f"{path} has {request.count} buffers, expected {count}")
+            raise CameraUnavailable(f"{path} has {request.count} buffers, expected {count}")
         for index in range(request.count):
             buffer = abi.Buffer(index=index, type=abi.BUF_TYPE_VIDEO_CAPTURE, memory=abi.MEMORY_MMAP)
             fcntl.ioctl(capture.fd, abi.VIDIOC_QUERYBUF, buffer)
@@ -509,7 +509,7 @@ def _start_streaming(path: str, capture: Capture, count: int) -> None:
             fcntl.ioctl(capture.fd, abi.VIDIOC_QBUF, buffer)
         fcntl.ioctl(capture.fd, abi.VIDIOC_STREAMON, c_int32(abi.BUF_TYPE_VIDEO_CAPTURE))
     except OSError as error:
-        raise Away(_why_refused(path, "does not start", error)) from None
+        raise CameraUnavailable(_why_refused(path, "does not start", error)) from None
 
 
 # Why not: sentences for people ------------------------------------------------------------------------------------

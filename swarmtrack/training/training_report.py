@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.evaluation.detector_score import Looked, by_centre, match
+from swarmtrack.evaluation.detector_score import ScoredImage, by_centre, match
 from swarmtrack.training.labelled_images import LabelledFrame
 from swarmtrack.training.validation import SURE_RECALL, look, scores
 
@@ -70,7 +70,7 @@ def _markdown(model: Path, history: Sequence[dict[str, float]], found: dict[str,
     return "\n".join(lines) + "\n"
 
 
-def contact_sheet(frames: Sequence[LabelledFrame], looks: Sequence[Looked]) -> NDArray[np.uint8]:
+def contact_sheet(frames: Sequence[LabelledFrame], looks: Sequence[ScoredImage]) -> NDArray[np.uint8]:
     """The strongest false alarms, then the most clearly missed drones, each in the middle of its surroundings."""
     errors = worst_errors(looks)
     sheet = np.full((ROWS * CELL, COLUMNS * CELL, 3), 40, np.uint8)
@@ -80,7 +80,7 @@ def contact_sheet(frames: Sequence[LabelledFrame], looks: Sequence[Looked]) -> N
     return sheet
 
 
-def worst_errors(looks: Sequence[Looked]) -> list[Error]:
+def worst_errors(looks: Sequence[ScoredImage]) -> list[Error]:
     """False alarms by score, as many as half the sheet, and drones missed at the threshold of `SURE_RECALL`."""
     threshold = max(match(looks, by_centre).threshold_of(SURE_RECALL), 0.02)
     alarms, misses = [], []

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from swarmtrack.detection.detector import Detector
 from swarmtrack.evaluation import detector_score
-from swarmtrack.evaluation.detector_score import Looked, by_centre, match
+from swarmtrack.evaluation.detector_score import ScoredImage, by_centre, match
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training.feeding import TrainingError
 from swarmtrack.training.labelled_images import LabelledFrame
@@ -16,7 +16,7 @@ LOWEST = 0.02  # score from which on detections count for the average precision
 SURE_RECALL = 0.9  # at whose threshold the images without drones are counted that fire
 
 
-def look(model: Path, frames: Sequence[LabelledFrame]) -> list[Looked]:
+def look(model: Path, frames: Sequence[LabelledFrame]) -> list[ScoredImage]:
     """What the exported net finds in each image, whole."""
     detector = Detector(str(model), score_threshold=LOWEST, look="whole")
     looks = []
@@ -24,11 +24,11 @@ def look(model: Path, frames: Sequence[LabelledFrame]) -> list[Looked]:
         found = detector.look(detector.plan(Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA)))
         if found is None:
             raise TrainingError(detector.status().text)
-        looks.append(Looked(found, frame.drones, frame.distractors, frame.kinds))
+        looks.append(ScoredImage(found, frame.drones, frame.distractors, frame.kinds))
     return looks
 
 
-def scores(looks: Sequence[Looked]) -> dict[str, float]:
+def scores(looks: Sequence[ScoredImage]) -> dict[str, float]:
     """centre_ap, recall at 1 and at 0.1 false detections an image, and the share of drone-free images that fire."""
     matches = match(looks, by_centre)
     found = {

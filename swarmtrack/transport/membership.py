@@ -29,7 +29,7 @@ MAX_BOOTS = 4  # of one ID at a time
 
 
 @dataclass(slots=True)
-class Life:
+class LiveBoot:
     """What is known of one live boot."""
 
     announcement: Announcement | None = None
@@ -44,7 +44,7 @@ class Membership:
     def __init__(self, drone_id: int, boot: str) -> None:
         self._drone_id = drone_id
         self._boot = boot
-        self._lives: dict[int, dict[str, Life]] = {}  # by ID, by boot
+        self._lives: dict[int, dict[str, LiveBoot]] = {}  # by ID, by boot
         self.counters: Counter[str] = Counter()
 
     def arrived(self, drone_id: int, boot: str) -> list[PeerEvent]:
@@ -58,7 +58,7 @@ class Membership:
         if len(lives) >= MAX_BOOTS or (not lives and len(self._lives) >= MAX_PEERS):
             self.counters["tokens_beyond_limit"] += 1
             return []
-        self._lives[drone_id] = {**lives, boot: Life()}
+        self._lives[drone_id] = {**lives, boot: LiveBoot()}
         events: list[PeerEvent] = [] if ours else [PeerArrived(drone_id, boot)]
         alive = self.alive(drone_id)
         if len(alive) > 1:
@@ -80,7 +80,7 @@ class Membership:
                 events.append(left.announcement)
         return events
 
-    def life(self, key_id: int, message: AnnouncementMessage | SightingsMessage) -> Life | None:
+    def life(self, key_id: int, message: AnnouncementMessage | SightingsMessage) -> LiveBoot | None:
         """Whose message it is that came on a key of `key_id`; None where it does not count, and is counted."""
         reason = self._refusal(key_id, message)
         if reason is not None:

@@ -11,7 +11,7 @@ import pytest
 
 from swarmtrack.agents.main import main
 from swarmtrack.evaluation import detector_score
-from swarmtrack.evaluation.detector_score import Looked
+from swarmtrack.evaluation.detector_score import ScoredImage
 from swarmtrack.messages import Detections
 from swarmtrack.training import render
 
@@ -21,7 +21,7 @@ def looked(found, drones, distractors=(), kinds=()):
     table = np.array(found, float).reshape(-1, 3)
     detections = Detections(0.0, 0, table[:, :2], np.full((len(table), 2), 20.0), table[:, 2])
     boxes = [np.array(each, float).reshape(-1, 4) for each in (drones, distractors)]
-    return Looked(detections, *boxes, tuple(kinds))
+    return ScoredImage(detections, *boxes, tuple(kinds))
 
 
 def test_recall_is_told_by_the_size_of_what_was_labelled():

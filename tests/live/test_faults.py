@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from support.team_in_the_air import Look, Team, team_in_the_air
-from swarmtrack.localswarm.radio import AirError
+from swarmtrack.localswarm.radio import RadioError
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
@@ -62,7 +62,7 @@ async def gather(tmp_path: Path) -> AsyncIterator[Gather]:
         async def make(scenario: str, *, secured: bool = True) -> Team:
             try:
                 return await stack.enter_async_context(team_in_the_air(scenario, tmp_path, secured=secured))
-            except AirError as error:
+            except RadioError as error:
                 pytest.skip(str(error))
 
         yield make
@@ -78,14 +78,14 @@ async def test_after_a_partition_of_30_s_everybody_is_met_and_named_again(gather
     await team.until_known(team.drones, since=time.monotonic())
 
     cut = time.monotonic()
-    team.air.cut({1})
+    team.emulator.cut({1})
     gone = [await agents[2].until(r"drone 1 is gone", cut), await agents[3].until(r"drone 1 is gone", cut)]
     gone.append(await agents[1].until(r"drone 3 is gone", cut))
     report("the partition was noticed after", max(gone) - cut)
     await asyncio.sleep(cut + PARTITION_S - time.monotonic())
 
     healed = time.monotonic()
-    team.air.heal()
+    team.emulator.heal()
     met = [await agents[drone].until(r"drone 1 announced itself", healed) for drone in (2, 3)]
     met += [await agents[1].until(rf"drone {drone} announced itself", healed) for drone in (2, 3)]
     report("announcements known again, after healing", max(met) - healed)
@@ -101,10 +101,10 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(gather: Gat
     await team.until_known(team.drones, since=time.monotonic())
 
     lossy = time.monotonic()
-    team.air.loss = 0.2
+    team.emulator.loss = 0.2
     await asyncio.sleep(LOSSY_S)
-    lost = sum(counters.lost for counters in team.air.counters.values())
-    frames = sum(counters.frames for counters in team.air.counters.values())
+    lost = sum(counters.lost for counters in team.emulator.counters.values())
+    frames = sum(counters.frames for counters in team.emulator.counters.values())
     assert lost > 0.1 * frames > 100  # they spoke, and the air was bad
     end = time.monotonic()
     departures = [t - lossy for agent in agents.values() for t in agent.times("is gone", lossy)]

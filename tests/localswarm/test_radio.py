@@ -1,4 +1,4 @@
-"""The air: what the switch decides, and real namespaces that hear each other through it (root only).
+"""The radio emulator: what the switch decides, and real namespaces that hear each other through it (root only).
 
 This file is also the program of the processes in those namespaces: `python test_air.py echo ADDRESS` answers
 datagrams, `python test_air.py ping ADDRESS COUNT WAIT` counts the answers.
@@ -19,8 +19,8 @@ from pathlib import Path
 import pytest
 
 from support.places import PYTHONPATH, ROOT
-from swarmtrack.localswarm.radio import Air, AirError, mac_address
-from swarmtrack.localswarm.radio_switch import MAX_WAITING, Ether, Switch
+from swarmtrack.localswarm.radio import RadioEmulator, RadioError, mac_address
+from swarmtrack.localswarm.radio_switch import MAX_WAITING, RadioChannel, Switch
 
 PATIENCE = 20.0  # s: far beyond what anything here takes, for a machine that is busy
 PORT = 9000
@@ -31,12 +31,12 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 # --- what the switch decides ----------------------------------------------------------------------
 
 
-def switch_of(ports: int, seed: int = 1) -> tuple[Ether, Switch]:
+def switch_of(ports: int, seed: int = 1) -> tuple[RadioChannel, Switch]:
     fd = os.memfd_create("test")
-    os.ftruncate(fd, Ether.size(ports))
-    ether = Ether(fd, ports)
+    os.ftruncate(fd, RadioChannel.size(ports))
+    channel = RadioChannel(fd, ports)
     os.close(fd)
-    return ether, Switch(ether, [mac_address(port + 1) for port in range(ports)], seed)
+    return channel, Switch(channel, [mac_address(port + 1) for port in range(ports)], seed)
 
 
 def frame_to(destination: bytes, size: int = 100) -> bytes:
@@ -52,20 +52,20 @@ def test_a_frame_goes_to_whom_it_is_addressed_and_a_broadcast_to_all_others():
 
 
 def test_a_broadcast_is_on_the_air_once_and_lost_by_each_receiver_for_itself():
-    ether, switch = switch_of(3)
+    channel, switch = switch_of(3)
     for pair in range(9):
-        ether.loss[pair] = 0.5
+        channel.loss[pair] = 0.5
     heard = [switch.send(0, frame_to(EVERYBODY, 60), 0.0) for _ in range(1000)]
     assert {(), (1,), (2,), (1, 2)} == {tuple(ports) for ports in heard}
-    assert (ether.sent_frames[0], ether.sent_bytes[0]) == (1000, 60_000)
-    assert ether.lost_frames[0] == 2000 - sum(map(len, heard))
+    assert (channel.sent_frames[0], channel.sent_bytes[0]) == (1000, 60_000)
+    assert channel.lost_frames[0] == 2000 - sum(map(len, heard))
 
 
 def test_losses_between_two_drones_follow_the_seed_whatever_a_third_one_sends():
     def pattern(seed: int, third_speaks: bool) -> list[bool]:
-        ether, switch = switch_of(3, seed)
+        channel, switch = switch_of(3, seed)
         for pair in range(9):
-            ether.loss[pair] = 0.2
+            channel.loss[pair] = 0.2
         heard = []
         for _ in range(2000):
             if third_speaks:
@@ -80,17 +80,17 @@ def test_losses_between_two_drones_follow_the_seed_whatever_a_third_one_sends():
 
 
 def test_who_is_cut_off_is_not_heard_and_counted_apart_from_loss():
-    ether, switch = switch_of(3)
-    ether.blocked[0 * 3 + 1] = 1.0
+    channel, switch = switch_of(3)
+    channel.blocked[0 * 3 + 1] = 1.0
     assert switch.send(0, frame_to(EVERYBODY), 0.0) == [2]
     assert switch.send(1, frame_to(mac_address(1)), 0.0) == [0]
-    assert (ether.blocked_frames[0], ether.lost_frames[0]) == (1, 0)
+    assert (channel.blocked_frames[0], channel.lost_frames[0]) == (1, 0)
 
 
 def test_jitter_delays_each_frame_within_its_bounds_and_keeps_the_order_of_a_link():
-    ether, switch = switch_of(2)
+    channel, switch = switch_of(2)
     for pair in range(4):
-        ether.latency_s[pair], ether.jitter_s[pair] = 0.05, 0.03
+        channel.latency_s[pair], channel.jitter_s[pair] = 0.05, 0.03
     sent = [frame_to(mac_address(2)) + number.to_bytes(2, "big") for number in range(500)]
     for number, frame in enumerate(sent):
         assert switch.send(0, frame, 0.001 * number) == []
@@ -104,39 +104,39 @@ def test_jitter_delays_each_frame_within_its_bounds_and_keeps_the_order_of_a_lin
 
 
 def test_a_frame_does_not_overtake_those_delayed_before_the_latency_fell():
-    ether, switch = switch_of(2)
-    ether.latency_s[1] = 1.0
+    channel, switch = switch_of(2)
+    channel.latency_s[1] = 1.0
     switch.send(0, frame_to(mac_address(2)) + b"first", 0.0)
-    ether.latency_s[1] = 0.0
+    channel.latency_s[1] = 0.0
     assert switch.send(0, frame_to(mac_address(2)) + b"second", 0.5) == []
     assert [delivery.frame[-5:] for delivery in switch.deliver(1.0)] == [b"first", b"econd"]
     assert switch.send(0, frame_to(mac_address(2)), 1.1) == [1]
 
 
 def test_the_air_holds_no_more_than_so_many_delayed_frames():
-    ether, switch = switch_of(2)
-    ether.latency_s[1] = 1.0
+    channel, switch = switch_of(2)
+    channel.latency_s[1] = 1.0
     for _ in range(MAX_WAITING + 10):
         switch.send(0, frame_to(mac_address(2)), 0.0)
-    assert ether.lost_frames[0] == 10
+    assert channel.lost_frames[0] == 10
     assert len(switch.deliver(2.0)) == MAX_WAITING
 
 
 @pytest.mark.parametrize("drones", [[], [1, 1], [0], [65535], list(range(1, 300))])
 def test_drones_that_have_no_address_are_refused(drones):
-    with pytest.raises(AirError, match="expected"):
-        Air(drones, seed=1)
+    with pytest.raises(RadioError, match="expected"):
+        RadioEmulator(drones, seed=1)
 
 
 # --- namespaces -----------------------------------------------------------------------------------
 
 
 @pytest.fixture
-async def air() -> AsyncIterator[Air]:
+async def emulator() -> AsyncIterator[RadioEmulator]:
     async with AsyncExitStack() as stack:
         try:
-            opened = await stack.enter_async_context(Air([1, 2, 300], seed=1))
-        except AirError as error:
+            opened = await stack.enter_async_context(RadioEmulator([1, 2, 300], seed=1))
+        except RadioError as error:
             pytest.skip(str(error))
         yield opened
 
@@ -146,10 +146,10 @@ def program(*words: str) -> list[str]:
 
 
 @contextmanager
-def echo(air: Air, drone: int) -> Iterator[None]:
+def echo(emulator: RadioEmulator, drone: int) -> Iterator[None]:
     """While it lasts, this drone answers datagrams."""
     with subprocess.Popen(
-        air.wrap(drone, program("echo", "0.0.0.0")), stdout=subprocess.PIPE, stdin=subprocess.PIPE
+        emulator.wrap(drone, program("echo", "0.0.0.0")), stdout=subprocess.PIPE, stdin=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
@@ -157,78 +157,84 @@ def echo(air: Air, drone: int) -> Iterator[None]:
         process.kill()
 
 
-async def answers(air: Air, drone: int, address: str, count: int = 1, wait: float = PATIENCE) -> int:
+async def answers(
+    emulator: RadioEmulator, drone: int, address: str, count: int = 1, wait: float = PATIENCE
+) -> int:
     """How many of `count` datagrams to `address` this drone got back, waiting at most `wait` for each."""
     words = program("ping", address, str(count), str(wait))
-    process = await asyncio.create_subprocess_exec(*air.wrap(drone, words), stdout=asyncio.subprocess.PIPE)
+    process = await asyncio.create_subprocess_exec(
+        *emulator.wrap(drone, words), stdout=asyncio.subprocess.PIPE
+    )
     out, _ = await process.communicate()
     return int(out)
 
 
-async def test_drones_hear_each_other_over_the_radio_and_it_counts_them(air: Air):
-    with echo(air, 1):
-        assert await answers(air, 2, air.radio_address(1)) == 1
-        assert await answers(air, 300, air.radio_address(1)) == 1
-    counters = air.counters
+async def test_drones_hear_each_other_over_the_radio_and_it_counts_them(emulator: RadioEmulator):
+    with echo(emulator, 1):
+        assert await answers(emulator, 2, emulator.radio_address(1)) == 1
+        assert await answers(emulator, 300, emulator.radio_address(1)) == 1
+    counters = emulator.counters
     assert min(counters[drone].frames for drone in (1, 2, 300)) >= 2  # ARP and the datagram
     assert min(counters[drone].bytes for drone in (1, 2, 300)) >= 42 + 46
     assert sum(count.lost + count.cut for count in counters.values()) == 0
 
 
-async def test_a_fifth_of_the_frames_is_lost_each_way(air: Air):
-    with echo(air, 1):
-        assert await answers(air, 2, air.radio_address(1)) == 1  # addresses are resolved
-        air.loss = 0.2
-        answered = await answers(air, 2, air.radio_address(1), count=400, wait=0.02)
+async def test_a_fifth_of_the_frames_is_lost_each_way(emulator: RadioEmulator):
+    with echo(emulator, 1):
+        assert await answers(emulator, 2, emulator.radio_address(1)) == 1  # addresses are resolved
+        emulator.loss = 0.2
+        answered = await answers(emulator, 2, emulator.radio_address(1), count=400, wait=0.02)
     assert abs(answered - 400 * 0.8 * 0.8) < 4 * 10
-    assert sum(count.lost for count in air.counters.values()) >= 400 - answered
+    assert sum(count.lost for count in emulator.counters.values()) >= 400 - answered
 
 
-async def test_latency_is_paid_each_way(air: Air):
-    air.latency_s, air.jitter_s = 0.2, 0.05
-    with echo(air, 1):
-        assert await answers(air, 2, air.radio_address(1)) == 1
-        assert await answers(air, 2, air.radio_address(1), wait=0.25) == 0
-        assert await answers(air, 2, air.radio_address(1), wait=PATIENCE) == 1
+async def test_latency_is_paid_each_way(emulator: RadioEmulator):
+    emulator.latency_s, emulator.jitter_s = 0.2, 0.05
+    with echo(emulator, 1):
+        assert await answers(emulator, 2, emulator.radio_address(1)) == 1
+        assert await answers(emulator, 2, emulator.radio_address(1), wait=0.25) == 0
+        assert await answers(emulator, 2, emulator.radio_address(1), wait=PATIENCE) == 1
 
 
-async def test_a_cut_pair_is_silent_until_healed_and_the_third_hears_both_sides_of_its_own(air: Air):
-    with echo(air, 1), echo(air, 300):
-        air.cut({1})
-        assert await answers(air, 2, air.radio_address(1), wait=0.3) == 0
-        assert await answers(air, 2, air.radio_address(300)) == 1
-        air.heal()
-        assert await answers(air, 2, air.radio_address(1)) == 1
-        air.silence(2)
-        assert await answers(air, 2, air.radio_address(1), wait=0.3) == 0
-        assert await answers(air, 300, air.radio_address(1)) == 1
-    assert air.counters[2].cut > 0
+async def test_a_cut_pair_is_silent_until_healed_and_the_third_hears_both_sides_of_its_own(
+    emulator: RadioEmulator,
+):
+    with echo(emulator, 1), echo(emulator, 300):
+        emulator.cut({1})
+        assert await answers(emulator, 2, emulator.radio_address(1), wait=0.3) == 0
+        assert await answers(emulator, 2, emulator.radio_address(300)) == 1
+        emulator.heal()
+        assert await answers(emulator, 2, emulator.radio_address(1)) == 1
+        emulator.silence(2)
+        assert await answers(emulator, 2, emulator.radio_address(1), wait=0.3) == 0
+        assert await answers(emulator, 300, emulator.radio_address(1)) == 1
+    assert emulator.counters[2].cut > 0
 
 
-async def test_the_impaired_links_are_those_of_the_drones_named(air: Air):
-    air.impair({2}, loss=1.0)
-    with echo(air, 1):
-        assert await answers(air, 2, air.radio_address(1), wait=0.3) == 0
-        assert await answers(air, 300, air.radio_address(1)) == 1
+async def test_the_impaired_links_are_those_of_the_drones_named(emulator: RadioEmulator):
+    emulator.impair({2}, loss=1.0)
+    with echo(emulator, 1):
+        assert await answers(emulator, 2, emulator.radio_address(1), wait=0.3) == 0
+        assert await answers(emulator, 300, emulator.radio_address(1)) == 1
 
 
-async def test_the_cable_has_no_faults_and_leads_to_no_other_drone(air: Air):
-    air.loss = 1.0
-    air.cut({1, 2})
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host, echo(air, 1):
+async def test_the_cable_has_no_faults_and_leads_to_no_other_drone(emulator: RadioEmulator):
+    emulator.loss = 1.0
+    emulator.cut({1, 2})
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host, echo(emulator, 1):
         host.settimeout(PATIENCE)
-        host.bind((air.wire_address, 0))
-        host.sendto(b"to the drone", (air.drone_wire_address(1), PORT))
-        assert host.recvfrom(100) == (b"to the drone", (air.drone_wire_address(1), PORT))
-        assert await answers(air, 2, air.drone_wire_address(1), wait=0.3) == 0
+        host.bind((emulator.wire_address, 0))
+        host.sendto(b"to the drone", (emulator.drone_wire_address(1), PORT))
+        assert host.recvfrom(100) == (b"to the drone", (emulator.drone_wire_address(1), PORT))
+        assert await answers(emulator, 2, emulator.drone_wire_address(1), wait=0.3) == 0
 
 
-async def test_two_airs_do_not_disturb_each_other(air: Air):
-    async with Air([1, 2], seed=1) as other:
-        assert other.wire_address != air.wire_address
-        air.cut({1})
-        with echo(air, 1), echo(other, 1):
-            assert await answers(air, 2, air.radio_address(1), wait=0.3) == 0
+async def test_two_emulators_do_not_disturb_each_other(emulator: RadioEmulator):
+    async with RadioEmulator([1, 2], seed=1) as other:
+        assert other.wire_address != emulator.wire_address
+        emulator.cut({1})
+        with echo(emulator, 1), echo(other, 1):
+            assert await answers(emulator, 2, emulator.radio_address(1), wait=0.3) == 0
             assert await answers(other, 2, other.radio_address(1)) == 1
 
 
@@ -240,9 +246,9 @@ def namespace_files() -> set[Path]:
     return set(Path("/run/netns").glob("*"))
 
 
-def cables(air: Air) -> list[str]:
-    """The interfaces of this machine that lead to the air's drones."""
-    return [line for line in ip_addresses().splitlines() if air.wire_address in line]
+def cables(emulator: RadioEmulator) -> list[str]:
+    """The interfaces of this machine that lead to the emulator's drones."""
+    return [line for line in ip_addresses().splitlines() if emulator.wire_address in line]
 
 
 def ip_addresses() -> str:
@@ -253,18 +259,18 @@ def running(pid: str) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-async def test_nothing_is_left_when_it_is_closed(air: Air):
-    assert len(cables(air)) == 3
+async def test_nothing_is_left_when_it_is_closed(emulator: RadioEmulator):
+    assert len(cables(emulator)) == 3
     files = namespace_files()
-    async with Air([4, 5], seed=1) as other:
+    async with RadioEmulator([4, 5], seed=1) as other:
         assert len(cables(other)) == 2
     assert cables(other) == []
     assert namespace_files() == files
-    assert len(cables(air)) == 3
+    assert len(cables(emulator)) == 3
 
 
-async def test_nothing_is_left_when_its_owner_is_killed(air: Air):
-    """`air` is only asked whether one can be made here; the victim is another process with one of its own."""
+async def test_nothing_is_left_when_its_owner_is_killed(emulator: RadioEmulator):
+    """`emulator` is only asked whether one can be made here; the victim is another process with one of its own."""
     victim = await asyncio.create_subprocess_exec(
         *program("own"), stdout=asyncio.subprocess.PIPE, env=ENVIRONMENT
     )
@@ -279,22 +285,23 @@ async def test_nothing_is_left_when_its_owner_is_killed(air: Air):
             await asyncio.sleep(0.05)
 
 
-async def test_a_switch_that_dies_is_no_quiet_loss(air: Air):
+async def test_a_switch_that_dies_is_no_quiet_loss(emulator: RadioEmulator):
     async def lose_the_switch() -> None:
-        async with Air([1, 2], seed=1) as other:
+        async with RadioEmulator([1, 2], seed=1) as other:
             assert other._switch is not None
             other._switch.kill()
             await other._switch.wait()
 
-    with pytest.raises(AirError, match="switch ended by itself"):
+    with pytest.raises(RadioError, match="switch ended by itself"):
         await lose_the_switch()
 
 
 # --- without root ---------------------------------------------------------------------------------
 
 
-def test_it_works_as_the_root_of_a_user_namespace(air: Air):
-    """`air`: only where it works for us at all. A kernel may forbid user namespaces; then there is nothing to see."""
+def test_it_works_as_the_root_of_a_user_namespace(emulator: RadioEmulator):
+    """`emulator`: only where it works for us at all. Else a kernel may forbid user
+    namespaces, and there is nothing to see."""
     if subprocess.run(["unshare", "-Urn", "true"], check=False, capture_output=True).returncode != 0:
         pytest.skip("this kernel makes no user namespaces for us")
     below = ["unshare", "-Urn", "--", *program("own", "once")]
@@ -306,8 +313,8 @@ def test_it_works_as_the_root_of_a_user_namespace(air: Air):
 async def test_whoever_is_not_root_is_told_what_to_do():
     os.seteuid(65534)
     try:
-        with pytest.raises(AirError, match="need root; run as root, or below `unshare -Urn`"):
-            async with Air([1, 2], seed=1):
+        with pytest.raises(RadioError, match="need root; run as root, or below `unshare -Urn`"):
+            async with RadioEmulator([1, 2], seed=1):
                 pass
     finally:
         os.seteuid(0)
@@ -322,7 +329,7 @@ def test_a_root_without_capabilities_is_told_which_are_missing():
         text=True,
         check=False,
     )
-    assert "AirError: air: this root may not make network namespaces (no CAP_SYS_ADMIN)" in found.stderr
+    assert "RadioError: radio: this root may not make network namespaces (no CAP_SYS_ADMIN)" in found.stderr
 
 
 # --- the processes in the namespaces --------------------------------------------------------------
@@ -352,15 +359,15 @@ def ping(address: str, count: int, wait: float) -> int:
 
 
 async def own(once: bool) -> None:
-    """Open an air with two processes in it, say so, and wait to be killed; once: let them speak and end."""
-    async with Air([1, 2], seed=1) as air:
+    """Open an emulator with two processes in it, say so, and wait to be killed; once: let them speak and end."""
+    async with RadioEmulator([1, 2], seed=1) as emulator:
         if once:
-            with echo(air, 1):
-                heard = await answers(air, 2, air.radio_address(1))
+            with echo(emulator, 1):
+                heard = await answers(emulator, 2, emulator.radio_address(1))
             print("heard" if heard else "silent")
             return
-        with echo(air, 1), echo(air, 2):
-            print(air.wire_address, *children(), flush=True)
+        with echo(emulator, 1), echo(emulator, 2):
+            print(emulator.wire_address, *children(), flush=True)
             await asyncio.Event().wait()
 
 

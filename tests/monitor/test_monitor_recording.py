@@ -27,10 +27,10 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import RecordingError
-from swarmtrack.monitor.own_recording import OwnWords
+from swarmtrack.monitor.own_recording import DroneRecording
 from swarmtrack.monitor.player import STEP_S, Playback, RecordingPlayer
 from swarmtrack.monitor.recorded import read_timeline
-from swarmtrack.monitor.timeline import Shelf
+from swarmtrack.monitor.timeline import BlobFile
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 from swarmtrack.transport import keys
@@ -164,10 +164,10 @@ def test_of_a_lone_drone_there_is_what_it_saw_and_heard(flown):
     assert all(drone["gone_s"] is None and drone["position_m"] for drone in state["drones"])
 
 
-def sightings_of(words, observer: int) -> dict[int, SightingsMessage]:
+def sightings_of(events, observer: int) -> dict[int, SightingsMessage]:
     """By their number."""
     key = keys.key("t", Kind.IDENTITIES, observer)
-    payloads = [word.sample.payload for word in words if word.sample and word.sample.key == key]
+    payloads = [event.sample.payload for event in events if event.sample and event.sample.key == key]
     return {(message := codec.decode(SightingsMessage, data)).sequence: message for data in payloads}
 
 
@@ -175,9 +175,9 @@ def test_what_a_drone_said_by_its_own_recording_is_what_its_team_heard(flown):
     told = {}
     for d in (1, 2):
         (recording,) = recordings_below(flown / f"drone-{d}")
-        own = OwnWords(recording, Shelf())
+        own = DroneRecording(recording, BlobFile())
         own.read()
-        told[d] = list(own.words(0.0, lives=set(), says_itself=True))
+        told[d] = list(own.events(0.0, lives=set(), says_itself=True))
     said, heard = sightings_of(told[2], observer=2), sightings_of(told[1], observer=2)
     assert len(said) >= 4
     assert all({s.drone_id for s in message.sightings} == {1, 3} for message in list(said.values())[1:])

@@ -1,7 +1,7 @@
 """A team of real agents in network namespaces, one simulator for their sensors, and a spectator who knows the truth.
 
-The agents talk over the radio of an `Air`. Sensors and spectator are on the cables, so what is done to the radio is
-done to nothing else. Times are seconds of CLOCK_MONOTONIC, which all processes of a machine share.
+The agents talk over the radio of a `RadioEmulator`. Sensors and spectator are on the cables, so what is done to the
+radio is done to nothing else. Times are seconds of CLOCK_MONOTONIC, which all processes of a machine share.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from support.places import ROOT
 from swarmtrack.config import NetworkSection
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.localswarm.configs import Sources, write_configs
-from swarmtrack.localswarm.radio import Air
+from swarmtrack.localswarm.radio import RadioEmulator
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.security import names
 from swarmtrack.security.authority import create_authority
@@ -119,8 +119,8 @@ class Look:
 class Team:
     """Agents are started one by one, and end with the team. World time begins when it is opened."""
 
-    def __init__(self, air: Air, scenario_file: Path, folder: Path, *, secured: bool) -> None:
-        self.air = air
+    def __init__(self, emulator: RadioEmulator, scenario_file: Path, folder: Path, *, secured: bool) -> None:
+        self.emulator = emulator
         self.looks: dict[int, list[Look]] = {}
         self._folder = folder
         self._scenario_file = scenario_file
@@ -157,7 +157,7 @@ class Team:
     async def _start_simulator(self) -> None:
         words = {
             "--scenario": str(self._scenario_file), "--seed": str(SEED), "--epoch": repr(self.epoch),
-            "--detector": "oracle", "--host": self.air.wire_address,
+            "--detector": "oracle", "--host": self.emulator.wire_address,
         }  # fmt: skip
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "swarmtrack.agents.simulator"),
@@ -184,7 +184,7 @@ class Team:
         if clock_off_s:
             module = ["swarmtrack.localswarm.skewed_clock", repr(clock_off_s), *module]
         process = await asyncio.create_subprocess_exec(
-            *self.air.wrap(drone, [sys.executable, "-m", *module]),
+            *self.emulator.wrap(drone, [sys.executable, "-m", *module]),
             stdin=DEVNULL,
             stdout=DEVNULL,
             stderr=PIPE,
@@ -214,9 +214,9 @@ class Team:
 
         With keys everybody's address is known. Without, whoever is heard of is dialled too, clones included.
         """
-        own = [self.air.radio_address(drone), self.air.drone_wire_address(drone)]
+        own = [self.emulator.radio_address(drone), self.emulator.drone_wire_address(drone)]
         if self._keys is None:
-            lower = [self.air.radio_address(other) for other in self.drones if other < drone]
+            lower = [self.emulator.radio_address(other) for other in self.drones if other < drone]
             return f"insecure = true\nlisten = {json.dumps(own)}\nconnect = {json.dumps(lower)}\n"
         peers = ", ".join(f'{other} = "{self.air.radio_address(other)}"' for other in self.drones)
         folder = json.dumps(str(self._keys / names.drone(name)))
@@ -226,7 +226,7 @@ class Team:
         credentials = None
         if self._keys is not None:
             credentials = load_credentials(self._keys / "monitor", "monitor", time.time())
-        cables = {str(drone): self.air.drone_wire_address(drone) for drone in self.drones}
+        cables = {str(drone): self.emulator.drone_wire_address(drone) for drone in self.drones}
         section = NetworkSection(team=self._name, peers=cables, insecure=credentials is None)
         return of_monitor(section, credentials)
 
@@ -326,8 +326,8 @@ async def team_in_the_air(scenario: str, folder: Path, *, secured: bool = True) 
     file = folder / "scenario.toml"
     file.write_text(scenario)
     drones = load_scenario(file, seed=SEED).members
-    async with Air(drones, seed=SEED) as air:
-        team = Team(air, file, folder, secured=secured)
+    async with RadioEmulator(drones, seed=SEED) as emulator:
+        team = Team(emulator, file, folder, secured=secured)
         try:
             await team.open()
             yield team

@@ -120,7 +120,7 @@ def looked(centres: list[tuple[float, float]], scores: list[float], drones: list
         0.0, 0, np.array(centres, float).reshape(n, 2), np.full((n, 2), 20.0), np.array(scores)
     )
     boxes = np.array([(*drone, 20.0, 20.0) for drone in drones], float).reshape(-1, 4)
-    return detector_score.Looked(found, boxes)
+    return detector_score.ScoredImage(found, boxes)
 
 
 def test_average_precision_of_a_worked_example():

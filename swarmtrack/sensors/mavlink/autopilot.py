@@ -4,7 +4,7 @@ The autopilot is component 1 of the first system whose HEARTBEAT names an autopi
 named. It stays that one: a neighbour's autopilot on the same radio must not take its place while ours is silent.
 
 What it says becomes samples and poses in telemetry.py; which streams it is asked for is decided in streams.py; what
-state the link is in, and why nothing comes, is said in diagnosis.py.
+state the link is in, and why nothing comes, is said in link_state.py.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.contact import Contact, News
 from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
-from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, Diagnosis, State
+from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, LinkState, State
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link
 from swarmtrack.sensors.mavlink.signing import Codec, read_key
 from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, StreamRequests
@@ -85,7 +85,7 @@ class MavlinkAutopilot:
         self._telemetry = Telemetry(
             self._requests, self._contact, self._news, gps=gps, send=self._send, name=str(self._link.address)
         )
-        self._diagnosis = Diagnosis(
+        self._link_state = LinkState(
             link=self._link,
             contact=self._contact,
             framer=self._framer,
@@ -112,7 +112,7 @@ class MavlinkAutopilot:
             log.warning("fastcrc is not installed: reading MAVLink costs three times the CPU time")
         if self._link.recording:
             await self._link.run(self)
-            self._diagnosis.state = State.ENDED
+            self._link_state.state = State.ENDED
             return
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._keep_connected(), name="mavlink link")
@@ -148,7 +148,7 @@ class MavlinkAutopilot:
             if self._link.address.scheme == "tcp" and silent > SILENT_TCP:
                 self._link.drop(f"silent for {SILENT_TCP:g} s")
         self._telemetry.measure(now)
-        self._diagnosis.judge(now)
+        self._link_state.judge(now)
 
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:
@@ -180,12 +180,12 @@ class MavlinkAutopilot:
 
     def status(self) -> LinkStatus:
         """One line for people, and the counters, all since the start."""
-        return self._diagnosis.status(self._now())
+        return self._link_state.status(self._now())
 
     @property
     def trouble(self) -> str:
         """What of the autopilot's is missing, in a few words for a pilot; empty while gyro and position come."""
-        return self._diagnosis.trouble(self._now())
+        return self._link_state.trouble(self._now())
 
     def tell(self, message: Any) -> bool:
         """Say a message of the dialect to the autopilot, and by way of it to ground stations. Never blocks.

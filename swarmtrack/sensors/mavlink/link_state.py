@@ -38,7 +38,7 @@ class State(enum.StrEnum):
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class Diagnosis:
+class LinkState:
     """Looks at all parts of a `MavlinkAutopilot` and changes none of them."""
 
     link: Link
