@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,25 +17,6 @@ from swarmtrack.agents.healthy import HEALTHY, UNHEALTHY
 from swarmtrack.runtime.health_file import ENVIRONMENT, HealthFile
 
 PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
-
-STUCK = """
-import sys, threading
-from swarmtrack.agents import vehicle
-from swarmtrack.detection.detector import Detector
-from swarmtrack.runtime import systemd
-
-systemd.STUCK_DETECTOR = 1.0
-look_at, looks = Detector.look, []
-
-def look_thrice(self, look):
-    looks.append(look)
-    if len(looks) > 3:
-        threading.Event().wait(3600)
-    return look_at(self, look)
-
-Detector.look = look_thrice
-sys.exit(vehicle.main(["--config", sys.argv[1], "--quiet"]))
-"""
 
 
 @pytest.fixture
@@ -206,45 +186,3 @@ def test_the_config_names_the_file_before_the_environment_does(start, tmp_path, 
     )
     wait_for(named.exists)
     assert not (tmp_path / "other.json").exists()
-
-
-def test_an_agent_whose_detector_is_stuck_is_blind_and_starves_the_watchdog_but_speaks(
-    start, tmp_path, capsys
-):
-    path = tmp_path / "health.json"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as supervisor:
-        supervisor.bind(str(tmp_path / "notify"))
-        supervisor.settimeout(PATIENCE)
-        start("-c", STUCK, env={ENVIRONMENT: str(path), "NOTIFY_SOCKET": str(tmp_path / "notify")})
-        assert supervisor.recv(500) == b"READY=1"
-        said = []
-        statuses = 0
-        while statuses < 3:  # seconds without any other word
-            said.append(supervisor.recv(500))
-            statuses = statuses + 1 if said[-1].startswith(b"STATUS=") else 0
-        assert b"WATCHDOG=1" in said
-    wait_for(lambda: "no frame was tracked" in healthy(capsys, path, "--max-frame-age", "1")[1])
-
-
-def test_an_agent_whose_camera_is_gone_feeds_the_watchdog_and_says_so(start, tmp_path, capsys):
-    """To start it again would not bring the camera back."""
-    with socket.socket() as closed:
-        closed.bind(("127.0.0.1", 0))
-        port = closed.getsockname()[1]
-    path = tmp_path / "health.json"
-    config = f"""
-        drone.id = 1
-        network.transport = "memory"
-        [camera]
-        source = "http://127.0.0.1:{port}/"
-        intrinsics = {{ fx = 600.0, fy = 600.0, cx = 320.0, cy = 240.0, width = 640, height = 480 }}
-        """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as supervisor:
-        supervisor.bind(str(tmp_path / "notify"))
-        supervisor.settimeout(PATIENCE)
-        start(env={ENVIRONMENT: str(path), "NOTIFY_SOCKET": str(tmp_path / "notify")}, config=config)
-        wait_for(lambda: (said := supervisor.recv(500)).startswith(b"STATUS=") and b"camera" in said)
-        assert wait_for(lambda: supervisor.recv(500) == b"WATCHDOG=1")
-    code, said = healthy(capsys, path)
-    assert code == UNHEALTHY
-    assert str(port) in said
