@@ -71,7 +71,7 @@ class FlightPlan:
 
 
 async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
-    """Raises AirError before anything was started, and ProcessDied with the last lines of a log."""
+    """Raises RadioError before anything was started, and ProcessDied with the last lines of a log."""
     scenario = plan.load()
     async with AsyncExitStack() as stack:
         emulator = None

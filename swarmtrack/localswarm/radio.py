@@ -63,7 +63,7 @@ class RadioCounters:
 
 
 class RadioEmulator:
-    """Use with `async with`. Needs root, or the root that `unshare -Urn` makes; else AirError.
+    """Use with `async with`. Needs root, or the root that `unshare -Urn` makes; else RadioError.
 
     loss, latency_s and jitter_s hold for every link; `impair` sets those of some drones. Delays are uniform in
     latency ± jitter and keep the order of one link.

@@ -13,8 +13,8 @@ The sum knows that a detection has one source, but not that a target makes one d
 detected keeps (1 − p_D) of its prediction as well, which pulls its estimate back; and of two targets that pass each
 other slowly each label soon has half its weight on either, for good: the intensity is right, the names are lost.
 `one_to_one` makes the detections compete for a label as the labels do for a detection. Each label is then a target
-that exists with probability Σw: that goes beyond Vo & Ma, towards the labelled multi-Bernoulli filter (Reuter, Vo, Vo &
-Dietmayer, IEEE Trans. SP 62(12), 2014).
+that exists with probability Σw. With it, which is the default, this filter is nearer to the labelled multi-Bernoulli
+filter, LMB (Reuter, Vo, Vo & Dietmayer, IEEE Trans. SP 62(12), 2014), than to the PHD filter of Vo & Ma.
 """
 
 from __future__ import annotations

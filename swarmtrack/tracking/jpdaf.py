@@ -1,5 +1,7 @@
 """Joint probabilistic data association: each track takes its share of every detection it may have made.
 
+More exactly this is JIPDA: the plain JPDA filter knows how many targets there are.
+
 The shares are exact: they sum over all joint events, of which none is written out (see marginals.py), in clusters of
 tracks that compete. A track may also not exist, so the filter begins and ends tracks by itself: Musicki & Evans, "Joint
 integrated probabilistic data association: JIPDA", IEEE Trans. AES 40(3), 2004. With existence r and detection

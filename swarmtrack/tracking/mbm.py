@@ -12,6 +12,9 @@ multi-Bernoulli filters" (IEEE T-AES 51(3), 2015) and García-Fernández et al. 
   neither multiplies the hypotheses nor takes a drone's detection away.
 * Leaves of one track that have come to say the same are one.
 
+It is no full Poisson multi-Bernoulli mixture (PMBM): the intensity of targets that were never detected is not carried
+on from scan to scan, births have a constant rate.
+
 Each leaf moves by an interacting mix of a calm and an agile model (manoeuvre.py).
 """
 

@@ -322,7 +322,7 @@ class Team:
 
 @asynccontextmanager
 async def team_in_the_air(scenario: str, folder: Path, *, secured: bool = True) -> AsyncIterator[Team]:
-    """Of a scenario's TOML; no agent is started yet. secured: with keys. Raises AirError where there can be no air."""
+    """Of a scenario's TOML; no agent is started yet. secured: with keys. Raises RadioError where there can be none."""
     file = folder / "scenario.toml"
     file.write_text(scenario)
     drones = load_scenario(file, seed=SEED).members
