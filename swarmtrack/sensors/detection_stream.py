@@ -21,11 +21,8 @@ freshest. `camera.max_age_s` is the only bound.
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import AsyncIterator
-from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import msgspec
@@ -35,7 +32,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.messages import Detections, LinkStatus
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
 from swarmtrack.sensors.http_stream import HttpStream, StreamEnded, StreamOptions
-from swarmtrack.sensors.newest_slot import NewestSlot, start, stop
+from swarmtrack.sensors.newest_slot import NewestSlot
 
 if TYPE_CHECKING:
     import aiohttp
@@ -75,21 +72,19 @@ class DetectionStream:
         self._clock = clock
         self._slot: NewestSlot[TimedDetections] = NewestSlot(str(address), clock)
         self._stream = HttpStream(url, options, clock, self._slot)
-        self._task: asyncio.Task[None] | None = None
         self._last_sequence: int | None = None
 
     async def detections(self) -> AsyncIterator[Detections]:
-        self._task = self._task or start(partial(self._stream.run, self._read), self._slot)
+        self._stream.start(self._read)
         while (timed := await self._slot.take()) is not None:
             self._slot.given(timed.detections.t, timed.t_sigma)
             yield timed.detections
 
     def status(self) -> LinkStatus:
-        status = self._slot.status()
-        return replace(status, counters=(*status.counters, ("bad_stamps", self._stream.bad_stamps)))
+        return self._stream.status()
 
     async def close(self) -> None:
-        await stop(self._task, self._slot)
+        await self._stream.stop()
 
     async def _read(self, response: aiohttp.ClientResponse) -> None:
         """Feed the slot until the stream breaks."""

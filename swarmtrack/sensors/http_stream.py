@@ -11,13 +11,14 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmtrack.clock import Clock
-from swarmtrack.messages import StampKind
+from swarmtrack.messages import LinkStatus, StampKind
 from swarmtrack.sensors.camera_address import in_range
-from swarmtrack.sensors.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, NewestSlot
+from swarmtrack.sensors.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, NewestSlot, start, stop
 
 if TYPE_CHECKING:
     import aiohttp
@@ -50,6 +51,9 @@ class NetworkOptions(StreamOptions):
     resize: bool = False
 
 
+Read = Callable[["aiohttp.ClientResponse"], Awaitable[None]]
+
+
 class StreamEnded(Exception):
     """The text says why; the stream is opened again."""
 
@@ -72,9 +76,21 @@ class HttpStream:
         self._options = options
         self._clock = clock
         self._slot = slot
+        self._task: asyncio.Task[None] | None = None
 
-    async def run(self, read: Callable[[aiohttp.ClientResponse], Awaitable[None]]) -> None:
-        """Have each connection's answer read, and say why it broke; until cancelled. `read` may raise StreamEnded."""
+    def start(self, read: Read) -> None:
+        """Have each connection's answer read, until `stop`. `read` may raise StreamEnded."""
+        self._task = self._task or start(partial(self._run, read), self._slot)
+
+    async def stop(self) -> None:
+        await stop(self._task, self._slot)
+
+    def status(self) -> LinkStatus:
+        status = self._slot.status()
+        return replace(status, counters=(*status.counters, ("bad_stamps", self.bad_stamps)))
+
+    async def _run(self, read: Read) -> None:
+        """Connect, read, say why it broke, and again; until cancelled."""
         # Here, not above: 20 MB and 0.2 s that only such a camera needs.
         import aiohttp  # noqa: PLC0415
 

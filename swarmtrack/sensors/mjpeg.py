@@ -5,11 +5,8 @@ A part may carry `X-Timestamp`, the time of its exposure; `http_stream` says how
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import AsyncIterator
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +17,6 @@ from swarmtrack.sensors.decode import decode_jpeg
 from swarmtrack.sensors.frame_slot import FrameSlot, Freshness, RawFrame
 from swarmtrack.sensors.http_stream import HttpStream, NetworkOptions, StreamEnded
 from swarmtrack.sensors.multipart import MultipartReader, Part
-from swarmtrack.sensors.newest_slot import start, stop
 
 if TYPE_CHECKING:
     import aiohttp
@@ -37,19 +33,17 @@ class MjpegCamera:
         self._clock = clock
         self._slot = FrameSlot(str(address), clock, size, options.resize)
         self._stream = HttpStream(server_url(address, NetworkOptions), options, clock, self._slot)
-        self._task: asyncio.Task[None] | None = None
         self._freshness = Freshness(period=1 / 30, depth=30)  # a second in the sockets' buffers
 
     def frames(self) -> AsyncIterator[Frame]:
-        self._task = self._task or start(partial(self._stream.run, self._read), self._slot)
+        self._stream.start(self._read)
         return self._slot.frames()
 
     def status(self) -> LinkStatus:
-        status = self._slot.status()
-        return replace(status, counters=(*status.counters, ("bad_stamps", self._stream.bad_stamps)))
+        return self._stream.status()
 
     async def close(self) -> None:
-        await stop(self._task, self._slot)
+        await self._stream.stop()
 
     async def _read(self, response: aiohttp.ClientResponse) -> None:
         """Feed the slot until the stream breaks."""

@@ -15,10 +15,10 @@ from typing import Protocol
 
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
+from swarmtrack.messages import Frame, Image, StampKind
 from swarmtrack.sensors.camera_address import CameraAddress
 from swarmtrack.sensors.frame_slot import BadImage, FrameSlot, RawFrame, WrongSize, already, check_size
-from swarmtrack.sensors.newest_slot import CLOSE_TIMEOUT
+from swarmtrack.sensors.thread_camera import ThreadCamera
 
 PACES = ("realtime", "fast")
 
@@ -60,44 +60,34 @@ class PlaybackOptions(Protocol):
     def resize(self) -> bool: ...
 
 
-class PlaybackCamera:
+class PlaybackCamera(ThreadCamera):
     """A camera that is a recording."""
 
     def __init__(self, recording: Playable, *, clock: Clock, slot: FrameSlot, pace: str, loop: bool) -> None:
+        super().__init__(slot)
         self._recording = recording
         self._clock = clock
-        self._slot = slot
         self._realtime = pace == "realtime"
         self._loop = loop
-        self._thread: threading.Thread | None = None
-        self._stop = threading.Event()
+        self._start = 0.0
         self._room = threading.Semaphore(1)  # pace `fast`: free when the last frame was taken
 
     def frames(self) -> AsyncIterator[Frame]:
         if self._thread is None and not self._stop.is_set():
             self._slot.say(True, "playing")
-            arguments = (asyncio.get_running_loop(), self._clock.now())
-            # A daemon: a read that hangs (a dead network drive) must not keep the process.
-            self._thread = threading.Thread(target=self._run, args=arguments, name="camera", daemon=True)
-            self._thread.start()
-        return self._slot.frames()
-
-    def status(self) -> LinkStatus:
-        return self._slot.status()
+            self._start = self._clock.now()
+        return super().frames()
 
     async def close(self) -> None:
         self._stop.set()
         self._room.release()
-        self._slot.clear()
-        self._slot.end()
-        if self._thread is not None:
-            await asyncio.to_thread(self._thread.join, CLOSE_TIMEOUT)
+        await super().close()
 
-    def _run(self, loop: asyncio.AbstractEventLoop, start: float) -> None:
+    def _run(self, loop: asyncio.AbstractEventLoop) -> None:
         error: BaseException | None = None
         ok, text = True, "closed"
         try:
-            count = self._play(loop, start)
+            count = self._play(loop, self._start)
             if not self._stop.is_set():
                 ok, text = self._recording.ending(count)
         except Exception as bug:  # not lost with the thread: the consumer raises it

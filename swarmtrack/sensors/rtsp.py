@@ -10,8 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-import threading
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -19,17 +18,18 @@ import cv2
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.messages import Frame, LinkStatus, StampKind
+from swarmtrack.messages import StampKind
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
 from swarmtrack.sensors.frame_slot import FrameSlot, RawFrame, already
 from swarmtrack.sensors.http_stream import NetworkOptions
-from swarmtrack.sensors.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, CLOSE_TIMEOUT
+from swarmtrack.sensors.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST
+from swarmtrack.sensors.thread_camera import ThreadCamera
 from swarmtrack.sensors.video import open_video
 
 DEFAULT_PORT = 554
 
 
-class RtspCamera:
+class RtspCamera(ThreadCamera):
     """An RTSP stream."""
 
     def __init__(
@@ -39,27 +39,7 @@ class RtspCamera:
         self._options = read_options(address, NetworkOptions)
         self._url = server_url(address, NetworkOptions)
         self._clock = clock
-        self._slot = FrameSlot(str(address), clock, size, self._options.resize)
-        self._thread: threading.Thread | None = None
-        self._stop = threading.Event()
-
-    def frames(self) -> AsyncIterator[Frame]:
-        if self._thread is None and not self._stop.is_set():
-            loop = asyncio.get_running_loop()
-            # A daemon: a read that hangs must not keep the process.
-            self._thread = threading.Thread(target=self._run, args=(loop,), name="camera", daemon=True)
-            self._thread.start()
-        return self._slot.frames()
-
-    def status(self) -> LinkStatus:
-        return self._slot.status()
-
-    async def close(self) -> None:
-        self._stop.set()
-        self._slot.clear()
-        self._slot.end()
-        if self._thread is not None:
-            await asyncio.to_thread(self._thread.join, CLOSE_TIMEOUT)
+        super().__init__(FrameSlot(str(address), clock, size, self._options.resize))
 
     # in the thread ------------------------------------------------------------------------------------------------
 
@@ -70,9 +50,8 @@ class RtspCamera:
         try:
             self._keep_streaming(tell)
         except Exception as bug:  # not lost with the thread: the consumer raises it
-            with contextlib.suppress(
-                RuntimeError
-            ):  # the loop is gone, and with it everybody who could want to know
+            # The loop may be gone, and with it everybody who could want to know.
+            with contextlib.suppress(RuntimeError):
                 tell(self._slot.end, bug)
 
     def _keep_streaming(self, tell: Callable[..., None]) -> None:

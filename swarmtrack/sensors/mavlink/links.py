@@ -114,13 +114,10 @@ class NoLink:
         """Nothing to drop."""
 
 
-class UdpLink(asyncio.DatagramProtocol):
-    """`udpin` listens and answers the autopilot where it last spoke from; `udpout` speaks first.
+class LiveLink:
+    """What links to something live have in common; one that is different says so."""
 
-    The peer is learned from a valid frame of our autopilot only: otherwise whoever sends one byte captures our answers.
-    """
-
-    datagrams = True
+    datagrams = False
     recording = False
     bytes_per_second: float | None = None
 
@@ -128,6 +125,18 @@ class UdpLink(asyncio.DatagramProtocol):
         self.address = address
         self.remark = ""
         self._clock = clock
+
+
+class UdpLink(LiveLink, asyncio.DatagramProtocol):
+    """`udpin` listens and answers the autopilot where it last spoke from; `udpout` speaks first.
+
+    The peer is learned from a valid frame of our autopilot only: otherwise whoever sends one byte captures our answers.
+    """
+
+    datagrams = True
+
+    def __init__(self, address: LinkAddress, clock: Clock) -> None:
+        super().__init__(address, clock)
         self._listens = address.scheme == "udpin"
         self._peer: tuple[str, int] | None = None
         self._transport: asyncio.DatagramTransport | None = None
@@ -196,17 +205,11 @@ class UdpLink(asyncio.DatagramProtocol):
         """Silence says nothing about a UDP socket."""
 
 
-class TcpLink(asyncio.Protocol):
+class TcpLink(LiveLink, asyncio.Protocol):
     """Calls a TCP server: a simulator or a router."""
 
-    datagrams = False
-    recording = False
-    bytes_per_second: float | None = None
-
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
-        self.address = address
-        self.remark = ""
-        self._clock = clock
+        super().__init__(address, clock)
         self._transport: asyncio.Transport | None = None
         self._receiver: Receiver
         self._lost: asyncio.Future[str]
@@ -248,17 +251,12 @@ class TcpLink(asyncio.Protocol):
             self._lost.set_result(reason)
 
 
-class SerialLink:
+class SerialLink(LiveLink):
     """A serial port or USB device, opened exclusively; the device may come and go."""
 
-    datagrams = False
-    recording = False
-
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
-        self.address = address
-        self.remark = ""
-        self.bytes_per_second: float | None = address.baud / 10  # 8N1: ten bits a byte
-        self._clock = clock
+        super().__init__(address, clock)
+        self.bytes_per_second = address.baud / 10  # 8N1: ten bits a byte
         self._fd: int | None = None
         self._unsent = bytearray()
         self._receiver: Receiver
