@@ -101,7 +101,7 @@ def _first_stamp(tlog: Path) -> float:
 
 
 async def _import(parts: Parts, clock: ManualClock, offset: float) -> int:
-    from swarmtrack.detection.expectation import OnboardExpectation
+    from swarmtrack.detection.expectation import PerceivedExpectation
     from swarmtrack.sensors.base import DetectionSource
 
     recorder, autopilot = parts.recorder, parts.autopilot
@@ -116,7 +116,7 @@ async def _import(parts: Parts, clock: ManualClock, offset: float) -> int:
     recorder.open()
     parts.door.listener = recorder
     flight = _Flight(parts, clock, log)
-    expectation = OnboardExpectation(parts.onboard)
+    expectation = PerceivedExpectation(parts.door.perceived)
     frames = 0
     try:
         async for frame in parts.camera.frames():
@@ -134,7 +134,7 @@ async def _import(parts: Parts, clock: ManualClock, offset: float) -> int:
         await parts.camera.close()
         recorder.close()
     status = recorder.status()
-    counters = parts.onboard.counters
+    counters = parts.door.perceived.counters
     print(f"{frames} frames, {log.samples} gyro samples, {counters.scans} scans: {status.text}")
     if counters.scans_ahead_of_gyro:
         print(
@@ -170,11 +170,11 @@ class _Flight:
 
     def tell(self, event: Input) -> None:
         self._door.tell(event)
-        self._door.take_reports()
+        self._door.events()
 
     def _ask(self, t: float) -> None:
         while self._publish <= t:
             self._clock.set(self._publish)
             self._door.tracks(self._publish)
-            self._door.take_reports()
+            self._door.events()
             self._publish += self._period

@@ -32,7 +32,8 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Array, Detections, ImuSample, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.scenarios import HOVER_S, Scenario
 from swarmtrack.simulation.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
@@ -183,9 +184,9 @@ def _track(
     for kind, index in _arrivals(sensed, e.latency_s):
         if kind == "imu":
             if gyro:
-                onboard.on_imu(sensed.imu[index])
+                onboard.tell(sensed.imu[index])
         elif kind == "scan":
-            onboard.on_detections(sensed.scans[index])
+            onboard.tell(sensed.scans[index])
         else:
             tracks = onboard.tracks(float(sensed.t[index])).tracks
             alive = [entry.track for entry in tracks if entry.track.status is not TrackStatus.TENTATIVE]

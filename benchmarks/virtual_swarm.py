@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Announcement, EgoPose, PeerArrived, TrackList
+from swarmtrack.messages import Announcement, EgoPose, PeerArrived, PoseWanted, ScanReport, TrackList
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
 from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
 from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
@@ -47,6 +48,8 @@ class _Drone:
     reports: int = 0
     reported_t: float = -np.inf
     reported: frozenset[int] = frozenset()
+    wanted: list[int] = dataclasses.field(default_factory=list)
+    """Whose pose it wants and has not asked for yet."""
 
 
 class VirtualSwarm:
@@ -102,13 +105,16 @@ class VirtualSwarm:
             drone = self._drones[drone_id]
             self._say(now)
             if what == "imu":
-                drone.onboard.on_imu(drone.imu.sample(index))
+                drone.onboard.tell(drone.imu.sample(index))
             elif what == "pose":
-                drone.onboard.on_pose(self._pose(drone_id, index))
+                drone.onboard.tell(self._pose(drone_id, index))
             else:
                 self._scan(drone_id, index)
-            for report in drone.onboard.take_reports():
-                yield Look(drone_id, report.tracks.t, report.tracks)
+            for event in drone.onboard.events():
+                if isinstance(event, ScanReport):
+                    yield Look(drone_id, event.tracks.t, event.tracks)
+                elif isinstance(event, PoseWanted):
+                    drone.wanted.append(event.drone_id)
             rate = rates[what]
             heapq.heappush(queue, (_due(what, index + 1, rate), drone_id, what, index + 1))
 
@@ -120,17 +126,20 @@ class VirtualSwarm:
         boxes = visible(scenario.world, drone_id, scenario.camera, scenario.body_from_camera, t)
         rng = scenario.world.chance("detector", drone_id, index & 0xFFFFFFFF)
         detections = detect(boxes, scenario.camera, scenario.detector, rng, t=t, sequence=index)
-        self._drones[drone_id].onboard.on_detections(detections)
+        self._drones[drone_id].onboard.tell(detections)
 
     def _say(self, now: float) -> None:
         for drone_id, drone in self._drones.items():
             if now >= drone.announce_at:
                 self._announce(drone_id, drone, now)
             self._report(drone_id, drone, now)
-            for wanted in drone.onboard.take_wanted():
+            events = drone.onboard.events()
+            drone.wanted += [event.drone_id for event in events if isinstance(event, PoseWanted)]
+            for wanted in drone.wanted:
                 other = self._drones[wanted]
                 if other.announced:
                     other.announce_at = min(other.announce_at, now + RADIO_S)
+            drone.wanted.clear()
 
     def _announce(self, drone_id: int, drone: _Drone, now: float) -> None:
         drone.announce_at = np.inf
@@ -154,12 +163,12 @@ class VirtualSwarm:
         )
         for other_id, other in self._drones.items():
             if other_id != drone_id:
-                other.onboard.on_membership(PeerArrived(drone_id, announcement.boot))
-                other.onboard.on_announcement(announcement)
+                other.onboard.tell(PeerArrived(drone_id, announcement.boot))
+                other.onboard.tell(announcement)
         for other_id, other in self._drones.items():  # a late joiner hears those who were there before
             if other_id != drone_id and drone.announced == 1:
                 for earlier in list(other.onboard.teammates.values()):
-                    drone.onboard.on_announcement(earlier)
+                    drone.onboard.tell(earlier)
 
     def _report(self, drone_id: int, drone: _Drone, now: float) -> None:
         report = drone.onboard.sighting_report(f"{drone_id:08x}", drone.reports)
@@ -172,8 +181,7 @@ class VirtualSwarm:
         drone.reports += 1
         for other_id, other in self._drones.items():
             if other_id != drone_id:
-                other.onboard.on_sightings(dataclasses.replace(report, t_sigma=CLOCK_SIGMA))
-                other.onboard.take_disagreements()
+                other.onboard.tell(dataclasses.replace(report, t_sigma=CLOCK_SIGMA))
 
 
 def _due(what: str, index: int, rate: float) -> float:

@@ -204,6 +204,19 @@ class TrackList:
     tracks: tuple[IdentifiedTrack, ...]
 
 
+class ScanReport(NamedTuple):
+    """What came of one scan: its frame's sequence number, and the tracks at its exposure."""
+
+    sequence: int
+    tracks: TrackList
+
+
+class PoseWanted(NamedTuple):
+    """That drone should announce its pose again: its last one is too old to tell who is who."""
+
+    drone_id: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Announcement:
     """The one broadcast of the method: who I am, and my initial pose in the team frame.

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from swarmtrack.detection.expectation import OnboardExpectation
+from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Announcement, Detections, EgoPose, ImuSample
+from swarmtrack.messages import Announcement, AutopilotRebooted, Detections, EgoPose, ImuSample
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
 from swarmtrack.tracking import TRACKERS, create_tracker
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -59,9 +60,9 @@ def flight(latency, tracker="kalman", imu_hz=200.0, fps=15.0, seconds=1.5):
     events += [(scan.t + latency, 1, scan) for scan in scans]
     for _, kind, event in sorted(events, key=lambda e: e[:2]):
         if kind == 0:
-            drone.on_imu(event)
+            drone.tell(event)
         else:
-            drone.on_detections(event)
+            drone.tell(event)
     return drone, scans
 
 
@@ -71,7 +72,7 @@ def test_a_late_scan_leaves_the_state_it_would_have_left_at_once(tracker, latenc
     at_once, scans = flight(0.0, tracker)
     late, _ = flight(latency, tracker)
     assert at_once.counters.scans == late.counters.scans == len(scans)
-    for a, b in zip(at_once.take_reports(), late.take_reports(), strict=True):
+    for a, b in zip(at_once.events(), late.events(), strict=True):
         assert len(a.tracks.tracks) == len(b.tracks.tracks)
         for x, y in zip(a.tracks.tracks, b.tracks.tracks, strict=True):
             assert x.track.mean == pytest.approx(y.track.mean, abs=1e-9)
@@ -80,7 +81,7 @@ def test_a_late_scan_leaves_the_state_it_would_have_left_at_once(tracker, latenc
 
 def test_what_is_shown_now_is_the_last_scan_carried_on_by_the_gyro():
     drone, _ = flight(0.0)
-    report = drone.take_reports()[-1].tracks
+    report = drone.events()[-1].tracks
     now = report.t + 0.04
     turn = drone.gyro.rotation(report.t, now).matrix
     was, shown = report.tracks[0].track, drone.tracks(now).tracks[0].track
@@ -97,14 +98,14 @@ def test_a_detector_is_told_where_the_tracks_will_be_when_the_camera_has_turned(
     fed = 0
     for k in range(12):
         while fed / 200.0 <= k / 15:
-            drone.on_imu(ImuSample(fed / 200.0, np.zeros(3), NO_ACCEL))
+            drone.tell(ImuSample(fed / 200.0, np.zeros(3), NO_ACCEL))
             fed += 1
-        drone.on_detections(seen(k / 15, (320.0, 240.0), sequence=k))
+        drone.tell(seen(k / 15, (320.0, 240.0), sequence=k))
     last = 11 / 15
     while fed / 200.0 <= last + 0.55:
-        drone.on_imu(ImuSample(fed / 200.0, turning, NO_ACCEL))
+        drone.tell(ImuSample(fed / 200.0, turning, NO_ACCEL))
         fed += 1
-    (box,) = OnboardExpectation(drone).boxes(last + 0.5)
+    (box,) = PerceivedExpectation(drone).boxes(last + 0.5)
     assert box[:2] == pytest.approx([320.0 - 430.0 * np.tan(0.1), 240.0], abs=3.0)
     assert 3.0 < box[2] < 400.0
     assert box[4:] == pytest.approx([30.0, 30.0])
@@ -114,33 +115,33 @@ def test_boxes_told_to_the_detector_are_in_the_pixels_of_its_image():
     lens = RadTan((-0.25, 0.05, 0.0, 0.0))
     camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, lens)
     drone = onboard(camera=camera)
-    assert OnboardExpectation(drone).boxes(0.0).shape == (0, 6)
+    assert PerceivedExpectation(drone).boxes(0.0).shape == (0, 6)
     for k in range(8):
-        drone.on_detections(seen(k / 15, (600.0, 440.0), sequence=k))
-    (box,) = OnboardExpectation(drone).boxes(8 / 15)
+        drone.tell(seen(k / 15, (600.0, 440.0), sequence=k))
+    (box,) = PerceivedExpectation(drone).boxes(8 / 15)
     assert box[:2] == pytest.approx([600.0, 440.0], abs=0.5)
 
 
 def test_a_scan_older_than_the_history_or_the_last_scan_is_refused_and_counted():
     drone, scans = flight(0.0)
-    drone.on_detections(scans[3])
-    drone.on_imu(ImuSample(9.0, np.zeros(3), NO_ACCEL))
-    drone.on_detections(seen(6.9, (100, 100)))
+    drone.tell(scans[3])
+    drone.tell(ImuSample(9.0, np.zeros(3), NO_ACCEL))
+    drone.tell(seen(6.9, (100, 100)))
     assert drone.counters.late_scans == 2
 
 
 def test_without_a_gyro_scans_are_tracked_at_once():
     drone = onboard()
     for k in range(6):
-        drone.on_detections(seen(k / 15, (200, 200), sequence=k))
-    assert [report.sequence for report in drone.take_reports()] == list(range(6))
+        drone.tell(seen(k / 15, (200, 200), sequence=k))
+    assert [report.sequence for report in drone.events()] == list(range(6))
     assert drone.tracks(0.4).tracks[0].track.status == "confirmed"
 
 
 def test_a_gyro_that_fell_silent_holds_nothing_up():
     drone, _ = flight(0.0)
     scans = drone.counters.scans
-    drone.on_detections(seen(2.0, (200, 200)))
+    drone.tell(seen(2.0, (200, 200)))
     assert drone.counters.scans == scans + 1
 
 
@@ -156,7 +157,7 @@ def test_detections_of_a_distorted_image_are_tracked_undistorted():
     camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.0, 0.0)))
     drone = onboard(camera=camera)
     for k in range(5):
-        drone.on_detections(seen(k / 15, (100, 80)))
+        drone.tell(seen(k / 15, (100, 80)))
     truth = camera.undistort(np.array([[100.0, 80.0]]))[0]
     assert np.linalg.norm(truth - [100, 80]) > 5.0
     assert drone.tracks(4 / 15).tracks[0].track.mean[::2] == pytest.approx(truth, abs=0.5)
@@ -168,14 +169,14 @@ def test_a_pixel_at_the_border_of_a_fisheye_s_image_counts_for_as_many_as_it_cov
         drone = onboard(camera=camera, measurement_sigma=1.5)
         rng = np.random.default_rng(seed)
         for k in range(60):
-            drone.on_detections(seen(k / 15, rng.normal((30.0, 30.0), 1.5)))
+            drone.tell(seen(k / 15, rng.normal((30.0, 30.0), 1.5)))
         (entry,) = drone.tracks(59 / 15).tracks
         assert entry.track.id == 1
 
 
 def test_the_time_offset_moves_the_exposure_onto_the_imu_s_clock():
     drone = onboard(offset=0.030)
-    drone.on_detections(seen(1.0, (200, 200)))
+    drone.tell(seen(1.0, (200, 200)))
     assert drone.tracks(1.1).scan_t == pytest.approx(1.030)
 
 
@@ -191,14 +192,14 @@ def identities(drone, t):
 
 def watch(drone, pixels, *, start=0, scans=8):
     for k in range(start, start + scans):
-        drone.on_detections(seen(k / 15, *pixels))
+        drone.tell(seen(k / 15, *pixels))
     return (start + scans - 1) / 15
 
 
 def test_teammates_are_named_by_where_they_said_they_are():
     drone = onboard()
-    drone.on_announcement(announced(2, [6.0, -1.0, 0.0]))  # left of the view: north 6 m, west 1 m
-    drone.on_announcement(announced(3, [6.0, 1.0, -0.5]))
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))  # left of the view: north 6 m, west 1 m
+    drone.tell(announced(3, [6.0, 1.0, -0.5]))
     left, right = (320 - 430 / 6, 240.0), (320 + 430 / 6, 240 - 430 * 0.5 / 6)
     t = watch(drone, [right, left])
     by_place = {round(e.track.mean[0]): e.identity for e in drone.tracks(t).tracks}
@@ -207,15 +208,15 @@ def test_teammates_are_named_by_where_they_said_they_are():
 
 def test_a_stranger_far_from_every_announced_pose_stays_unknown():
     drone = onboard()
-    drone.on_announcement(announced(2, [6.0, -1.0, 0.0]))
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
     t = watch(drone, [(320 - 430 / 6, 240.0), (600.0, 60.0)])
     assert identities(drone, t) == {2, None}
 
 
 def test_two_drones_that_project_onto_one_spot_stay_unknown():
     drone = onboard()
-    drone.on_announcement(announced(2, [6.0, 0.00, 0.0]))
-    drone.on_announcement(announced(3, [8.0, 0.01, 0.0]))
+    drone.tell(announced(2, [6.0, 0.00, 0.0]))
+    drone.tell(announced(3, [8.0, 0.01, 0.0]))
     t = watch(drone, [(318.0, 240.0), (324.0, 240.0)])
     assert identities(drone, t) == {None}
 
@@ -224,7 +225,7 @@ def test_the_paper_s_profile_gives_one_id_twice_where_ours_says_unknown():
     spots = [(318.0, 240.0), (330.0, 250.0)]
     paper, ours = onboard(profile="paper"), onboard()
     for drone in (paper, ours):
-        drone.on_announcement(announced(2, [6.0, 0.0, 0.0]))
+        drone.tell(announced(2, [6.0, 0.0, 0.0]))
     duplicates = [e.identity for e in paper.tracks(watch(paper, spots)).tracks]
     assert duplicates == [2, 2]
     assert [e.identity for e in ours.tracks(watch(ours, spots)).tracks].count(2) <= 1
@@ -232,20 +233,20 @@ def test_the_paper_s_profile_gives_one_id_twice_where_ours_says_unknown():
 
 def test_an_identity_stays_with_its_track_when_the_drone_flies_off():
     drone = onboard()
-    drone.on_announcement(announced(2, [6.0, 0.0, 0.0]))
+    drone.tell(announced(2, [6.0, 0.0, 0.0]))
     for k in range(60):
-        drone.on_detections(seen(k / 15, (320.0 + 4 * max(k - 10, 0), 240.0)))
+        drone.tell(seen(k / 15, (320.0 + 4 * max(k - 10, 0), 240.0)))
     assert identities(drone, 59 / 15) == {2}
 
 
 def test_a_new_boot_is_identified_anew_and_an_old_announcement_changes_nothing():
     drone = onboard()
-    drone.on_announcement(announced(2, [6.0, 0.0, 0.0], sequence=1))
-    drone.on_announcement(announced(2, [6.0, 3.0, 0.0], sequence=0))
+    drone.tell(announced(2, [6.0, 0.0, 0.0], sequence=1))
+    drone.tell(announced(2, [6.0, 3.0, 0.0], sequence=0))
     assert drone.counters.announcements_refused == 1
     t = watch(drone, [(320.0, 240.0)])
     assert identities(drone, t) == {2}
-    drone.on_announcement(announced(2, [6.0, 2.5, 0.0], boot="0000000b", t=t))
+    drone.tell(announced(2, [6.0, 2.5, 0.0], boot="0000000b", t=t))
     t = watch(drone, [(320.0, 240.0)], start=8)
     assert identities(drone, t) == {None}
 
@@ -254,7 +255,7 @@ def test_the_local_frame_of_the_autopilot_is_moved_to_where_the_drone_starts():
     facing_east = Pose(rotation.from_euler(0.0, 0.0, np.pi / 2), np.array([10.0, 20.0, -1.5]))
     drone = onboard(start=facing_east)
     for t, north in ((0.0, 0.0), (1.0, 2.0)):  # its own frame: facing north, then 2 m ahead
-        drone.on_pose(EgoPose(t, np.array([north, 0.0, 0.0]), np.eye(3)))
+        drone.tell(EgoPose(t, np.array([north, 0.0, 0.0]), np.eye(3)))
     assert drone.ego_pose(0.5).position == pytest.approx([10.0, 21.0, -1.5])
     assert drone.ego_pose(1.0).position_sigma == 0.1
     assert drone.ego_pose(1.0).world_from_body @ [1, 0, 0] == pytest.approx([0.0, 1.0, 0.0])
@@ -263,18 +264,18 @@ def test_the_local_frame_of_the_autopilot_is_moved_to_where_the_drone_starts():
 def test_an_autopilot_without_a_position_still_gives_the_attitude_at_the_start():
     drone = onboard(start=Pose(np.eye(3), np.array([1.0, 2.0, -1.5])))
     tilted = rotation.from_euler(0.1, 0.0, 0.0)
-    drone.on_pose(EgoPose(0.0, None, tilted))
+    drone.tell(EgoPose(0.0, None, tilted))
     assert drone.ego_pose(0.0).position == pytest.approx([1.0, 2.0, -1.5])
     assert drone.ego_pose(0.0).world_from_body == pytest.approx(tilted)
-    drone.on_pose(EgoPose(0.1, np.array([50.0, 0.0, 0.0]), tilted))  # its EKF has found an origin, elsewhere
+    drone.tell(EgoPose(0.1, np.array([50.0, 0.0, 0.0]), tilted))  # its EKF has found an origin, elsewhere
     assert drone.ego_pose(0.1).position == pytest.approx([1.0, 2.0, -1.5])
 
 
 def test_a_drone_that_waits_on_its_pad_is_named_however_old_its_announcement():
     for age in (10.0, 300.0):
         drone = onboard()
-        drone.on_announcement(announced(2, [6.0, -1.0, 0.0], t=-age))
-        drone.on_announcement(announced(3, [6.0, 1.0, 0.0], t=-age))
+        drone.tell(announced(2, [6.0, -1.0, 0.0], t=-age))
+        drone.tell(announced(3, [6.0, 1.0, 0.0], t=-age))
         t = watch(drone, [(320 - 430 / 6, 240.0), (320 + 430 / 6, 240.0)])
         assert identities(drone, t) == {2, 3}
 
@@ -282,20 +283,20 @@ def test_a_drone_that_waits_on_its_pad_is_named_however_old_its_announcement():
 def test_an_autopilot_that_reboots_in_flight_goes_on_from_where_the_drone_was():
     drone = onboard(start=Pose(np.eye(3), np.zeros(3)))
     for k in range(50):
-        drone.on_pose(EgoPose(0.1 * k, np.array([2.0 * k, 0.0, 0.0]), np.eye(3)))
-    drone.on_autopilot_reboot()
-    drone.on_pose(EgoPose(8.0, np.array([0.0, 0.0, 0.0]), np.eye(3)))
+        drone.tell(EgoPose(0.1 * k, np.array([2.0 * k, 0.0, 0.0]), np.eye(3)))
+    drone.tell(AutopilotRebooted())
+    drone.tell(EgoPose(8.0, np.array([0.0, 0.0, 0.0]), np.eye(3)))
     assert drone.ego_pose(8.0).position == pytest.approx([98.0, 0.0, 0.0])
 
 
 def test_a_heading_that_is_found_after_boot_does_not_turn_the_team_frame():
     drone = onboard(start=Pose(rotation.from_euler(0.0, 0.0, 0.5), np.array([1.0, 2.0, 0.0])))
     for k, yaw in enumerate([0.0, 0.0, 1.5, 1.5]):
-        drone.on_pose(EgoPose(0.02 * k, np.zeros(3), rotation.from_euler(0.0, 0.0, yaw)))
+        drone.tell(EgoPose(0.02 * k, np.zeros(3), rotation.from_euler(0.0, 0.0, yaw)))
     ego = drone.ego_pose(0.06)
     assert rotation.to_euler(ego.world_from_body)[2] == pytest.approx(0.5)
     assert ego.position == pytest.approx([1.0, 2.0, 0.0])
-    drone.on_pose(EgoPose(0.08, np.array([0.0, 1.0, 0.0]), rotation.from_euler(0.0, 0.0, 1.5)))
+    drone.tell(EgoPose(0.08, np.array([0.0, 1.0, 0.0]), rotation.from_euler(0.0, 0.0, 1.5)))
     assert drone.ego_pose(0.08).position == pytest.approx([1.0 + np.sin(1.0), 2.0 + np.cos(1.0), 0.0])
 
 
@@ -304,7 +305,7 @@ def test_pixels_of_an_earlier_frame_are_those_of_the_same_directions_however_the
     drone = onboard(camera=camera, offset=0.02)
     rate = np.array([0.4, -0.3, 1.2])  # body axes
     for k in range(101):
-        drone.on_imu(ImuSample(k / 200.0, rate, NO_ACCEL))
+        drone.tell(ImuSample(k / 200.0, rate, NO_ACCEL))
     directions = rotation.exp(np.array([[0.0, 0.1, 0.0], [0.1, -0.2, 0.0], [0.0, 0.0, 0.3]])) @ [
         0.0,
         0.0,
@@ -314,15 +315,15 @@ def test_pixels_of_an_earlier_frame_are_those_of_the_same_directions_however_the
     then_from_now = rotation.exp(in_camera * 0.1)
     pixels, _, _ = camera.project(directions)
     expected, _, _ = camera.project(directions @ then_from_now.T)
-    found = OnboardExpectation(drone).pixels_at(0.3, 0.4)(pixels)
+    found = PerceivedExpectation(drone).pixels_at(0.3, 0.4)(pixels)
     assert np.abs(found - expected).max() < 1e-3
     assert np.abs(found - pixels).max() > 30.0
 
 
 def test_a_camera_without_a_gyro_is_taken_to_stand_still_and_one_whose_gyro_fell_silent_is_not():
     pixels = np.array([[100.0, 100.0], [500.0, 300.0]])
-    assert np.allclose(OnboardExpectation(onboard()).pixels_at(0.0, 0.1)(pixels), pixels)
+    assert np.allclose(PerceivedExpectation(onboard()).pixels_at(0.0, 0.1)(pixels), pixels)
     drone = onboard()
     for k in range(11):
-        drone.on_imu(ImuSample(k / 200.0, np.zeros(3), NO_ACCEL))
-    assert OnboardExpectation(drone).pixels_at(0.9, 1.0) is None
+        drone.tell(ImuSample(k / 200.0, np.zeros(3), NO_ACCEL))
+    assert PerceivedExpectation(drone).pixels_at(0.9, 1.0) is None

@@ -25,7 +25,8 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Detections, Frame, StampKind, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
 from swarmtrack.tracking import create_tracker
 
 
@@ -86,7 +87,7 @@ def follow(clip: Clip, seen: Sequence[Detections], tracker: str) -> ClipRow:
     spent = []
     for detections in seen:
         begin = time.thread_time()
-        onboard.on_detections(detections)
+        onboard.tell(detections)
         spent.append(time.thread_time() - begin)
         tracks = [entry.track for entry in onboard.tracks(detections.t).tracks]
         confirmed = [track for track in tracks if track.status is TrackStatus.CONFIRMED]

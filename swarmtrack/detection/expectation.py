@@ -10,7 +10,7 @@ import numpy as np
 
 from swarmtrack.messages import Array
 from swarmtrack.motion.gyro import rotation_between
-from swarmtrack.onboard import Onboard
+from swarmtrack.perceived import Perceived
 
 BLURRED_PX = 3.0  # by which two pictures may miss each other and still be compared
 
@@ -31,27 +31,28 @@ class Expectation(Protocol):
         ...
 
 
-class OnboardExpectation:
+class PerceivedExpectation:
     """By the tracks and the gyro of one drone."""
 
-    def __init__(self, onboard: Onboard) -> None:
-        self._onboard = onboard
+    def __init__(self, perceived: Perceived) -> None:
+        self._perceived = perceived
 
     def boxes(self, exposed: float) -> Array:
-        onboard = self._onboard
-        if onboard.scan_t is None:
+        perceived = self._perceived
+        if perceived.scan_t is None:
             return np.empty((0, 6))
-        tracks = onboard.carried(max(exposed + onboard.camera_clock.used_s, onboard.scan_t))
+        tracks = perceived.carried(max(exposed + perceived.camera_clock.used_s, perceived.scan_t))
         if not tracks:
             return np.empty((0, 6))
-        centre = onboard.camera.distort(np.array([track.mean[::2] for track in tracks]))
+        centre = perceived.camera.distort(np.array([track.mean[::2] for track in tracks]))
         sigma = np.sqrt([np.diagonal(track.cov)[::2] for track in tracks])
         boxes = np.concatenate([centre, 3.0 * sigma, [track.size for track in tracks]], axis=1)
         return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
 
     def pixels_at(self, then: float, now: float) -> PixelMapping | None:
         """By the gyro alone."""
-        gyro, camera, offset = self._onboard.gyro, self._onboard.camera, self._onboard.camera_clock.used_s
+        gyro, camera = self._perceived.gyro, self._perceived.camera
+        offset = self._perceived.camera_clock.used_s
         turn = rotation_between(gyro.orientation(now + offset), gyro.orientation(then + offset))
         if camera.fx * math.sqrt(turn.variance) > BLURRED_PX:
             return None

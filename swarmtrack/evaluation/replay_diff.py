@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.messages import FOREIGN, Identity, TrackStatus
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import FOREIGN, Identity, ScanReport, TrackStatus
 from swarmtrack.tracking.association import most_likely_matching
 
 GATE_PX = 15.0

@@ -138,6 +138,11 @@ class Consensus:
         self.agreed = 0
         self.disagreed = 0
 
+    @property
+    def counters(self) -> dict[str, int]:
+        """What others said of what this drone sees."""
+        return {"sightings_agreed": self.agreed, "sightings_disagreed": self.disagreed}
+
     def remember(self, view: OwnView) -> None:
         """The rays of a scan of our own."""
         self._views.append(view)

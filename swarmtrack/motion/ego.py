@@ -32,6 +32,11 @@ class TeamPose:
     position_sigma: float
     attitude_sigma: float
 
+    @property
+    def pose(self) -> Pose:
+        """world_from_body, without its errors."""
+        return Pose(self.world_from_body, self.position)
+
 
 class EgoHistory:
     """Ego poses of the autopilot, moved into the team frame by where the drone was told it starts.
@@ -67,6 +72,15 @@ class EgoHistory:
         self._yaw: tuple[float, float] | None = None
         self._placed: TeamPose | None = None  # the last whose position the autopilot knew
         self._poses: list[TeamPose] = []
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What it had to mend or refuse."""
+        return {
+            "poses_out_of_order": self.out_of_order,
+            "poses_without_place": self.without_position,
+            "heading_jumps": self.heading_jumps,
+        }
 
     def append(self, pose: EgoPose) -> None:
         """Add a pose in the autopilot's frame. One that is older than the history is dropped and counted."""

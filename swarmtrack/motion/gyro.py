@@ -97,6 +97,15 @@ class GyroHistory:
         """Time of the newest sample."""
         return self._times[-1] if self._times else None
 
+    @property
+    def counters(self) -> dict[str, int]:
+        """What it had to mend or refuse."""
+        return {
+            "gyro_gaps": self.gaps,
+            "gyro_out_of_order": self.out_of_order,
+            "gyro_restarts": self.restarts,
+        }
+
     def append(self, t: float, rate: Vector) -> None:
         """Add a sample: rate (3,) rad/s in camera axes."""
         if self._times and t <= self._times[-1]:

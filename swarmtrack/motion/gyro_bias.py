@@ -66,6 +66,11 @@ class GyroBias:
         sigma = math.sqrt(self._v)
         return BiasEstimate(self._bias, sigma) if sigma < 0.5 * PRIOR_SIGMA else None
 
+    @property
+    def counters(self) -> dict[str, int]:
+        """What it refused."""
+        return {"attitudes_refused": self.refused}
+
     def see(self, t: float, world_from_camera: Array, sigma: float) -> None:
         """The autopilot's attitude at t: world_from_camera (3, 3), its sigma [rad] per axis."""
         if not self._estimates:

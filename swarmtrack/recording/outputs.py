@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.messages import IdentifiedTrack, Track, TrackList, TrackStatus
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import IdentifiedTrack, ScanReport, Track, TrackList, TrackStatus
 from swarmtrack.recording.inputs import numbers, plain
 
 TRACKS_TOPIC = "/tracks"

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from swarmtrack.detection.expectation import OnboardExpectation
+from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
-from swarmtrack.messages import Detections, Frame, Input, StampKind, TrackList
-from swarmtrack.onboard import Onboard, ScanReport
+from swarmtrack.messages import Detections, Frame, Input, ScanReport, StampKind, TrackList
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
@@ -119,10 +118,9 @@ class Replayer:
         every_answer: bool = False,
     ) -> None:
         self._recording = recording
-        self._onboard: Onboard = make_onboard(settings.config, settings.mounted, settings.start)
-        self._door = Door(self._onboard)
+        self._door = Door(make_onboard(settings.config, settings.mounted, settings.start))
         self._detector = detector
-        self._expectation = OnboardExpectation(self._onboard)
+        self._expectation = PerceivedExpectation(self._door.perceived)
         self._topics = TOPICS if detector is None else TOPICS | {FRAMES_TOPIC, IMAGES_TOPIC}
         self._watcher = watcher
         self._answer_every = 1 if every_answer or watcher is not None else ANSWER_EVERY
@@ -170,7 +168,7 @@ class Replayer:
             n, t, digest = outputs.decode_asked(message.data)
             self._count(n)
             self._result.asked += 1
-            if self._result.asked % self._answer_every and not self._onboard.has_waiting:
+            if self._result.asked % self._answer_every and not self._door.perceived.has_waiting:
                 return
             tracks = self._door.tracks(t)
             self._note(self._answers, outputs.digest(tracks), t)
@@ -194,11 +192,12 @@ class Replayer:
 
     def _collect(self) -> None:
         """In flight too the finished scans are taken after every input."""
-        for report in self._door.take_reports():
-            self._result.scans.append(report)
-            digest = outputs.digest(report.tracks)
-            self._note(self._scans, digest, report.tracks.t)
-            self._hash.update(digest.encode())
+        for event in self._door.events():
+            if isinstance(event, ScanReport):
+                self._result.scans.append(event)
+                digest = outputs.digest(event.tracks)
+                self._note(self._scans, digest, event.tracks.t)
+                self._hash.update(digest.encode())
 
     def _note(self, stream: _Compared, digest: str, t: float) -> None:
         stream.replayed.append(digest)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.detection.expectation import OnboardExpectation
+from swarmtrack.detection.expectation import PerceivedExpectation
+from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
     EgoPose,
     ImuSample,
+    Input,
+    PoseWanted,
+    ScanReport,
 )
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
@@ -50,7 +54,7 @@ class Agent:
         self._clock, self._wall, self._paced = parts.clock, parts.wall, parts.paced
         self._camera, self._detector, self._autopilot = parts.camera, parts.detector, parts.autopilot
         self._lens, self._start = parts.lens, parts.start
-        self._onboard, self._door, self._recorder = parts.onboard, parts.door, parts.recorder
+        self._door, self._recorder = parts.door, parts.recorder
         self._transport = parts.transport
         self._simulated = parts.simulated_teammates
         self._console = console
@@ -63,9 +67,14 @@ class Agent:
         self._health_file = HealthFile(health_file) if health_file else None
         self.health = make_health(parts)
         self._teller = make_teller(parts)
-        self._team = make_teamwork(parts, self.health, self._teller)
+        self._team = make_teamwork(parts, self.health, self._teller, self.tell)
         self._live = LiveVideo(
-            parts.transport, parts.onboard, parts.lens, self.health.drops, clock=parts.clock, wall=parts.wall
+            parts.transport,
+            parts.door.perceived,
+            parts.lens,
+            self.health.drops,
+            clock=parts.clock,
+            wall=parts.wall,
         )
         self._tracks = TracksPublisher(
             parts.door,
@@ -124,18 +133,17 @@ class Agent:
     def on_imu(self, sample: ImuSample) -> None:
         """From the autopilot, on the event loop."""
         self.health.imu.tick()
-        self._door.tell(sample)
-        self._report()  # a scan may have waited for this very sample
+        self.tell(sample)
 
     def on_pose(self, pose: EgoPose) -> None:
         """From the autopilot, on the event loop."""
-        self._door.tell(pose)
+        self.tell(pose)
         if pose.position is not None:
             self._team.on_position()
 
     def on_autopilot_reboot(self) -> None:
         """From the autopilot, on the event loop."""
-        self._door.tell(AutopilotRebooted())
+        self.tell(AutopilotRebooted())
 
     def on_found_flying(self) -> None:
         """From the autopilot, on the event loop."""
@@ -156,13 +164,12 @@ class Agent:
         await asyncio.shield(warm)
         async for detections in self._detections():
             self._tracks.on_detections()
-            self._door.tell(detections)
-            self._report()
+            self.tell(detections)
             if self._video:
                 await self._video.drain()
         # Nothing more will come: what still waits for a gyro sample is tracked now.
         self._door.tracks(self._clock.now() + 1.0)
-        self._report()
+        self._carry_off()
 
     def _detections(self) -> AsyncIterator[Detections]:
         """From a source that detects by itself, or from a camera and our detector."""
@@ -180,7 +187,7 @@ class Agent:
 
     async def _detect(self, camera: Camera, detector: Detector) -> AsyncIterator[Detections]:
         """Every frame through the detector, in its thread."""
-        loop, expectation = asyncio.get_running_loop(), OnboardExpectation(self._onboard)
+        loop, expectation = asyncio.get_running_loop(), PerceivedExpectation(self._door.perceived)
         async for frame in camera.frames():
             if self._paced is not None:
                 self._paced.set(frame.t)
@@ -214,21 +221,35 @@ class Agent:
         self._all_stale = True
         return False
 
-    def _report(self) -> None:
-        """Hand the finished scans to whoever writes or shows them, and wake the publisher."""
-        for report in self._door.take_reports():
-            self.health.on_scan()
-            self._console.see(report)
-            self._teller.see(report)
-            written = self._jsonl or self._video
-            seen = as_seen(report, self._lens) if written else []
-            if self._jsonl:
-                self._jsonl.write(report, seen)
-                self.health.drops["jsonl_lines"] = self._jsonl.failed
-            if self._video:
-                self._video.write(report, seen)
-                self.health.drops["video_frames"] = self._video.dropped
-            self._tracks.on_scan()
+    def tell(self, event: Input) -> None:
+        """Onboard is told, and what comes of it is carried off: a scan may have waited for this very sample."""
+        self._door.tell(event)
+        self._carry_off()
+
+    def _carry_off(self) -> None:
+        for event in self._door.events():
+            match event:
+                case ScanReport():
+                    self._on_scan(event)
+                case PoseWanted(drone_id):
+                    self._team.ask_for_pose(drone_id)
+                case Disagreement():
+                    self._team.on_disagreement(event)
+
+    def _on_scan(self, report: ScanReport) -> None:
+        """To whoever writes or shows it; and the publisher wakes."""
+        self.health.on_scan()
+        self._console.see(report)
+        self._teller.see(report)
+        written = self._jsonl or self._video
+        seen = as_seen(report, self._lens) if written else []
+        if self._jsonl:
+            self._jsonl.write(report, seen)
+            self.health.drops["jsonl_lines"] = self._jsonl.failed
+        if self._video:
+            self._video.write(report, seen)
+            self.health.drops["video_frames"] = self._video.dropped
+        self._tracks.on_scan()
 
     async def _publish_tracks(self, warm: asyncio.Future[None]) -> None:
         await asyncio.shield(warm)
@@ -259,7 +280,7 @@ class Agent:
     def summarise(self) -> None:
         """Print what came of it all."""
         facts = [f"{link.name}: {link.text}" for link in self.health.links()]
-        teammates = ", ".join(map(str, sorted(self._onboard.teammates))) or "none"
+        teammates = ", ".join(map(str, sorted(self._door.perceived.teammates))) or "none"
         facts.append(f"announced teammates: {teammates}")
         output = self._config.output
         facts += [f"written: {path}" for path in (output.jsonl, output.video) if path]
@@ -293,7 +314,7 @@ def make_health(parts: Parts) -> Health:
         config.drone.id,
         parts.boot,
         Links(parts.camera, parts.transport, autopilot, parts.detector, parts.recorder),
-        parts.onboard,
+        parts.door.perceived,
         Expected(
             config.autopilot.imu_rate_hz if autopilot else None,
             config.output.tracks_hz,
@@ -311,7 +332,7 @@ def make_teller(parts: Parts) -> Teller:
     return Teller(
         autopilot if isinstance(autopilot, MavlinkAutopilot) else None,
         config.autopilot.tell,
-        parts.onboard,
+        parts.door.perceived,
         parts.lens,
         drone_id=config.drone.id,
         boot=parts.boot,
@@ -322,12 +343,12 @@ def make_teller(parts: Parts) -> Teller:
     )
 
 
-def make_teamwork(parts: Parts, health: Health, teller: Teller) -> Teamwork:
-    """What speaks and listens to the team for these parts."""
+def make_teamwork(parts: Parts, health: Health, teller: Teller, tell: Callable[[Input], None]) -> Teamwork:
+    """What speaks and listens to the team for these parts; tell: the way into their Onboard."""
     drone = parts.config.drone
     return Teamwork(
-        parts.door,
-        parts.onboard,
+        tell,
+        parts.door.perceived,
         parts.transport,
         health,
         teller,

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import Frame, Image, TrackStatus
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import Frame, Image, ScanReport, TrackStatus
 from swarmtrack.runtime.outputs import SeenTrack, check_suffix
 from swarmtrack.runtime.palette import colour_of
 

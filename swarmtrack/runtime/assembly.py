@@ -11,7 +11,6 @@ from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Announcement
-from swarmtrack.onboard import Onboard
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.perception import make_detector, make_onboard
 from swarmtrack.security import names
@@ -53,9 +52,8 @@ class Parts:
     autopilot: Autopilot | None
     detector: Detector | None
     """None where the camera detects by itself."""
-    onboard: Onboard
     door: Door
-    """The way into `onboard`."""
+    """The way into its Onboard, and what may be read of it."""
     recorder: Recorder | None
     transport: Transport
     start: Pose | None
@@ -95,7 +93,6 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     with config.blamed("network"):
         transport = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
-    onboard = make_onboard(config, mounted, start)
     recorder = _recorder(config, mounted, start, boot, clock=clock, wall=wall, waits=paced is not None)
     return Parts(
         config=config,
@@ -107,8 +104,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         camera=camera,
         autopilot=autopilot,
         detector=detector,
-        onboard=onboard,
-        door=Door(onboard),
+        door=Door(make_onboard(config, mounted, start)),
         recorder=recorder,
         transport=transport,
         start=start,

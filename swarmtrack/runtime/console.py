@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import TextIO
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import IdentifiedTrack, Identity, TrackStatus
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import IdentifiedTrack, Identity, ScanReport, TrackStatus
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 
 log = logging.getLogger(__name__)

@@ -1,26 +1,16 @@
-"""The one door to Onboard: whatever changes it comes through here, so whoever listens can repeat the flight.
+"""The door to Onboard: whoever listens at it hears all that is needed to repeat the flight.
 
 `docs/decisions/0012-the-door.md` tells why a recording holds these inputs and nothing else.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
-from swarmtrack.messages import (
-    Announcement,
-    AutopilotRebooted,
-    Detections,
-    EgoPose,
-    IdClash,
-    ImuSample,
-    Input,
-    PeerArrived,
-    PeerDeparted,
-    SightingReport,
-    TrackList,
-)
-from swarmtrack.onboard import Onboard, ScanReport
+from swarmtrack.messages import Input, ScanReport, TrackList
+from swarmtrack.onboard import Onboard, Output
+from swarmtrack.perceived import Perceived
 
 
 class DoorListener(Protocol):
@@ -40,32 +30,27 @@ class DoorListener(Protocol):
 
 
 class Door:
-    """Delivers to Onboard and takes from it; reading what changes nothing needs no door."""
+    """Onboard with a listener. What `perceived` shows may be read by anyone; what changes it comes through here."""
 
     def __init__(self, onboard: Onboard) -> None:
         self.listener: DoorListener | None = None
+        self.perceived: Perceived = onboard
         self._onboard = onboard
 
     def tell(self, event: Input) -> None:
-        """Something happened."""
+        """`Onboard.tell`."""
         if self.listener is not None:
             self.listener.told(event)
-        onboard = self._onboard
-        match event:
-            case ImuSample():
-                onboard.on_imu(event)
-            case EgoPose():
-                onboard.on_pose(event)
-            case Detections():
-                onboard.on_detections(event)
-            case SightingReport():
-                onboard.on_sightings(event)
-            case Announcement():
-                onboard.on_announcement(event)
-            case PeerArrived() | PeerDeparted() | IdClash():
-                onboard.on_membership(event)
-            case AutopilotRebooted():
-                onboard.on_autopilot_reboot()
+        self._onboard.tell(event)
+
+    def events(self) -> Sequence[Output]:
+        """`Onboard.events`."""
+        events = self._onboard.events()
+        if self.listener is not None:
+            for event in events:
+                if isinstance(event, ScanReport):
+                    self.listener.scanned(event)
+        return events
 
     def tracks(self, now: float) -> TrackList:
         """`Onboard.tracks`, which may first track a scan that has waited for the gyro in vain."""
@@ -73,11 +58,3 @@ class Door:
         if self.listener is not None:
             self.listener.asked(tracks)
         return tracks
-
-    def take_reports(self) -> list[ScanReport]:
-        """`Onboard.take_reports`."""
-        reports = self._onboard.take_reports()
-        if self.listener is not None:
-            for report in reports:
-                self.listener.scanned(report)
-        return reports

@@ -11,7 +11,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.diagnosis.readiness import Readiness, judge
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
-from swarmtrack.onboard import Onboard
+from swarmtrack.perceived import Perceived
 from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
 from swarmtrack.wire.fields import VERSION
 from swarmtrack.wire.health import (
@@ -72,7 +72,7 @@ class Health:
         drone_id: int,
         boot: str,
         links: Links,
-        onboard: Onboard,
+        perceived: Perceived,
         expected: Expected,
         *,
         clock: Clock,
@@ -93,7 +93,7 @@ class Health:
         self._drone_id = drone_id
         self._boot = boot
         self._links = links
-        self._onboard = onboard
+        self._perceived = perceived
         self._expected = expected
         self._clock = clock
         self._wall = wall
@@ -146,7 +146,7 @@ class Health:
 
     def message(self) -> HealthMessage:
         """Everything since the last call."""
-        onboard, now = self._onboard, self._wall.now()
+        perceived, now = self._perceived, self._wall.now()
         self.rates = {
             "imu": RateHealth(self._expected.imu_hz, self.imu.read(now)),
             "detections": RateHealth(None, self.scans.read(now)),
@@ -166,9 +166,9 @@ class Health:
             for name, value in link.counters
             if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
         }
-        consistency = onboard.consistency
+        consistency = perceived.consistency
         drops: Counter[str] = Counter()
-        for counts in (asdict(onboard.counters), onboard.part_counters, self.drops):
+        for counts in (asdict(perceived.counters), perceived.part_counters, self.drops):
             drops.update(counts)  # adds: Onboard and its tracker both refuse late scans
         return HealthMessage(
             version=VERSION,
@@ -184,20 +184,20 @@ class Health:
             links=tuple(link_health(link) for link in links),
             drops=dict(drops),
             events=tuple(self.events),
-            time_offset=_time_offset(onboard),
-            gyro_bias=_gyro_bias(onboard),
+            time_offset=_time_offset(perceived),
+            gyro_bias=_gyro_bias(perceived),
             consistency=consistency and ConsistencyHealth(*consistency),
             readiness=ReadinessHealth(*self.readiness()),
         )
 
 
-def _time_offset(onboard: Onboard) -> TimeOffsetHealth:
-    found, used = onboard.camera_clock.found, onboard.camera_clock.used_s
+def _time_offset(perceived: Perceived) -> TimeOffsetHealth:
+    found, used = perceived.camera_clock.found, perceived.camera_clock.used_s
     return TimeOffsetHealth(found and found.offset_s, found and found.sigma_s, used)
 
 
-def _gyro_bias(onboard: Onboard) -> GyroBiasHealth:
-    found, used = onboard.gyro_bias, _three(onboard.gyro_bias_used)
+def _gyro_bias(perceived: Perceived) -> GyroBiasHealth:
+    found, used = perceived.gyro_bias, _three(perceived.gyro_bias_used)
     return GyroBiasHealth(found and _three(found.bias), found and found.sigma, used)
 
 

@@ -17,7 +17,7 @@ from swarmtrack.clock import UTC_SIGMA, Clock
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import Image
-from swarmtrack.onboard import Onboard
+from swarmtrack.perceived import Perceived
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.fields import MAX_JPEG, VERSION
@@ -41,7 +41,7 @@ class LiveVideo:
     def __init__(
         self,
         transport: Transport,
-        onboard: Onboard,
+        perceived: Perceived,
         lens: PinholeCamera,
         drops: Counter[str],
         *,
@@ -49,7 +49,7 @@ class LiveVideo:
         wall: Clock,
     ) -> None:
         self._transport = transport
-        self._onboard = onboard
+        self._perceived = perceived
         self._width, self._height = lens.width, lens.height
         self._lens = lens_message(lens)
         self._drops = drops
@@ -67,8 +67,8 @@ class LiveVideo:
         if now - self._last < 1.0 / MAX_HZ - JITTER_S:
             return
         self._last = now
-        exposed = t + self._onboard.camera_clock.used_s
-        pose = self._onboard.camera_pose(exposed)
+        exposed = t + self._perceived.camera_clock.used_s
+        pose = self._perceived.camera_pose(exposed)
         view = VideoMessage(
             version=VERSION,
             t_utc_s=float(exposed + self._clock.utc() - self._clock.now()),

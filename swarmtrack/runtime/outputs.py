@@ -16,8 +16,7 @@ import numpy as np
 
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, IdentifiedTrack
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import Array, IdentifiedTrack, ScanReport
 
 log = logging.getLogger(__name__)
 

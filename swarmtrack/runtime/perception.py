@@ -12,7 +12,8 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
 from swarmtrack.tracking import create_tracker
 
 # What sees pictures needs OpenCV and ONNX Runtime: 80 MB and half a second, which an agent whose camera detects by

@@ -26,8 +26,7 @@ from foxglove.messages import (
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
-from swarmtrack.messages import FOREIGN, EgoPose, Frame, Identity, Input
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import FOREIGN, EgoPose, Frame, Identity, Input, ScanReport
 from swarmtrack.recording import schemas
 from swarmtrack.recording.writer import Topic
 from swarmtrack.runtime.outputs import SeenTrack, as_seen

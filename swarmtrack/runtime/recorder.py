@@ -12,8 +12,7 @@ from functools import partial
 import msgspec
 
 from swarmtrack.clock import Clock
-from swarmtrack.messages import Frame, Input, LinkStatus, SightingReport, TrackList
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import Frame, Input, LinkStatus, ScanReport, SightingReport, TrackList
 from swarmtrack.recording import inputs, outputs, schemas
 from swarmtrack.recording.settings import FlightSettings, attachments, preface
 from swarmtrack.recording.writer import Bounds, Preface, Topic

@@ -17,13 +17,13 @@ from swarmtrack.messages import (
     Announcement,
     AnnouncementRequested,
     IdClash,
+    Input,
     PeerArrived,
     PeerDeparted,
     PeerEvent,
     SightingReport,
 )
-from swarmtrack.onboard import Onboard
-from swarmtrack.runtime.door import Door
+from swarmtrack.perceived import Perceived
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.telling import Teller
 from swarmtrack.transport.base import Kind, Transport
@@ -41,14 +41,15 @@ LINES, LINES_PERIOD = 16, 10.0
 class Teamwork:
     """Carries events from the transport into Onboard, and Onboard's wishes and findings to the team.
 
-    start: in the team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that
-    frame. on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
+    tell: the way into Onboard; what comes out there comes back by `ask_for_pose` and `on_disagreement`. start: in the
+    team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that frame.
+    on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
     """
 
     def __init__(
         self,
-        door: Door,
-        onboard: Onboard,
+        tell: Callable[[Input], None],
+        perceived: Perceived,
         transport: Transport,
         health: Health,
         teller: Teller,
@@ -65,8 +66,8 @@ class Teamwork:
         self._boot = boot
         self._start = start
         self._start_sigma_m = start_sigma_m
-        self._door = door
-        self._onboard = onboard
+        self._tell = tell
+        self._perceived = perceived
         self._transport = transport
         self._health = health
         self._teller = teller
@@ -89,18 +90,16 @@ class Teamwork:
 
     async def listen(self) -> None:
         """Every event of the transport into Onboard, and a line of it into health and log."""
-        door = self._door
         async for event in self._transport.events():
             match event:
                 case Announcement():
-                    door.tell(event)
+                    self._tell(event)
                 case PeerArrived() | PeerDeparted() | IdClash():
-                    door.tell(event)
+                    self._tell(event)
                     self._health.on_membership(event)
                 case SightingReport():
-                    door.tell(event)
+                    self._tell(event)
                     self._teller.on_peer(event)
-                    self._tell_of_disagreements()
                     continue  # one a second from everybody: no news
                 case AnnouncementRequested():
                     self._asked.set()
@@ -123,17 +122,14 @@ class Teamwork:
             await self._announce(first=False)
 
     async def report(self) -> None:
-        """Until cancelled: whom this drone sees as whom, once a second and when it changed; and ask who is in
-        doubt."""
+        """Until cancelled: whom this drone sees as whom, once a second and when it changed."""
         while True:
             await asyncio.sleep(CHANGE_PERIOD)
-            for drone_id in self._onboard.take_wanted():
-                self._transport.request_announcement(drone_id)
             self._report()
 
     def _report(self) -> None:
         now = self._clock.now()
-        report = self._onboard.sighting_report(self._boot, self._reports + 1)
+        report = self._perceived.sighting_report(self._boot, self._reports + 1)
         if report is None:
             return
         whom = (report.known, frozenset(sighting.drone_id for sighting in report.sightings))
@@ -153,7 +149,7 @@ class Teamwork:
     async def _announce(self, *, first: bool) -> None:
         """first: from where the config says that it starts; else from where the autopilot says it is."""
         now = self._clock.now()
-        pose = self._onboard.ego_pose(now)
+        pose = self._perceived.ego_pose(now)
         assert pose is not None
         start, sigma = self._start if first else None, self._start_sigma_m
         self._announced += 1
@@ -170,15 +166,19 @@ class Teamwork:
             )
         )
 
-    def _tell_of_disagreements(self) -> None:
-        for found in self._onboard.take_disagreements():
-            pair = (found.observer, found.drone_id)
-            if found.overruled or pair not in self._disputed:
-                self._note(found.observer, _describe_disagreement(found), logging.WARNING)
-                self._teller.on_disagreement(found)
-            self._disputed.add(pair)
-            if found.overruled:
-                self._disputed.clear()
+    def ask_for_pose(self, drone_id: int) -> None:
+        """Who is in doubt is asked at once."""
+        self._transport.request_announcement(drone_id)
+
+    def on_disagreement(self, found: Disagreement) -> None:
+        """Another drone sees it otherwise: said once per pair, and whenever we give in."""
+        pair = (found.observer, found.drone_id)
+        if found.overruled or pair not in self._disputed:
+            self._note(found.observer, _describe_disagreement(found), logging.WARNING)
+            self._teller.on_disagreement(found)
+        self._disputed.add(pair)
+        if found.overruled:
+            self._disputed.clear()
 
     def _note(self, about: int, line: str, level: int) -> None:
         now = self._clock.now()

@@ -24,10 +24,11 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     PeerDeparted,
     PeerEvent,
+    ScanReport,
     SightingReport,
     TrackStatus,
 )
-from swarmtrack.onboard import Onboard, ScanReport
+from swarmtrack.perceived import Perceived
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 from swarmtrack.runtime.stated_places import StatedPlaces
 from swarmtrack.runtime.status_lines import Lasting, StatusLines
@@ -57,7 +58,7 @@ class Teller:
         self,
         autopilot: MavlinkAutopilot | None,
         tell: Collection[str],
-        onboard: Onboard,
+        perceived: Perceived,
         lens: PinholeCamera,
         *,
         drone_id: int,
@@ -72,7 +73,7 @@ class Teller:
         self._drone_id = drone_id
         self._boot = boot
         self._team = team
-        self._onboard = onboard
+        self._perceived = perceived
         self._lens = lens
         self._clock = clock
         self._wall = wall
@@ -180,7 +181,7 @@ class Teller:
         before = self._trouble.told
         if self._trouble.is_news(trouble, now):
             self._say_of(trouble, before.removeprefix("no "))
-        team = len(self._onboard.teammates)
+        team = len(self._perceived.teammates)
         if self._sight.is_news((named, team), now):
             self.add(Severity.INFO, f"sees {named} of {team}")
 
@@ -202,7 +203,7 @@ class Teller:
     def _tell_places(self, places: StatedPlaces) -> None:
         """Teammates on the map: each where it says that it is, while our camera sees it there."""
         assert self._autopilot is not None
-        own = self._onboard.sighting_report(self._boot, 0)
+        own = self._perceived.sighting_report(self._boot, 0)
         for found in places.seen(own, self._clock.now()):
             address = _address(self._team, found.drone_id)
             self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address))

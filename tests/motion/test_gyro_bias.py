@@ -9,11 +9,12 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import EgoPose, ImuSample
+from swarmtrack.messages import AutopilotRebooted, EgoPose, ImuSample
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.gyro_bias import SURE, GyroBias
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
 from swarmtrack.tracking import create_tracker
 
 HZ, ATTITUDES_HZ = 200, 10
@@ -194,9 +195,9 @@ def onboard(**how):
 def on_the_pad(drone, seconds, start=0.0):
     for k in range(seconds * HZ):
         t = start + k / HZ
-        drone.on_imu(ImuSample(t, BIAS, np.full(3, np.nan)))
+        drone.tell(ImuSample(t, BIAS, np.full(3, np.nan)))
         if k % 4 == 0:
-            drone.on_pose(EgoPose(t, None, np.eye(3), attitude_sigma=0.005))
+            drone.tell(EgoPose(t, None, np.eye(3), attitude_sigma=0.005))
 
 
 def test_onboard_tells_it_in_body_axes_and_says_what_it_uses():
@@ -212,7 +213,7 @@ def test_onboard_tells_it_in_body_axes_and_says_what_it_uses():
 def test_a_rebooted_autopilot_may_have_calibrated_its_gyro_so_all_begins_anew():
     drone = onboard()
     on_the_pad(drone, 15)
-    drone.on_autopilot_reboot()
+    drone.tell(AutopilotRebooted())
     assert drone.gyro_bias is None
     assert drone.gyro_bias_used == pytest.approx(np.zeros(3))
     on_the_pad(drone, 15, start=20.0)

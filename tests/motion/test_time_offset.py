@@ -17,8 +17,9 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Detections, ImuSample, Scan
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import SURE, CameraClock
-from swarmtrack.onboard import Mounting, Onboard
+from swarmtrack.onboard import Onboard
 from swarmtrack.tracking import create_tracker
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -239,8 +240,8 @@ def events(motion, offset, latency, seconds):
 def reports_of(drone, happened):
     found = []
     for event in happened:
-        drone.on_imu(event) if isinstance(event, ImuSample) else drone.on_detections(event)
-        found += drone.take_reports()
+        drone.tell(event)
+        found += drone.events()
     return found
 
 
@@ -307,7 +308,7 @@ def test_what_lies_beyond_the_search_is_unknown_and_changes_nothing():
 
 
 def test_the_benchmark_writes_what_it_found(tmp_path):
-    result = time_offset.run(tmp_path, seeds=2, seconds=12.0, names=("fast-yaw", "standing still"))
+    result = time_offset.publish(tmp_path, seeds=2, seconds=12.0, names=("fast-yaw", "standing still"))
     turning, still = (result["by_condition"][name] for name in ("fast-yaw", "standing still"))
     assert turning["rms_ms"]["value"] < 2.0
     assert (turning["sure"], still["sure"], still["claimed"]) == (1.0, 0.0, 0.0)

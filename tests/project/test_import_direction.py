@@ -16,7 +16,7 @@ LAYERS: list[set[str]] = [
     {"errors", "messages", "clock", "arguments"},
     {"geometry"},
     {"motion", "tracking", "identity"},
-    {"onboard"},
+    {"onboard", "perceived"},
     {"simulation", "evaluation"},
     {"toml", "wire", "security", "camera_files"},
     {"config", "scenario_file"},
@@ -30,7 +30,7 @@ LAYERS: list[set[str]] = [
     {"agents"},
 ]
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
-CORE = {"errors", "messages", "geometry", "motion", "tracking", "identity", "onboard"}
+CORE = {"errors", "messages", "geometry", "motion", "tracking", "identity", "onboard", "perceived"}
 # What judges and says, and touches nothing: facts in, sentences out.
 JUDGES = {"diagnosis", "evaluation", "monitor.verdict", "monitor.team", "monitor.timeline"}
 TOUCHES_THE_WORLD = {

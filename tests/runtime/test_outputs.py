@@ -11,8 +11,7 @@ import pytest
 
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
-from swarmtrack.messages import Frame, IdentifiedTrack, StampKind, Track, TrackList, TrackStatus
-from swarmtrack.onboard import ScanReport
+from swarmtrack.messages import Frame, IdentifiedTrack, ScanReport, StampKind, Track, TrackList, TrackStatus
 from swarmtrack.runtime.annotated_video import AnnotatedVideo, annotate
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import Latency, Rate

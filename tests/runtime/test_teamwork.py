@@ -46,7 +46,7 @@ def parts(tmp_path):
 def listen(parts, events):
     told = replace(parts, transport=Told(events))
     health = make_health(parts)
-    asyncio.run(make_teamwork(told, health, make_teller(told)).listen())
+    asyncio.run(make_teamwork(told, health, make_teller(told), told.door.tell).listen())
     return health
 
 

@@ -28,13 +28,13 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     LinkStatus,
     PeerDeparted,
+    ScanReport,
     Sighting,
     SightingReport,
     Track,
     TrackList,
     TrackStatus,
 )
-from swarmtrack.onboard import ScanReport
 from swarmtrack.runtime.agent import make_teller
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.status_lines import Lasting, StatusLines
@@ -161,7 +161,7 @@ class Told:
         self.parts = assemble(load_config(path), self.flight.clock)
         self.parts.autopilot = self.flight.unit
         if looking:
-            self.parts.onboard = Looking(self.flight.clock)
+            self.parts.door.perceived = Looking(self.flight.clock)
         self.teller = make_teller(self.parts)
         self.sequence = 0
 
@@ -224,7 +224,7 @@ async def test_what_is_lost_and_comes_back_is_told_once_it_lasts(tmp_path):
 async def test_teammates_that_come_and_go_make_no_stream_of_lines(tmp_path):
     told = Told(tmp_path)
     for drone_id in (2, 3, 4):
-        told.parts.onboard.on_announcement(
+        told.parts.door.tell(
             Announcement(drone_id, "0000000a", 1, 0.0, 0.0, np.zeros(3), np.eye(3), np.eye(3))
         )
     async with told.flight:

@@ -21,6 +21,7 @@ from swarmtrack.messages import (
     IdClash,
     PeerArrived,
     PeerDeparted,
+    ScanReport,
     StampKind,
 )
 from swarmtrack.recording.settings import FlightSettings
@@ -47,8 +48,7 @@ class Flight:
         mounted = mount_camera(self.config.camera)
         self.drone_id, self.begin = drone_id, BEGIN[drone_id]
         self.clock = ManualClock(self.begin - 1.0, 1.8e9 - 1.0 + UTC_ERROR[drone_id])
-        self.onboard = make_onboard(self.config, mounted, None)
-        self.door = Door(self.onboard)
+        self.door = Door(make_onboard(self.config, mounted, None))
         self.boot = f"{drone_id:08x}"
         settings = FlightSettings(self.config, mounted, None)
         self.recorder = Recorder(settings, self.boot, self.clock, SystemClock(), waits=True)
@@ -59,13 +59,16 @@ class Flight:
         self.answers = []
         self.reports = 0
 
+    def _collect(self) -> None:
+        self.scans += [event for event in self.door.events() if isinstance(event, ScanReport)]
+
     def tell(self, event) -> None:
         self.door.tell(event)
-        self.scans += self.door.take_reports()
+        self._collect()
 
     def ask(self, t: float) -> None:
         self.answers.append(self.door.tracks(t))
-        self.scans += self.door.take_reports()
+        self._collect()
 
 
 def fly(
@@ -135,7 +138,7 @@ def _happen(flights, flight, scenario, what, index, t) -> None:
         case "announced":
             flight.tell(_announcement(scenario, index, begin + t))
         case "said":
-            report = flight.onboard.sighting_report(flight.boot, index + 1)
+            report = flight.door.perceived.sighting_report(flight.boot, index + 1)
             if report is None:
                 return
             flight.recorder.said(report)

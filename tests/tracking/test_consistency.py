@@ -156,7 +156,7 @@ def test_health_tells_it_and_all_that_the_tracker_and_onboard_refused(tmp_path):
         centre = np.array([[300.0, 200.0], [9e9, 0.0]]) + rng.normal(0.0, 4.0, (2, 2))
         for t in (k / 15, 0.0):  # each is followed by a late one
             seen = Detections(t, k, centre, np.full((2, 2), 30.0), np.full(2, 0.9))
-            parts.onboard.on_detections(seen)
+            parts.door.tell(seen)
     told = codec.decode(HealthMessage, codec.encode(health.message()))
     assert told.consistency.nis > told.consistency.high
     assert told.drops["unusable_detections"] == 200
