@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from support.places import ROOT
+from support.streams import first
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Detections, EgoPose, Frame, ImuSample
 from swarmtrack.scenario_file import load_scenario
@@ -153,13 +154,7 @@ async def opened(address: str) -> Any:
 
 
 async def frames(camera: Camera, count: int) -> list[Frame]:
-    taken: list[Frame] = []
-    async with asyncio.timeout(PATIENCE):
-        async for frame in camera.frames():
-            taken.append(frame)
-            if len(taken) == count:
-                break
-    return taken
+    return await first(count, camera.frames())
 
 
 async def scans(source: DetectionSource, enough: Callable[[list[Detections]], bool]) -> list[Detections]:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from itertools import pairwise
 
 import cv2
 import numpy as np
 import pytest
-from aiohttp import web
 from hypothesis import given
 from hypothesis import strategies as st
 
+from support.streams import Send, StreamServer, first, sending, stream_server
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.sensors.base import Camera
@@ -21,9 +21,6 @@ from swarmtrack.sensors.cameras import open_camera
 from swarmtrack.sensors.decode import decode_jpeg
 from swarmtrack.sensors.frame_slot import BadImage
 from swarmtrack.sensors.multipart import MAX_PART, MultipartReader
-
-Send = Callable[[bytes], Awaitable[None]]
-Script = Callable[[Send], Awaitable[None]]
 
 
 def jpeg(level: int, width: int = 64, height: int = 48) -> bytes:
@@ -38,62 +35,14 @@ def part(body: bytes, *headers: str, length: bool = True) -> bytes:
     return "\r\n".join(lines).encode() + b"\r\n\r\n" + body + b"\r\n"
 
 
-class Server:
-    """Runs `script` for each connection; without one, the connection stays open and silent."""
-
-    def __init__(self) -> None:
-        self.script: Script | None = None
-        self.content_type = "multipart/x-mixed-replace; boundary=frame"
-        self.status = 200
-        self.connections = 0
-        self.url = ""
-
-    async def stream(self, request: web.Request) -> web.StreamResponse:
-        self.connections += 1
-        response = web.StreamResponse(status=self.status, headers={"Content-Type": self.content_type})
-        await response.prepare(request)
-        if self.script is not None:
-            await self.script(response.write)
-        else:
-            await asyncio.Event().wait()
-        return response
-
-
 @pytest.fixture
-async def server() -> AsyncIterator[Server]:
-    server = Server()
-    application = web.Application()
-    application.router.add_get("/stream", server.stream)
-    runner = web.AppRunner(application, shutdown_timeout=0.1)
-    await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
-    server.url = f"http://127.0.0.1:{runner.addresses[0][1]}/stream"
-    yield server
-    await runner.cleanup()
-
-
-def stream_of(*messages: bytes, then: Script | None = None) -> Script:
-    async def script(send: Send) -> None:
-        for message in messages:
-            await send(message)
-            await asyncio.sleep(0.02)  # apart, as from a camera: newest-only would drop what comes together
-        if then is not None:
-            await then(send)
-        else:
-            await asyncio.Event().wait()
-
-    return script
+async def server() -> AsyncIterator[StreamServer]:
+    async with stream_server("/stream", "multipart/x-mixed-replace; boundary=frame") as server:
+        yield server
 
 
 async def take(camera: Camera, count: int) -> list[Frame]:
-    frames: list[Frame] = []
-    async with asyncio.timeout(10):
-        async for frame in camera.frames():
-            frames.append(frame)
-            if len(frames) == count:
-                break
-    return frames
+    return await first(count, camera.frames())
 
 
 async def status_with(camera: Camera, words: str) -> str:
@@ -108,8 +57,8 @@ def counters(camera: Camera) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("length", [True, False])
-async def test_images_arrive_with_and_without_their_length_told(server: Server, length: bool) -> None:
-    server.script = stream_of(*(part(jpeg(level), length=length) for level in (20, 90, 160)))
+async def test_images_arrive_with_and_without_their_length_told(server: StreamServer, length: bool) -> None:
+    server.script = sending(*(part(jpeg(level), length=length) for level in (20, 90, 160)))
     camera = open_camera(server.url, clock=SystemClock(), size=(64, 48))
     frames = await take(camera, 3)  # the last too, though no delimiter follows it
     assert [round(frame.image.mean()) for frame in frames] == pytest.approx([20, 90, 160], abs=2)
@@ -120,12 +69,12 @@ async def test_images_arrive_with_and_without_their_length_told(server: Server, 
 
 
 async def test_a_stamp_is_taken_as_exposure_on_our_clock_or_in_utc_and_else_not_at_all(
-    server: Server,
+    server: StreamServer,
 ) -> None:
     clock = SystemClock()
     now, utc = clock.now(), clock.utc()
     stamps = [now - 0.3, utc - 0.3, now - 3600, now + 30, "yesterday", "nan"]
-    server.script = stream_of(*(part(jpeg(9), f"X-Timestamp: {stamp}") for stamp in stamps))
+    server.script = sending(*(part(jpeg(9), f"X-Timestamp: {stamp}") for stamp in stamps))
     camera = open_camera(server.url + "?latency_ms=40", clock=clock)
     frames = await take(camera, len(stamps))
     after = clock.now()
@@ -137,20 +86,20 @@ async def test_a_stamp_is_taken_as_exposure_on_our_clock_or_in_utc_and_else_not_
     await camera.close()
 
 
-async def test_damaged_images_are_counted_and_the_stream_goes_on(server: Server) -> None:
+async def test_damaged_images_are_counted_and_the_stream_goes_on(server: StreamServer) -> None:
     whole = jpeg(50)
     at = whole.index(b"\xff\xc0")
     bomb = whole[: at + 5] + b"\xff\xff\xff\xff" + whole[at + 9 :]  # claims 65535 x 65535
     bad = [b"no jpeg", whole[: len(whole) // 2], bomb]
-    server.script = stream_of(*(part(body) for body in (*bad, jpeg(200))))
+    server.script = sending(*(part(body) for body in (*bad, jpeg(200))))
     camera = open_camera(server.url, clock=SystemClock())
     assert round((await take(camera, 1))[0].image.mean()) == pytest.approx(200, abs=2)
     assert counters(camera)["corrupt"] == 3
     await camera.close()
 
 
-async def test_a_frame_of_another_size_is_counted_and_said(server: Server) -> None:
-    server.script = stream_of(part(jpeg(9, 32, 32)), part(jpeg(9, 32, 32)))
+async def test_a_frame_of_another_size_is_counted_and_said(server: StreamServer) -> None:
+    server.script = sending(part(jpeg(9, 32, 32)), part(jpeg(9, 32, 32)))
     camera = open_camera(server.url, clock=SystemClock(), size=(64, 48))
     taking = asyncio.create_task(take(camera, 1))
     await status_with(camera, "frames are 32x32, the calibration is for 64x48")
@@ -159,7 +108,7 @@ async def test_a_frame_of_another_size_is_counted_and_said(server: Server) -> No
     assert await taking == []
 
 
-async def test_a_slow_consumer_gets_the_newest(server: Server) -> None:
+async def test_a_slow_consumer_gets_the_newest(server: StreamServer) -> None:
     first_taken = asyncio.Event()
 
     async def script(send: Send) -> None:
@@ -181,11 +130,11 @@ async def test_a_slow_consumer_gets_the_newest(server: Server) -> None:
     await camera.close()
 
 
-async def test_a_server_that_hangs_up_is_said_and_asked_again(server: Server) -> None:
+async def test_a_server_that_hangs_up_is_said_and_asked_again(server: StreamServer) -> None:
     async def hang_up(send: Send) -> None:
         del send
 
-    server.script = stream_of(part(jpeg(9)), then=hang_up)
+    server.script = sending(part(jpeg(9)), then=hang_up)
     camera = open_camera(server.url, clock=SystemClock())
     frames = await take(camera, 2)
     assert server.connections == 2
@@ -204,7 +153,7 @@ async def test_a_server_that_hangs_up_is_said_and_asked_again(server: Server) ->
     ],
 )
 async def test_what_is_no_stream_is_said(
-    server: Server, status: int, content_type: str, sentence: str
+    server: StreamServer, status: int, content_type: str, sentence: str
 ) -> None:
     server.status, server.content_type = status, content_type
     camera = open_camera(server.url, clock=SystemClock())
@@ -214,7 +163,7 @@ async def test_what_is_no_stream_is_said(
     assert await taking == []
 
 
-async def test_nobody_there_and_somebody_silent_are_told_apart(server: Server) -> None:
+async def test_nobody_there_and_somebody_silent_are_told_apart(server: StreamServer) -> None:
     for url, sentence in (
         ("http://127.0.0.1:9/stream", "cannot connect to 127.0.0.1 port 9: Connection refused"),
         (server.url + "?timeout_s=0.5", "nothing for 0.5 s"),

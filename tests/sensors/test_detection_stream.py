@@ -5,17 +5,17 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from aiohttp import web
 from hypothesis import given
 from hypothesis import strategies as st
 
 from support.places import ROOT
+from support.streams import PATIENCE, Send, StreamServer, first, hang_up, sending, stream_server
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError, SourceError
@@ -32,60 +32,18 @@ from swarmtrack.sensors.detection_stream import (
     parse_line,
 )
 
-PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
 BOX = [320.5, 240.0, 31.0, 18.5, 0.87]
-
-Send = Callable[[bytes], Awaitable[None]]
-Script = Callable[[Send], Awaitable[None]]
 
 
 def line(t_s: float | None = None, sequence: int | None = None, *detections: list[float]) -> bytes:
     return json.dumps({"t_s": t_s, "sequence": sequence, "detections": detections}).encode() + b"\n"
 
 
-class Server:
-    """Runs `script` for each connection; then the connection stays open and silent."""
-
-    def __init__(self) -> None:
-        self.script: Script | None = None
-        self.status = 200
-        self.content_type = "application/x-ndjson"
-        self.connections = 0
-        self.address = ""
-
-    async def stream(self, request: web.Request) -> web.StreamResponse:
-        self.connections += 1
-        response = web.StreamResponse(status=self.status, headers={"Content-Type": self.content_type})
-        await response.prepare(request)
-        if self.script is None:
-            await asyncio.Event().wait()
-        else:
-            await self.script(response.write)
-        return response
-
-
 @pytest.fixture
-async def server() -> AsyncIterator[Server]:
-    server = Server()
-    application = web.Application()
-    application.router.add_get("/front", server.stream)
-    runner = web.AppRunner(application, shutdown_timeout=0.1, handler_cancellation=True)
-    await runner.setup()
-    await web.TCPSite(runner, "127.0.0.1", 0).start()
-    server.address = f"detections://127.0.0.1:{runner.addresses[0][1]}/front"
-    yield server
-    await runner.cleanup()
-
-
-def sending(*messages: bytes, then_silent: bool = True) -> Script:
-    async def script(send: Send) -> None:
-        for message in messages:
-            await send(message)
-            await asyncio.sleep(0.02)  # apart, as from a camera: newest-only would drop what comes together
-        if then_silent:
-            await asyncio.Event().wait()
-
-    return script
+async def server() -> AsyncIterator[StreamServer]:
+    async with stream_server("/front", "application/x-ndjson") as server:
+        server.url = server.url.replace("http:", "detections:")
+        yield server
 
 
 def open_stream(address: str) -> DetectionStream:
@@ -93,22 +51,16 @@ def open_stream(address: str) -> DetectionStream:
 
 
 async def take(source: DetectionSource, count: int) -> list[Detections]:
-    taken: list[Detections] = []
-    async with asyncio.timeout(PATIENCE):
-        async for detections in source.detections():
-            taken.append(detections)
-            if len(taken) == count:
-                break
-    return taken
+    return await first(count, source.detections())
 
 
 def counters(source: DetectionSource) -> dict[str, float]:
     return dict(source.status().counters)
 
 
-async def test_a_line_is_a_scan_and_an_empty_one_says_that_nobody_was_seen(server: Server) -> None:
+async def test_a_line_is_a_scan_and_an_empty_one_says_that_nobody_was_seen(server: StreamServer) -> None:
     server.script = sending(line(None, 7, BOX), line(None, 8), b"\n", line(None, 10, BOX, BOX))
-    source = open_stream(server.address)
+    source = open_stream(server.url)
     first, empty, last = await take(source, 3)
     np.testing.assert_array_equal(first.centre, [[320.5, 240.0]])
     np.testing.assert_array_equal(first.size, [[31.0, 18.5]])
@@ -120,12 +72,14 @@ async def test_a_line_is_a_scan_and_an_empty_one_says_that_nobody_was_seen(serve
     await source.close()
 
 
-async def test_a_stamp_is_exposure_on_our_clock_or_in_utc_and_else_the_arrival_counts(server: Server) -> None:
+async def test_a_stamp_is_exposure_on_our_clock_or_in_utc_and_else_the_arrival_counts(
+    server: StreamServer,
+) -> None:
     clock = SystemClock()
     now, utc = clock.now(), clock.utc()
     stamps = [now - 0.3, utc - 0.3, None, now - 3600.0, now + 30.0]
     server.script = sending(*(line(stamp) for stamp in stamps))
-    source = open_stream(server.address + "?latency_ms=40")
+    source = open_stream(server.url + "?latency_ms=40")
     taken = await take(source, len(stamps))
     assert taken[0].t == pytest.approx(now - 0.3, abs=1e-6)
     assert taken[1].t == pytest.approx(now - 0.3, abs=1e-2)
@@ -152,18 +106,20 @@ BAD_LINES = [
 ]
 
 
-async def test_bad_lines_are_counted_and_named_and_the_next_good_one_is_used(server: Server) -> None:
+async def test_bad_lines_are_counted_and_named_and_the_next_good_one_is_used(server: StreamServer) -> None:
     server.script = sending(*(bad + b"\n" for bad in BAD_LINES), line(None, 1, BOX))
-    source = open_stream(server.address)
+    source = open_stream(server.url)
     assert len((await take(source, 1))[0]) == 1
     assert counters(source)["corrupt"] == len(BAD_LINES)
     assert source.status().ok
     await source.close()
 
 
-async def test_a_source_that_sends_only_garbage_says_what_was_found_and_expected(server: Server) -> None:
+async def test_a_source_that_sends_only_garbage_says_what_was_found_and_expected(
+    server: StreamServer,
+) -> None:
     server.script = sending(b'{"detections": [[1, 2, -3, 4, 0.5]]}\n')
-    source = open_stream(server.address)
+    source = open_stream(server.url)
     taking = asyncio.create_task(take(source, 1))
     async with asyncio.timeout(PATIENCE):
         while "expected u, v, w >= 0" not in source.status().text:  # noqa: ASYNC110
@@ -173,16 +129,16 @@ async def test_a_source_that_sends_only_garbage_says_what_was_found_and_expected
     assert await taking == []
 
 
-async def test_of_too_many_detections_the_best_are_kept(server: Server) -> None:
+async def test_of_too_many_detections_the_best_are_kept(server: StreamServer) -> None:
     scores = np.linspace(0.0, 1.0, 3 * MAX_DETECTIONS)
     server.script = sending(line(None, 1, *([1.0, 2.0, 3.0, 4.0, float(score)] for score in scores)))
-    source = open_stream(server.address)
+    source = open_stream(server.url)
     (detections,) = await take(source, 1)
     np.testing.assert_allclose(np.sort(detections.score), scores[-MAX_DETECTIONS:])
     await source.close()
 
 
-async def test_a_slow_consumer_gets_the_newest_and_what_it_missed_is_counted(server: Server) -> None:
+async def test_a_slow_consumer_gets_the_newest_and_what_it_missed_is_counted(server: StreamServer) -> None:
     taken = asyncio.Event()
 
     async def script(send: Send) -> None:
@@ -193,7 +149,7 @@ async def test_a_slow_consumer_gets_the_newest_and_what_it_missed_is_counted(ser
         await asyncio.Event().wait()
 
     server.script = script
-    source = open_stream(server.address)
+    source = open_stream(server.url)
     scans = source.detections()
     async with asyncio.timeout(PATIENCE):
         await anext(scans)
@@ -204,9 +160,11 @@ async def test_a_slow_consumer_gets_the_newest_and_what_it_missed_is_counted(ser
     await source.close()
 
 
-async def test_a_source_that_hangs_up_is_asked_again_and_may_count_from_the_start(server: Server) -> None:
-    server.script = sending(line(None, 5), then_silent=False)
-    source = open_stream(server.address)
+async def test_a_source_that_hangs_up_is_asked_again_and_may_count_from_the_start(
+    server: StreamServer,
+) -> None:
+    server.script = sending(line(None, 5), then=hang_up)
+    source = open_stream(server.url)
     first, second = await take(source, 2)
     assert (first.sequence, second.sequence) == (5, 5)
     assert server.connections == 2
@@ -222,10 +180,10 @@ async def test_a_source_that_hangs_up_is_asked_again_and_may_count_from_the_star
     ],
 )
 async def test_what_is_no_such_stream_is_said(
-    server: Server, status: int, content_type: str, sentence: str
+    server: StreamServer, status: int, content_type: str, sentence: str
 ) -> None:
     server.status, server.content_type = status, content_type
-    source = open_stream(server.address)
+    source = open_stream(server.url)
     taking = asyncio.create_task(take(source, 1))
     async with asyncio.timeout(PATIENCE):
         while sentence not in source.status().text:  # noqa: ASYNC110
@@ -331,7 +289,7 @@ async def fly(path: Path, *options: str) -> tuple[str, str]:
 
 
 async def test_an_agent_tracks_what_the_camera_detected_without_opencv_and_onnx_runtime(
-    server: Server, tmp_path: Path
+    server: StreamServer, tmp_path: Path
 ) -> None:
     async def script(send: Send) -> None:
         clock = SystemClock()
@@ -341,7 +299,7 @@ async def test_an_agent_tracks_what_the_camera_detected_without_opencv_and_onnx_
             await asyncio.sleep(0.05)
 
     server.script = script
-    path = config(tmp_path, server.address, f'[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
+    path = config(tmp_path, server.url, f'[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
     out, _ = await fly(path, "--seconds", "4")
     assert "loaded: []" in out
     lines = [json.loads(text) for text in (tmp_path / "tracks.jsonl").read_text().splitlines()]
@@ -351,7 +309,7 @@ async def test_an_agent_tracks_what_the_camera_detected_without_opencv_and_onnx_
 
 
 async def test_detections_too_old_to_be_used_are_skipped_and_it_is_said_once(
-    server: Server, tmp_path: Path
+    server: StreamServer, tmp_path: Path
 ) -> None:
     async def script(send: Send) -> None:
         clock = SystemClock()
@@ -360,7 +318,7 @@ async def test_detections_too_old_to_be_used_are_skipped_and_it_is_said_once(
             await asyncio.sleep(0.05)
 
     server.script = script
-    path = config(tmp_path, server.address, f'max_age_s = 0.3\n[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
+    path = config(tmp_path, server.url, f'max_age_s = 0.3\n[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
     _, log = await fly(path, "--seconds", "3")
     assert (tmp_path / "tracks.jsonl").read_text() == ""
     assert log.count("expected camera.max_age_s = 0.3") == 1

@@ -1,0 +1,77 @@
+"""Streams that do not end: a small HTTP server that sends them, and what takes the first of one."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import TypeVar
+
+from aiohttp import web
+
+PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
+
+Send = Callable[[bytes], Awaitable[None]]
+Script = Callable[[Send], Awaitable[None]]
+T = TypeVar("T")
+
+
+class StreamServer:
+    """Runs `script` for each connection; without one, the connection stays open and silent."""
+
+    def __init__(self, content_type: str) -> None:
+        self.script: Script = keep_silent
+        self.content_type = content_type
+        self.status = 200
+        self.connections = 0
+        self.url = ""
+
+    async def stream(self, request: web.Request) -> web.StreamResponse:
+        self.connections += 1
+        response = web.StreamResponse(status=self.status, headers={"Content-Type": self.content_type})
+        await response.prepare(request)
+        await self.script(response.write)
+        return response
+
+
+@asynccontextmanager
+async def stream_server(path: str, content_type: str) -> AsyncIterator[StreamServer]:
+    server = StreamServer(content_type)
+    application = web.Application()
+    application.router.add_get(path, server.stream)
+    runner = web.AppRunner(application, shutdown_timeout=0.1, handler_cancellation=True)
+    await runner.setup()
+    await web.TCPSite(runner, "127.0.0.1", 0).start()
+    server.url = f"http://127.0.0.1:{runner.addresses[0][1]}{path}"
+    yield server
+    await runner.cleanup()
+
+
+async def keep_silent(send: Send) -> None:
+    await asyncio.Event().wait()
+
+
+async def hang_up(send: Send) -> None:
+    """The connection ends with its script."""
+
+
+def sending(*messages: bytes, then: Script = keep_silent) -> Script:
+    async def script(send: Send) -> None:
+        for message in messages:
+            await send(message)
+            # Apart, as from a camera: newest-only would drop what comes together.
+            await asyncio.sleep(0.02)
+        await then(send)
+
+    return script
+
+
+async def first(count: int, stream: AsyncIterator[T]) -> list[T]:
+    """So many of what comes."""
+    taken: list[T] = []
+    async with asyncio.timeout(PATIENCE):
+        async for one in stream:
+            taken.append(one)
+            if len(taken) == count:
+                break
+    return taken
