@@ -16,7 +16,7 @@ from swarmtrack.arguments import add_file, add_flag, add_seconds
 if TYPE_CHECKING:
     from swarmtrack.calibration.board import Board
     from swarmtrack.calibration.intrinsics import Fit
-    from swarmtrack.calibration.views import Views
+    from swarmtrack.calibration.views import BoardViews
     from swarmtrack.messages import Frame
 
 DONE, FAILED = 0, 1
@@ -152,7 +152,7 @@ async def _intrinsics(args: argparse.Namespace, board: Board) -> int:
     return FAILED if problems else DONE
 
 
-async def _collect(args: argparse.Namespace, board: Board) -> Views | None:
+async def _collect(args: argparse.Namespace, board: Board) -> BoardViews | None:
     """Look until nothing is missing, the source ends, time is up, or Ctrl-C. None, and why on stderr: saw no board."""
     from rich.console import Console
     from rich.live import Live
@@ -167,7 +167,7 @@ async def _collect(args: argparse.Namespace, board: Board) -> Views | None:
     if recorded and "pace" not in dict(address.query):
         source += ("&" if address.query else "?") + "pace=fast"
     camera = open_camera(source, clock=SystemClock(), base=Path.cwd())
-    views: Views | None = None
+    views: BoardViews | None = None
     stop = asyncio.Event()
     asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop.set)
 
@@ -195,21 +195,21 @@ async def _collect(args: argparse.Namespace, board: Board) -> Views | None:
     return None
 
 
-async def _found(board: Board, frames: AsyncIterator[Frame], *, still: bool) -> AsyncIterator[Views]:
+async def _found(board: Board, frames: AsyncIterator[Frame], *, still: bool) -> AsyncIterator[BoardViews]:
     """The views so far, after each frame that has the size of the first."""
-    from swarmtrack.calibration.views import Views
+    from swarmtrack.calibration.views import BoardViews
 
-    views: Views | None = None
+    views: BoardViews | None = None
     async for frame in frames:
         size = (frame.image.shape[1], frame.image.shape[0])
         if views is None:
-            views = Views(size, still=still)
+            views = BoardViews(size, still=still)
         if size == views.size:
             views.offer(await asyncio.to_thread(board.find, frame.image))
             yield views
 
 
-def _say_nothing(args: argparse.Namespace, views: Views | None, source: str) -> None:
+def _say_nothing(args: argparse.Namespace, views: BoardViews | None, source: str) -> None:
     what = "no frame"
     if views is not None:
         what = f"the board in {views.boards} frames, none of them kept still enough"
@@ -218,7 +218,7 @@ def _say_nothing(args: argparse.Namespace, views: Views | None, source: str) -> 
         print(f"expected {args.board} of {args.columns} x {args.rows} squares", file=sys.stderr)
 
 
-def _progress(views: Views) -> str:
+def _progress(views: BoardViews) -> str:
     lines = [*views.picture(), f"{len(views.kept)} views of {views.boards} boards seen"]
     missing = views.missing()
     return "\n".join(

@@ -28,7 +28,7 @@ from swarmtrack.calibration.board import KINDS, Board, Kind
 from swarmtrack.calibration.extrinsics import doubts
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.calibration.intrinsics import Fit, Model, fit
-from swarmtrack.calibration.views import Views
+from swarmtrack.calibration.views import BoardViews
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.messages import Array
@@ -111,7 +111,7 @@ def board_shown(seed: int, kind: Kind, model: Model, *, views: int = VIEWS, nois
     truth = LENSES[model]
     board = Board(kind)
     scene = BoardScene(board.draw(60), 60, board.square_m, truth)
-    chosen = Views((truth.width, truth.height), still=False)
+    chosen = BoardViews((truth.width, truth.height), still=False)
     for pose in board_poses(rng, truth, board.size_m, views):
         chosen.offer(board.find(scene.image(pose, rng, noise)))
     found = fit([view.seen for view in chosen.kept], (truth.width, truth.height), model)

@@ -78,7 +78,7 @@ class Calibration:
 def load_calibration(path: str | Path, camera: str | None = None) -> Calibration:
     """Read a calibration file, and of several cameras in it the one named `camera`. Raises CalibrationError."""
     path = Path(path)
-    file = _File(path, _read(path))
+    file = _CameraFile(path, _read(path))
     chain = [key for key in file.table if re.fullmatch(r"cam\d+", str(key))]
     if chain:
         return _kalibr(file.inner(_choose(file, chain, camera)))
@@ -143,7 +143,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class _File:
+class _CameraFile:
     """One mapping of a file, and how to complain about it."""
 
     path: Path
@@ -161,10 +161,10 @@ class _File:
         """The first of the keys that is there."""
         return next((key for key in keys if self.has(key)), None)
 
-    def inner(self, key: str) -> _File:
+    def inner(self, key: str) -> _CameraFile:
         if not isinstance(self.table[key], dict):
             self.refuse(key, f"{self.table[key]!r}, expected a mapping")
-        return _File(self.path, self.table[key], f"{self.prefix}{key}.")
+        return _CameraFile(self.path, self.table[key], f"{self.prefix}{key}.")
 
     def text(self, key: str, default: str = "") -> str:
         value = self.table.get(key)
@@ -195,7 +195,7 @@ class _File:
         self.refuse(key, f"{flat.size} numbers, expected {' or '.join(str(np.prod(s)) for s in shapes)}")
 
 
-def _choose(file: _File, names: list[str], camera: str | None) -> str:
+def _choose(file: _CameraFile, names: list[str], camera: str | None) -> str:
     """Which of several cameras."""
     listed = ", ".join(names)
     if camera is None and len(names) > 1:
@@ -207,7 +207,7 @@ def _choose(file: _File, names: list[str], camera: str | None) -> str:
     return camera or names[0]
 
 
-def _kalibr(file: _File) -> Calibration:
+def _kalibr(file: _CameraFile) -> Calibration:
     """One camera of a camchain or camchain-imucam (github.com/ethz-asl/kalibr/wiki/yaml-formats), also OpenVINS'."""
     camera = _listed_intrinsics(file, "distortion_coeffs")
     given = {}
@@ -226,14 +226,14 @@ def _kalibr(file: _File) -> Calibration:
     return Calibration(camera, poses[0] if poses else None, shift, name, form)
 
 
-def _euroc(file: _File) -> Calibration:
+def _euroc(file: _CameraFile) -> Calibration:
     """sensor.yaml of a camera of the EuRoC MAV data set, ASL format."""
     camera = _listed_intrinsics(file, "distortion_coefficients")
     pose = _pose(file, "T_BS") if file.has("T_BS") else None
     return Calibration(camera, pose, None, file.path.parent.name, "euroc")
 
 
-def _listed_intrinsics(file: _File, coefficients: str) -> PinholeCamera:
+def _listed_intrinsics(file: _CameraFile, coefficients: str) -> PinholeCamera:
     """Kalibr's and EuRoC's way: camera_model, intrinsics [fu, fv, cu, cv], resolution, distortion_model."""
     model = file.text("camera_model", "pinhole")
     if model != "pinhole":
@@ -245,7 +245,7 @@ def _listed_intrinsics(file: _File, coefficients: str) -> PinholeCamera:
 
 
 def _matrix_and_coefficients(
-    file: _File,
+    file: _CameraFile,
     name: str | None = None,
     matrix: tuple[str, ...] = MATRIX,
     coefficients: tuple[str, ...] = COEFFICIENTS,
@@ -267,7 +267,7 @@ def _matrix_and_coefficients(
     )
 
 
-def _size(file: _File) -> tuple[int, int]:
+def _size(file: _CameraFile) -> tuple[int, int]:
     """(width, height) of the image in pixels."""
     key = file.find(SIZE)
     if key is not None:
@@ -286,7 +286,7 @@ def _size(file: _File) -> tuple[int, int]:
 
 
 def _camera(
-    file: _File,
+    file: _CameraFile,
     intrinsics: tuple[float, float, float, float],
     size: tuple[int, int],
     coefficients: str | None,
@@ -302,7 +302,7 @@ def _camera(
     return PinholeCamera(fx, fy, cx, cy, width, height, _distortion(file, coefficients))
 
 
-def _distortion(file: _File, key: str | None) -> Distortion | None:
+def _distortion(file: _CameraFile, key: str | None) -> Distortion | None:
     """The lens model by its name; without a name (OpenCV's files) by the number of coefficients."""
     model = file.text("distortion_model")
     if not model and file.text("fisheye_model") in ("1", "true"):
@@ -332,7 +332,7 @@ def _distortion(file: _File, key: str | None) -> Distortion | None:
     return RadTan(tuple(coefficients))
 
 
-def _pose(file: _File, key: str) -> Pose:
+def _pose(file: _CameraFile, key: str) -> Pose:
     """A 4x4 transform, checked, and its rotation made exactly orthonormal."""
     T = file.numbers(key, (4, 4), (3, 4))
     R, position = T[:3, :3], T[:3, 3]

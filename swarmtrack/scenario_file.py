@@ -82,7 +82,7 @@ FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
 }
 
 
-class CameraSection(Section):
+class ScenarioCameraSection(Section):
     """[camera]"""
 
     fps: Annotated[Positive, Field(le=1000.0)] = 15.0
@@ -334,7 +334,7 @@ class ScenarioFile(Section):
     drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
         default=DRIFT_M, description="error with which a drone holds its position, RMS per axis, m"
     )
-    camera: CameraSection = CameraSection()
+    camera: ScenarioCameraSection = ScenarioCameraSection()
     agents: AgentsSection = AgentsSection()
     clocks: ClocksSection = ClocksSection()
     detector: ParameterSection = ParameterSection()

@@ -25,7 +25,7 @@ TILTS = ("its left edge", "its right edge", "its upper edge", "its lower edge")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class BoardView:
     """A board in one image, and how it stood: place (2,) and size as shares of the image, tilt (2,) rad."""
 
     seen: Seen
@@ -39,12 +39,12 @@ class View:
 
 
 @dataclass
-class Views:
+class BoardViews:
     """The views kept of images of (width, height) px. still: refuse boards that moved since the frame before."""
 
     size: tuple[int, int]
     still: bool = True
-    kept: list[View] = field(default_factory=list)
+    kept: list[BoardView] = field(default_factory=list)
     boards: int = 0
     _last: Seen | None = None
 
@@ -115,7 +115,7 @@ def covered(pixels: list[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
     return cells
 
 
-def as_view(seen: Seen, size: tuple[int, int]) -> View:
+def as_view(seen: Seen, size: tuple[int, int]) -> BoardView:
     """Tilt (2,) rad, by a guessed lens: above zero where the right edge (x), the lower edge (y) are the nearer ones."""
     width, height = size
     low, high = seen.pixels.min(axis=0), seen.pixels.max(axis=0)
@@ -128,4 +128,4 @@ def as_view(seen: Seen, size: tuple[int, int]) -> View:
         normal = cv2.Rodrigues(rvec)[0][:, 2]
         normal = normal if normal[2] > 0.0 else -normal
         tilt = np.arctan2(normal[:2], normal[2])
-    return View(seen, place, extent, tilt)
+    return BoardView(seen, place, extent, tilt)

@@ -73,7 +73,7 @@ class Issued:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class KeyChanges:
     """What `issue`, `renew` and `revoke` did. folders: made or changed, by name.
 
     outdated: who else must get the new roster, because without it they would not hear, or would still hear, somebody.
@@ -147,7 +147,7 @@ class Authority:
         out: Path | None = None,
         days: int = CERTIFICATE_DAYS,
         force: bool = False,
-    ) -> Outcome:
+    ) -> KeyChanges:
         """New keys and a folder for each name, below `out` (default: the CA's own folder). All or none is refused.
 
         Raises KeysError where keys would be overwritten without `force`.
@@ -172,9 +172,9 @@ class Authority:
             else:
                 roster = roster.with_others(name)
             self._certify(name, key.public_key(), now, days, folder)
-        return Outcome(folders, *self._replace_roster(roster, folders))
+        return KeyChanges(folders, *self._replace_roster(roster, folders))
 
-    def renew(self, wanted: Iterable[str], now: datetime, *, days: int = CERTIFICATE_DAYS) -> Outcome:
+    def renew(self, wanted: Iterable[str], now: datetime, *, days: int = CERTIFICATE_DAYS) -> KeyChanges:
         """New certificates for the keys that are out there: only `NAME.pem` is to be copied. Raises KeysError."""
         folders = {name: self._folder / name for name in wanted}
         old = {name: self._certificate_in_force(name) for name in folders}
@@ -186,9 +186,9 @@ class Authority:
             public_key = old[name].public_key()
             assert isinstance(public_key, ec.EllipticCurvePublicKey)  # we made it
             self._certify(name, public_key, now, days, folder)
-        return Outcome(folders, self.roster, ())
+        return KeyChanges(folders, self.roster, ())
 
-    def revoke(self, name: str) -> Outcome:
+    def revoke(self, name: str) -> KeyChanges:
         """Out of the team: whoever has the new roster does not hear it any more. Raises KeysError."""
         certificate = self._folder / ISSUED / certificate_file(name)
         if name not in self.roster.names:
@@ -196,7 +196,7 @@ class Authority:
                 f"{name} is not in the roster, expected one of {', '.join(self.roster.names) or 'none'}"
             )
         certificate.unlink(missing_ok=True)
-        return Outcome({}, *self._replace_roster(self.roster.without(name), {}))
+        return KeyChanges({}, *self._replace_roster(self.roster.without(name), {}))
 
     def issued(self) -> list[Issued]:
         """All certificates in force, drones first. Raises KeysError."""

@@ -50,7 +50,7 @@ class GpsFix(NamedTuple):
     sigma: float
 
 
-class Sensed(NamedTuple):
+class SensedState(NamedTuple):
     """gyro (3,) rad/s and accel (3,) m/s², body FRD; q (w, x, y, z) world_from_body; position (3,) m and velocity
     (3,) m/s in the autopilot's local frame, NED; gps: None while there is no fix."""
 
@@ -65,7 +65,7 @@ class Sensed(NamedTuple):
 class Senses(Protocol):
     """What an autopilot measures and estimates at any time."""
 
-    def at(self, t: float) -> Sensed: ...
+    def at(self, t: float) -> SensedState: ...
 
 
 class DroneSenses:
@@ -100,13 +100,13 @@ class DroneSenses:
         self._block: int | None = None
         self._noise = np.zeros((0, 4, 3))
 
-    def at(self, t: float) -> Sensed:
+    def at(self, t: float) -> SensedState:
         motion = self._world.drones[self._drone_id].motion(t - self._epoch)
         white = self._white(round((t - self._epoch) * 1e3))
         gyro, accel = self._imu.measure(motion, white[:2])
         # Of an error this small, the half angle is the vector part of its quaternion.
         x, y, z = (0.5 * self._ego.attitude_sigma * white[2]).tolist()
-        return Sensed(
+        return SensedState(
             gyro=gyro,
             accel=accel,
             q=_product(_quaternion(motion.attitude), (1.0, x, y, z)),
@@ -306,7 +306,7 @@ class SimulatedArduPilot:
                     if not (self.imu_gap and message_id in IMU):
                         yield self.frame(self.message(message_id, due, sensed))
 
-    def message(self, message_id: int, stamp: float, sensed: Sensed) -> Any:
+    def message(self, message_id: int, stamp: float, sensed: SensedState) -> Any:
         """The message of a stream, of what was sensed at `stamp` [s] of its own clock."""
         us, ms = round(stamp * 1e6), round(stamp * 1e3)
         match message_id:
@@ -329,7 +329,7 @@ class SimulatedArduPilot:
         raise AssertionError(f"message {message_id} is offered but not written")
 
 
-def _global_position(ms: int, sensed: Sensed) -> Any:
+def _global_position(ms: int, sensed: SensedState) -> Any:
     """Without a fix at 0° N 0° E, as ArduPilot."""
     place = sensed.gps.place if sensed.gps else Geodetic(0.0, 0.0, 0.0)
     velocity = [round(1e2 * v) for v in sensed.velocity.tolist()]
@@ -354,7 +354,7 @@ def _degrees_and_millimetres(place: Geodetic) -> tuple[int, int, int]:
     return latitude, longitude, round(1e3 * place.height)
 
 
-def _thousandths(sensed: Sensed) -> list[int]:
+def _thousandths(sensed: SensedState) -> list[int]:
     """Acceleration in mG and angular velocity in mrad/s, as 16 bits hold them."""
     values = np.concatenate([sensed.accel * (1e3 / STANDARD_GRAVITY), sensed.gyro * 1e3])
     return [int(v) for v in np.clip(np.rint(np.nan_to_num(values)), -32768, 32767)]

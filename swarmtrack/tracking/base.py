@@ -18,7 +18,7 @@ from swarmtrack.tracking.consistency import Consistency, InnovationWindow
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.smoothing import FixedLag
-from swarmtrack.tracking.table import Shown, TrackTable
+from swarmtrack.tracking.table import TrackColumns, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
 
 
@@ -83,7 +83,7 @@ class Tracker:
         self._t: float | None = None
         self._last_scan: float | None = None
         self._late_scans = 0
-        self._shown: Shown | None = None  # of the state as it stands, once somebody asked
+        self._shown: TrackColumns | None = None  # of the state as it stands, once somebody asked
 
     @property
     def t(self) -> float | None:
@@ -97,7 +97,7 @@ class Tracker:
         table = self._filter.table
         return self._show().tracks(self._t, table.mean.copy(), table.cov.copy())  # filters write into theirs
 
-    def _show(self) -> Shown:
+    def _show(self) -> TrackColumns:
         if self._shown is None:
             self._shown = self._filter.table.shown()
         return self._shown

@@ -63,7 +63,7 @@ class Weights(NamedTuple):
         return Weights(self.pair.T, self.column, self.row)
 
 
-class Cluster(NamedTuple):
+class IndependentBlock(NamedTuple):
     """Rows and columns that share nothing with any others."""
 
     rows: NDArray[np.intp]
@@ -107,7 +107,7 @@ def _sets(member: NDArray[np.bool_]) -> list[int]:
     return [int.from_bytes(row.tobytes(), "little") for row in np.packbits(member, axis=1, bitorder="little")]
 
 
-def _clusters(allowed: NDArray[np.bool_], rows: Iterable[int]) -> list[Cluster]:
+def _clusters(allowed: NDArray[np.bool_], rows: Iterable[int]) -> list[IndependentBlock]:
     """Connected parts of the graph of allowed pairs, of these rows; a row without any pair is in none."""
     wanted = _sets(allowed)
     found: list[tuple[list[int], int]] = []
@@ -120,7 +120,7 @@ def _clusters(allowed: NDArray[np.bool_], rows: Iterable[int]) -> list[Cluster]:
             else:
                 apart.append(group)
         found = [*apart, (joined, columns)] if columns else found
-    return [Cluster(np.array(rows), np.flatnonzero(allowed[rows].any(axis=0))) for rows, _ in found]
+    return [IndependentBlock(np.array(rows), np.flatnonzero(allowed[rows].any(axis=0))) for rows, _ in found]
 
 
 def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond) -> Array:

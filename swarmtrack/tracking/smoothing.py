@@ -26,7 +26,7 @@ SAME_INSTANT = 1e-9  # s
 NEGLIGIBLE = 1e-9 * np.eye(4)  # keeps a prediction that is sure to the last digit invertible
 
 
-class Expectation(NamedTuple):
+class PredictedTracks(NamedTuple):
     """What was known of tracks id (n,) before a scan. mean (n, 4), cov (n, 4, 4); F (n, 4, 4): from the scan before."""
 
     id: NDArray[np.int64]
@@ -34,15 +34,15 @@ class Expectation(NamedTuple):
     cov: Array
     F: Array
 
-    def take(self, rows: NDArray[np.intp]) -> Expectation:
-        return Expectation(self.id[rows], self.mean[rows], self.cov[rows], self.F[rows])
+    def take(self, rows: NDArray[np.intp]) -> PredictedTracks:
+        return PredictedTracks(self.id[rows], self.mean[rows], self.cov[rows], self.F[rows])
 
 
 class Note(NamedTuple):
     """One scan: what was expected of it, and the tracks after it."""
 
     t: float
-    expected: Expectation
+    expected: PredictedTracks
     table: TrackTable
 
 
@@ -56,7 +56,7 @@ class FixedLag:
         self._notes: deque[Note] = deque(maxlen=MOST_SCANS)
         self._id = np.empty(0, np.int64)
         self._F = np.empty((0, 4, 4))
-        self._expected = Expectation(self._id, np.empty((0, 4)), self._F, self._F)
+        self._expected = PredictedTracks(self._id, np.empty((0, 4)), self._F, self._F)
 
     def move(self, table: TrackTable, dt: float, rotation: Array | None) -> None:
         """The tracks, as in the table, are about to move by dt [s] and the camera's turn."""
@@ -71,7 +71,9 @@ class FixedLag:
         """This is what is known before a scan is folded in."""
         if self._lag_s:
             rows, moved = _common(table.id, self._id)
-            self._expected = Expectation(table.id[rows], table.mean[rows], table.cov[rows], self._F[moved])
+            self._expected = PredictedTracks(
+                table.id[rows], table.mean[rows], table.cov[rows], self._F[moved]
+            )
 
     def note(self, t: float, table: TrackTable) -> None:
         """These are the tracks at t, after a scan was folded in."""
@@ -106,7 +108,7 @@ def transition(mean: Array, dt: float, rotation: Array | None, camera: PinholeCa
     return np.asarray(turn(mean @ drift.T, rotation, camera)[1] @ drift)
 
 
-def _looked_back(table: TrackTable, expected: Expectation, later: TrackTable) -> TrackTable:
+def _looked_back(table: TrackTable, expected: PredictedTracks, later: TrackTable) -> TrackTable:
     """The table of a scan, knowing that of the next one, `later`, and what was expected of that one."""
     looked = _copy(table)
     here, there = _common(looked.id, later.id)
@@ -127,7 +129,7 @@ def _looked_back(table: TrackTable, expected: Expectation, later: TrackTable) ->
 
 
 def rts_step(
-    mean: Array, cov: Array, expected: Expectation, later_mean: Array, later_cov: Array
+    mean: Array, cov: Array, expected: PredictedTracks, later_mean: Array, later_cov: Array
 ) -> tuple[Array, Array]:
     """Means (n, 4) and covariances (n, 4, 4) of one scan, given those of the next one and what was expected of it.
 

@@ -68,7 +68,7 @@ class TrackTable:
             joined = np.concatenate([getattr(self, column.name), getattr(other, column.name)])
             setattr(self, column.name, joined)
 
-    def shown(self) -> Shown:
+    def shown(self) -> TrackColumns:
         """What does not change from scan to scan, to make tracks of for any time between."""
         n = len(self.id)
         status: list[TrackStatus] = [CONFIRMED] * n  # most are, and detected: only the others cost anything
@@ -80,14 +80,14 @@ class TrackTable:
         for i in np.isfinite(self.missed_since).nonzero()[0].tolist():
             missed[i] = self.missed_since.item(i)
         size = self.size.copy()  # what was handed out does not change with the next scan
-        return Shown(self.id.tolist(), status, self.existence.tolist(), list(size), missed)
+        return TrackColumns(self.id.tolist(), status, self.existence.tolist(), list(size), missed)
 
     def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
         """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
         return self.shown().tracks(t, mean, cov)
 
 
-class Shown(NamedTuple):
+class TrackColumns(NamedTuple):
     """Columns of n tracks as messages have them."""
 
     id: list[int]

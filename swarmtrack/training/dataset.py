@@ -131,7 +131,7 @@ def fit_margin(cutouts: Sequence[CutOut]) -> LabelMargin:
     return LabelMargin(np.maximum(lines[:, 0], 1.0), np.clip(lines[:, 1], 0.0, 20.0))
 
 
-class Sample(NamedTuple):
+class TrainingSample(NamedTuple):
     """image (crop, crop, 3) BGR uint8; drones (n, 4); doubtful (m, 4): drones one may miss; others (k, 4): what flies
     and is no drone."""
 
@@ -159,7 +159,7 @@ class SampleSource:
         names = list(render.DISTRACTORS)
         self._mistaken = [self._draw_distractor(names[i % len(names)]) for i in range(self.BANK // 2)]
 
-    def sample(self) -> Sample:
+    def sample(self) -> TrainingSample:
         rng, recipe = self._rng, self._recipe
         self._refresh()
         kind = rng.random()
@@ -186,7 +186,7 @@ class SampleSource:
             image = np.ascontiguousarray(image[:, ::-1])
             for mirrored in labels:
                 mirrored[:, 0] = recipe.crop - 1 - mirrored[:, 0]
-        return Sample(render.photograph(rng, image), *labels)
+        return TrainingSample(render.photograph(rng, image), *labels)
 
     def _draw_distractor(self, name: str) -> tuple[Sprite, bool]:
         """One thing that is no drone, and whether it is an object rather than a part of the picture."""

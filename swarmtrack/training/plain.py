@@ -10,7 +10,7 @@ from torch.nn import functional
 from swarmtrack.training.layers import RARE, convolution
 
 
-class Block(nn.Module):
+class ConvBlock(nn.Module):
     """One 3x3 convolution; where it changes neither size nor depth, it learns the difference to its input."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
@@ -42,8 +42,8 @@ class CenterNet(nn.Module):
         self.stem = nn.Sequential(convolution(3, stem, stride=2), nn.ReLU())
         stages, inputs = [], stem
         for width, depth in zip(widths, depths, strict=True):
-            first = Block(inputs, width, stride=2)
-            stages.append(nn.Sequential(first, *(Block(width, width) for _ in range(depth - 1))))
+            first = ConvBlock(inputs, width, stride=2)
+            stages.append(nn.Sequential(first, *(ConvBlock(width, width) for _ in range(depth - 1))))
             inputs = width
         self.stages = nn.ModuleList(stages)
         self.lateral = nn.ModuleList([convolution(width, neck, kernel=1) for width in widths])

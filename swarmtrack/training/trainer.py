@@ -53,7 +53,7 @@ class Settings:
 
 
 @dataclass(slots=True)
-class Run:
+class TrainingProgress:
     """Where a training stands; what a checkpoint holds beside the weights."""
 
     steps: int = 0
@@ -73,7 +73,7 @@ def train(
     validation: Sequence[LabelledFrame] = (),
     start: Path | None = None,
     resume: bool = False,
-) -> Run:
+) -> TrainingProgress:
     """Train, write `out` (ONNX) and beside it the checkpoint (`.pt`, to go on from); returns how it went.
 
     validation: images that are not trained on; the history tells how well each checkpoint does on them.
@@ -107,10 +107,10 @@ class _Training:
             "data_frames": str(len(frames)),
             "licence": licence,
         }
-        self._run = Run()
+        self._run = TrainingProgress()
         self._clock = SystemClock()
 
-    def run(self, start: Path | None, resume: bool) -> Run:
+    def run(self, start: Path | None, resume: bool) -> TrainingProgress:
         network, settings, run = self._network, self._settings, self._run
         if start is not None:
             network.load_state_dict(read_checkpoint(start)["average"])

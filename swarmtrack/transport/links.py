@@ -19,7 +19,7 @@ DEFAULT_PORT: Final = 7447
 _ADDRESS: Final = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%]+\]|[^\s:/?#\[\]]+)(:(?P<port>[0-9]{1,5}))?")
 
 
-class Links(enum.Enum):
+class EndpointTemplate(enum.Enum):
     """What an address stands for."""
 
     PLAIN = ("tcp/{host}:{port}",)
@@ -27,12 +27,12 @@ class Links(enum.Enum):
     RELAYED = ("quic/{host}:{port}?mixed_rel=1",)
 
     @classmethod
-    def direct(cls, secured: bool) -> Links:
+    def direct(cls, secured: bool) -> EndpointTemplate:
         """Between two who speak to each other."""
         return cls.PAIR if secured else cls.PLAIN
 
     @classmethod
-    def relayed(cls, secured: bool) -> Links:
+    def relayed(cls, secured: bool) -> EndpointTemplate:
         """Of anybody and a router."""
         return cls.RELAYED if secured else cls.PLAIN
 

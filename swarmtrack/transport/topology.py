@@ -17,7 +17,7 @@ from swarmtrack.config import NetworkSection
 from swarmtrack.errors import TransportError
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
-from swarmtrack.transport.links import Links, host_of
+from swarmtrack.transport.links import EndpointTemplate, host_of
 from swarmtrack.transport.settings import Mode, NetworkSettings
 
 
@@ -28,9 +28,11 @@ def of_drone(section: NetworkSection, drone_id: int, credentials: Credentials | 
             section,
             credentials,
             mode=Mode.CLIENT,
-            connect=Links.relayed(secured=credentials is not None).at_all(section.routers, "network.routers"),
+            connect=EndpointTemplate.relayed(secured=credentials is not None).at_all(
+                section.routers, "network.routers"
+            ),
         )
-    links = Links.direct(secured=credentials is not None)
+    links = EndpointTemplate.direct(secured=credentials is not None)
     peers = {int(i): address for i, address in section.peers.items()}
     listen = links.at_all(section.listen, "network.listen")
     if peers and drone_id not in peers:
@@ -52,9 +54,11 @@ def of_drone(section: NetworkSection, drone_id: int, credentials: Credentials | 
 def of_monitor(section: NetworkSection, credentials: Credentials | None) -> NetworkSettings:
     """Who only listens dials everybody, because peers relay nothing; or any one router."""
     if section.topology == "routers":
-        connect = Links.relayed(secured=credentials is not None).at_all(section.routers, "network.routers")
+        connect = EndpointTemplate.relayed(secured=credentials is not None).at_all(
+            section.routers, "network.routers"
+        )
         return _settings(section, credentials, mode=Mode.CLIENT, connect=connect)
-    links = Links.direct(secured=credentials is not None)
+    links = EndpointTemplate.direct(secured=credentials is not None)
     peers = {int(i): address for i, address in section.peers.items()}
     return _settings(
         section,
@@ -74,7 +78,7 @@ def of_router(
             'network.topology: found "mesh", expected "routers": peers in a mesh take no router'
         )
     own = _own_router(section.routers, listen)
-    links = Links.relayed(secured=credentials is not None)
+    links = EndpointTemplate.relayed(secured=credentials is not None)
     return _settings(
         section,
         credentials,

@@ -25,7 +25,7 @@ import zenoh
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
-from swarmtrack.transport.links import Links
+from swarmtrack.transport.links import EndpointTemplate
 from swarmtrack.transport.ports import wait_for_ports
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Bridge
@@ -60,7 +60,7 @@ def _open(network: NetworkSettings, listening: bool) -> zenoh.Session:
     if not network.rendezvous:
         listen = network.listen if listening else ()
         return zenoh.open(zenoh_config(network, listen, network.connect))
-    links = Links.direct(secured=network.credentials is not None)
+    links = EndpointTemplate.direct(secured=network.credentials is not None)
     meeting_points = [links.at(f"127.0.0.1:{port}", "network") for port in RENDEZVOUS_PORTS]
     if not listening:
         return zenoh.open(zenoh_config(network, (), _joined(meeting_points)))

@@ -22,7 +22,7 @@ from swarmtrack.calibration.board import KINDS, Board, Seen, as_pdf
 from swarmtrack.calibration.extrinsics import doubts, rpy_deg, toml_lines, with_lines, write_into
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.calibration.intrinsics import as_yaml, fit
-from swarmtrack.calibration.views import Views
+from swarmtrack.calibration.views import BoardViews
 from swarmtrack.camera_files import load_calibration
 from swarmtrack.config import load_config, mount_camera
 from swarmtrack.errors import CalibrationError, SourceError
@@ -367,7 +367,7 @@ def test_too_few_views_are_an_error_with_a_number():
 
 def test_what_is_still_missing_is_said_until_it_was_shown():
     views, truth = exact_views(60)
-    chosen = Views((truth.width, truth.height), still=False)
+    chosen = BoardViews((truth.width, truth.height), still=False)
     assert len(chosen.missing()) == 5
     assert not chosen.offer(None)
     assert chosen.offer(views[0])
@@ -396,7 +396,7 @@ def test_the_edge_that_is_towards_the_camera_is_called_by_its_name(turn, nearer)
         "lower": at[:, 1].argmax(),
     }
     assert at[depth[nearer], 2] < 0.5
-    chosen = Views((truth.width, truth.height), still=False)
+    chosen = BoardViews((truth.width, truth.height), still=False)
     assert chosen.offer(Seen(np.arange(len(points)), points, truth.project(at)[0]))
     (line,) = [line for line in chosen.missing() if "tilted" in line]
     assert nearer not in line
@@ -405,7 +405,7 @@ def test_the_edge_that_is_towards_the_camera_is_called_by_its_name(turn, nearer)
 
 def test_a_board_that_moves_is_not_kept():
     views, truth = exact_views(2)
-    chosen = Views((truth.width, truth.height))
+    chosen = BoardViews((truth.width, truth.height))
     moved = views[0]._replace(pixels=views[0].pixels + 20.0)
     assert not chosen.offer(moved)
     assert not chosen.offer(views[0])

@@ -37,7 +37,7 @@ from swarmtrack.doctor.examination import examine
 from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.simulation.autopilot import Sensed
+from swarmtrack.simulation.autopilot import SensedState
 from swarmtrack.simulation.hand_turned import HandTurned, Room
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
@@ -291,7 +291,7 @@ class TurnedAutopilot(FakeAutopilot):
         super().__init__(boot_at=boot_at)
         self._hand, self._signs = hand, np.array(signs)
 
-    def at(self, t: float) -> Sensed:
+    def at(self, t: float) -> SensedState:
         return super().at(t)._replace(gyro=self._hand.rates(np.array([t]))[0] * self._signs)
 
 

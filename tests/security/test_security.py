@@ -39,7 +39,7 @@ from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, topology
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.link_watch import links_up
-from swarmtrack.transport.links import Links
+from swarmtrack.transport.links import EndpointTemplate
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_config import zenoh_config
 from swarmtrack.transport.zenoh_listener import ZenohListener
@@ -123,7 +123,7 @@ class Field:
 
     async def intruder(self, credentials: Credentials, listen: tuple[str, ...] = ()) -> Intruder:
         """Linked to drones 1 and 2."""
-        connect = Links.PAIR.at_all((self.addresses[1], self.addresses[2]), "test")
+        connect = EndpointTemplate.PAIR.at_all((self.addresses[1], self.addresses[2]), "test")
         network = NetworkSettings(
             self.team.name, listen, connect, credentials=credentials, expected=("drone-1", "drone-2")
         )
@@ -194,7 +194,7 @@ async def test_whoever_has_no_certificate_of_the_team_gets_no_link(
     field: Field, pair: tuple[Drone, Drone], tmp_path: Path, protocol: str, shows: str
 ) -> None:
     one, two = pair
-    endpoint = next(e for e in Links.PAIR.at(field.addresses[1], "test") if e.startswith(protocol))
+    endpoint = next(e for e in EndpointTemplate.PAIR.at(field.addresses[1], "test") if e.startswith(protocol))
     foreign = Team(tmp_path / "foreign", "3", name=field.team.name).credentials("3")
     trusting = replace(foreign, ca=field.team.credentials("3").ca)  # it believes us; we do not believe it
     network = NetworkSettings(field.team.name, connect=(endpoint,), credentials=trusting, mode=Mode.CLIENT)
@@ -313,7 +313,7 @@ async def test_tracks_of_a_member_reach_others_under_its_own_id_only(
     field: Field, pair: tuple[Drone, Drone]
 ) -> None:
     intruder = await field.intruder(
-        field.team.credentials("3"), listen=Links.PAIR.at(field.addresses[3], "test")
+        field.team.credentials("3"), listen=EndpointTemplate.PAIR.at(field.addresses[3], "test")
     )
     monitor = ZenohListener(
         topology.of_monitor(field.section, field.team.credentials("monitor")), intruder.key(Kind.TRACKS, "*")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.simulation.autopilot import OFFERED, GpsFix, Sensed, SimulatedArduPilot
+from swarmtrack.simulation.autopilot import OFFERED, GpsFix, SensedState, SimulatedArduPilot
 
 SIGNING_BEGINS = 1_420_070_400  # s UTC: 2015-01-01
 
@@ -56,8 +56,8 @@ class FakeAutopilot(SimulatedArduPilot):
             self._sign(self.mav)
             self.mav.signing.sign_outgoing = True
 
-    def at(self, t: float) -> Sensed:
-        return Sensed(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps)
+    def at(self, t: float) -> SensedState:
+        return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps)
 
     def parser(self) -> Any:
         parser = super().parser()
