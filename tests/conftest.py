@@ -40,7 +40,7 @@ LIVE = (
     "localswarm",
     "runtime/test_healthy.py",
     "runtime/test_live_video.py",
-    "runtime/test_telling.py",
+    "runtime/test_pilot_notices.py",
     "security/test_security.py",
     "sensors/test_camera_http.py",
     "sensors/test_camera_rtsp.py",

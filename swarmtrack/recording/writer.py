@@ -4,7 +4,7 @@
 
 What ends in `.active` is being written, or was when its process died; every reader here takes it as it is, and
 `swarmtrack log repair` completes it. A chunk is written whole and at least every `FLUSH_S`, so that a file that was cut
-holds all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recorder.py` does.
+holds all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recording_thread.py` does.
 """
 
 from __future__ import annotations

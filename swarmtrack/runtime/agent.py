@@ -23,14 +23,14 @@ from swarmtrack.messages import (
 )
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
-from swarmtrack.runtime.health import LAG_PERIOD, Expected, Health, Links
+from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.live_video import LiveVideo
 from swarmtrack.runtime.outputs import JsonLines, as_seen
+from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
-from swarmtrack.runtime.telling import Teller
 from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity
@@ -66,8 +66,8 @@ class Agent:
         health_file = health_path(output.health)
         self._health_file = HealthFile(health_file) if health_file else None
         self.health = make_health(parts)
-        self._teller = make_teller(parts)
-        self._team = make_teamwork(parts, self.health, self._teller, self.tell)
+        self._notices = make_notices(parts)
+        self._team = make_teamwork(parts, self.health, self._notices, self.tell)
         self._live = LiveVideo(
             parts.transport,
             parts.door.perceived,
@@ -110,7 +110,7 @@ class Agent:
                     tasks.create_task(self._publish_tracks(warm), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
                     tasks.create_task(self._feel_lag(), name="lag"),
-                    tasks.create_task(self._teller.run(), name="tell"),
+                    tasks.create_task(self._notices.run(), name="tell"),
                 ]
                 stop = tasks.create_task(self._stop.wait(), name="stop")
                 await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
@@ -152,7 +152,7 @@ class Agent:
                 'in the air already, but announced at its fixed drone.start: expected from = "local" or "gps"'
             )
             self.health.events.append(line)
-            self._teller.add(Severity.WARNING, "in the air, start not known")
+            self._notices.add(Severity.WARNING, "in the air, start not known")
             log.warning("drone %d is %s", self._config.drone.id, line)
 
     def _warm_up(self) -> None:
@@ -240,7 +240,7 @@ class Agent:
         """To whoever writes or shows it; and the publisher wakes."""
         self.health.on_scan()
         self._console.see(report)
-        self._teller.see(report)
+        self._notices.see(report)
         written = self._jsonl or self._video
         seen = as_seen(report, self._lens) if written else []
         if self._jsonl:
@@ -260,7 +260,7 @@ class Agent:
         publisher = HealthPublisher(
             self.health,
             self._transport,
-            self._teller,
+            self._notices,
             self._console,
             self._supervisor,
             drone_id=self._config.drone.id,
@@ -313,7 +313,7 @@ def make_health(parts: Parts) -> Health:
     return Health(
         config.drone.id,
         parts.boot,
-        Links(parts.camera, parts.transport, autopilot, parts.detector, parts.recorder),
+        Connections(parts.camera, parts.transport, autopilot, parts.detector, parts.recorder),
         parts.door.perceived,
         Expected(
             config.autopilot.imu_rate_hz if autopilot else None,
@@ -326,10 +326,10 @@ def make_health(parts: Parts) -> Health:
     )
 
 
-def make_teller(parts: Parts) -> Teller:
+def make_notices(parts: Parts) -> PilotNotices:
     """What speaks to the autopilot of these parts, where that is one that can be spoken to."""
     config, autopilot, origin = parts.config, parts.autopilot, parts.config.team.origin
-    return Teller(
+    return PilotNotices(
         autopilot if isinstance(autopilot, MavlinkAutopilot) else None,
         config.autopilot.tell,
         parts.door.perceived,
@@ -343,7 +343,9 @@ def make_teller(parts: Parts) -> Teller:
     )
 
 
-def make_teamwork(parts: Parts, health: Health, teller: Teller, tell: Callable[[Input], None]) -> Teamwork:
+def make_teamwork(
+    parts: Parts, health: Health, notices: PilotNotices, tell: Callable[[Input], None]
+) -> Teamwork:
     """What speaks and listens to the team for these parts; tell: the way into their Onboard."""
     drone = parts.config.drone
     return Teamwork(
@@ -351,7 +353,7 @@ def make_teamwork(parts: Parts, health: Health, teller: Teller, tell: Callable[[
         parts.door.perceived,
         parts.transport,
         health,
-        teller,
+        notices,
         drone_id=drone.id,
         boot=parts.boot,
         clock=parts.clock,

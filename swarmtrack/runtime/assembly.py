@@ -31,7 +31,7 @@ from swarmtrack.transport.zenoh_transport import ZenohTransport
 # itself does not pay. So these modules are imported by the functions that make their objects.
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
-    from swarmtrack.runtime.recorder import Recorder
+    from swarmtrack.runtime.flight_recorder import FlightRecorder
     from swarmtrack.sensors.simulated import Simulation
 
 
@@ -54,7 +54,7 @@ class Parts:
     """None where the camera detects by itself."""
     door: Door
     """The way into its Onboard, and what may be read of it."""
-    recorder: Recorder | None
+    recorder: FlightRecorder | None
     transport: Transport
     start: Pose | None
     """Where the drone says it starts, in the team frame; None: wherever its autopilot says it is."""
@@ -227,13 +227,13 @@ def _recorder(
     clock: Clock,
     wall: Clock,
     waits: bool,
-) -> Recorder | None:
+) -> FlightRecorder | None:
     if config.recording.dir is None:
         return None
     from swarmtrack.recording.settings import FlightSettings  # noqa: PLC0415
-    from swarmtrack.runtime.recorder import Recorder  # noqa: PLC0415
+    from swarmtrack.runtime.flight_recorder import FlightRecorder  # noqa: PLC0415
 
-    return Recorder(FlightSettings(config, mounted, start), boot, clock, wall, waits=waits)
+    return FlightRecorder(FlightSettings(config, mounted, start), boot, clock, wall, waits=waits)
 
 
 def _teammates(

@@ -20,7 +20,7 @@ ANSI = ["33", "36", "32", "93", "34", "31", "35"]
 
 
 @dataclass(slots=True)
-class Sighting:
+class TimeInView:
     """When someone was first and last tracked, over how many scans, under how many track ids in turn."""
 
     first_t: float
@@ -41,7 +41,7 @@ class Console:
         self._start: float | None = None
         self._last_t = 0.0
         self._scans = self._scans_told = 0
-        self._sightings: dict[Identity, Sighting] = {}
+        self._seen: dict[Identity, TimeInView] = {}
         self._report: ScanReport | None = None
 
     def see(self, report: ScanReport) -> None:
@@ -52,11 +52,11 @@ class Console:
         self._scans += 1
         self._report = report
         for entry in filter(_is_confirmed, report.tracks.tracks):
-            sighting = self._sightings.setdefault(entry.identity, Sighting(t, t, 0, -1, 0))
-            sighting.scans += sighting.last_t < t or sighting.scans == 0
-            sighting.last_t = t
-            if entry.track.id != sighting.track_id:
-                sighting.track_id, sighting.tracks = entry.track.id, sighting.tracks + 1
+            seen = self._seen.setdefault(entry.identity, TimeInView(t, t, 0, -1, 0))
+            seen.scans += seen.last_t < t or seen.scans == 0
+            seen.last_t = t
+            if entry.track.id != seen.track_id:
+                seen.track_id, seen.tracks = entry.track.id, seen.tracks + 1
 
     def line(self, footnotes: Iterable[str]) -> None:
         """One line: who is in view, where, how surely; then how the agent is doing."""
@@ -74,14 +74,14 @@ class Console:
         """Who was seen, for how long; then the facts, one a line."""
         self._print("")
         self._print(f"Summary of {self._elapsed:.1f} s, {self._scans} scans:")
-        for identity, sighting in sorted(self._sightings.items(), key=lambda item: str(item[0])):
-            began = sighting.first_t - (self._start or 0.0)
-            share = 100.0 * sighting.scans / max(self._scans, 1)
-            tracks = f"{sighting.tracks} track{'s' if sighting.tracks > 1 else ''}"
+        for identity, seen in sorted(self._seen.items(), key=lambda item: str(item[0])):
+            began = seen.first_t - (self._start or 0.0)
+            share = 100.0 * seen.scans / max(self._scans, 1)
+            tracks = f"{seen.tracks} track{'s' if seen.tracks > 1 else ''}"
             self._print(
                 f"  {_name(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}"
             )
-        if not self._sightings:
+        if not self._seen:
             self._print("  nobody was seen")
         for fact in facts:
             self._print(f"  {fact}")

@@ -12,7 +12,8 @@ from swarmtrack.diagnosis.readiness import Readiness, judge
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
 from swarmtrack.perceived import Perceived
-from swarmtrack.runtime.meters import Latency, ProcessMeter, Rate
+from swarmtrack.runtime import periods
+from swarmtrack.runtime.meters import LatencyMeter, ProcessMeter, RateMeter
 from swarmtrack.wire.fields import VERSION
 from swarmtrack.wire.health import (
     ConsistencyHealth,
@@ -26,8 +27,8 @@ from swarmtrack.wire.health import (
 )
 
 EVENTS_KEPT = 16
-PERIOD = 1.0  # s between two messages
-LAG_PERIOD = 0.05  # s between two looks at how late the event loop is
+# s between two looks at how late the event loop is.
+LAG_PERIOD = 0.05
 
 
 class HasStatus(Protocol):
@@ -37,7 +38,7 @@ class HasStatus(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Links:
+class Connections:
     """All of them; None: there is none."""
 
     camera: HasStatus
@@ -71,7 +72,7 @@ class Health:
         self,
         drone_id: int,
         boot: str,
-        links: Links,
+        links: Connections,
         perceived: Perceived,
         expected: Expected,
         *,
@@ -79,13 +80,13 @@ class Health:
         wall: Clock,
         live: bool,
     ) -> None:
-        self.imu = Rate()
-        self.scans = Rate()
-        self.published = Rate()
-        self.exposure_to_detector = Latency()
-        self.detector = Latency()
-        self.detections_to_published = Latency()
-        self.loop_lag = Latency(round(PERIOD / LAG_PERIOD))
+        self.imu = RateMeter()
+        self.scans = RateMeter()
+        self.published = RateMeter()
+        self.exposure_to_detector = LatencyMeter()
+        self.detector = LatencyMeter()
+        self.detections_to_published = LatencyMeter()
+        self.loop_lag = LatencyMeter(round(periods.HEALTH / LAG_PERIOD))
         self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
         self.drops: Counter[str] = Counter()
         self.tracked_at: float | None = None

@@ -1,7 +1,7 @@
 """What the camera sees now, for people: `video/<id>`, said only while somebody listens.
 
-The newest frame only, at most `MAX_HZ`, made smaller and encoded in a thread of its own. While that is busy, frames
-pass by. Unwatched it costs one question a frame.
+The newest frame only, at most ten times a second, made smaller and encoded in a thread of its own. While that is busy,
+frames pass by. Unwatched it costs one question per frame.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import Image
 from swarmtrack.perceived import Perceived
+from swarmtrack.runtime import periods
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.fields import MAX_JPEG, VERSION
 from swarmtrack.wire.video import VideoMessage, lens_message
 
-MAX_HZ = 10.0
 JITTER_S = (
     0.01  # that a frame may come early and is still on time: or 10 frames a second would give 5 pictures
 )
@@ -64,7 +64,7 @@ class LiveVideo:
         if self._encoding is not None or not self._transport.has_listener(Kind.VIDEO):
             return
         now = self._wall.now()
-        if now - self._last < 1.0 / MAX_HZ - JITTER_S:
+        if now - self._last < periods.VIDEO - JITTER_S:
             return
         self._last = now
         exposed = t + self._perceived.camera_clock.used_s

@@ -21,7 +21,7 @@ class Spread(NamedTuple):
     max: float
 
 
-class Rate:
+class RateMeter:
     """Events per second since the last `read`."""
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class Rate:
         return count / elapsed if elapsed > 0.0 else 0.0
 
 
-class Latency:
+class LatencyMeter:
     """The last `window` durations of one kind, seconds."""
 
     def __init__(self, window: int = WINDOW) -> None:

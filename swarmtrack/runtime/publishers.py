@@ -8,12 +8,13 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.runtime import periods
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.door import Door
-from swarmtrack.runtime.health import PERIOD, Health
+from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.health_file import HealthFile
+from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.systemd import Notifier, Watchdog
-from swarmtrack.runtime.telling import Teller
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import HealthMessage
@@ -21,7 +22,7 @@ from swarmtrack.wire.records import as_record
 from swarmtrack.wire.tracks import tracks_message
 
 if TYPE_CHECKING:
-    from swarmtrack.runtime.recorder import Recorder
+    from swarmtrack.runtime.flight_recorder import FlightRecorder
 
 log = logging.getLogger(__name__)
 
@@ -94,19 +95,19 @@ class HealthPublisher:
         self,
         health: Health,
         transport: Transport,
-        teller: Teller,
+        notices: PilotNotices,
         console: Console,
         supervisor: Notifier,
         *,
         drone_id: int,
         wall: Clock,
-        recorder: Recorder | None,
+        recorder: FlightRecorder | None,
         file: HealthFile | None,
     ) -> None:
         self._drone_id = drone_id
         self._health = health
         self._transport = transport
-        self._teller = teller
+        self._notices = notices
         self._console = console
         self._supervisor = supervisor
         self._wall = wall
@@ -117,16 +118,16 @@ class HealthPublisher:
         """Until cancelled."""
         self._health.message()  # starts the meters
         while True:
-            await asyncio.sleep(PERIOD)
+            await asyncio.sleep(periods.HEALTH)
             self._publish()
 
     def _publish(self) -> None:
         self._note_trouble_of_the_disk()
-        self._health.drops["status_texts_untold"] = self._teller.lines.untold
+        self._health.drops["status_texts_untold"] = self._notices.lines.untold
         message = self._health.message()
         if self._recorder is not None:
             self._recorder.health(message)
-        self._teller.see_links(message.links)
+        self._notices.see_links(message.links)
         try:
             self._transport.publish(Kind.HEALTH, codec.encode(message))
         except ValueError:

@@ -124,6 +124,6 @@ class RecordingThread:
         writer.close(self._wall.now())
 
 
-def name_of_life(utc: float, boot: str) -> str:
+def folder_name(utc: float, boot: str) -> str:
     """Of a recording's folder: sorts by time."""
     return f"{datetime.fromtimestamp(utc, UTC):%Y%m%dT%H%M%SZ}-{boot}"

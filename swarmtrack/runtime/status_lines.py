@@ -24,7 +24,7 @@ class Line(NamedTuple):
     t: float
 
 
-class Lasting(Generic[_V]):
+class Debounced(Generic[_V]):
     """A state that is news once it has lasted for `hold` s, at most every `rest` s. told: what was said of it last."""
 
     def __init__(self, told: _V, *, hold: float, rest: float = 0.0) -> None:

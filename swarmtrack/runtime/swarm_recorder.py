@@ -21,7 +21,7 @@ from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.recording.reader import FORMAT, Message
 from swarmtrack.recording.settings import versions
 from swarmtrack.recording.writer import Attachment, Bounds, Preface, Topic
-from swarmtrack.runtime.recording_thread import RecordingThread, Write, name_of_life
+from swarmtrack.runtime.recording_thread import RecordingThread, Write, folder_name
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
@@ -103,7 +103,7 @@ class SwarmRecorder:
         root = folder / "swarm"
         known = {"monotonic_s": repr(now), "utc_s": repr(utc), "team": self._team}
         self._thread.open(
-            root / name_of_life(utc, self._team),
+            root / folder_name(utc, self._team),
             Preface(
                 {"format": FORMAT, "kind": "swarm", **known, **(metadata or {}), **versions()},
                 tuple(attachments),

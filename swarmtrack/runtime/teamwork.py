@@ -24,16 +24,15 @@ from swarmtrack.messages import (
     SightingReport,
 )
 from swarmtrack.perceived import Perceived
+from swarmtrack.runtime import periods
 from swarmtrack.runtime.health import Health
-from swarmtrack.runtime.telling import Teller
+from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.sightings import sightings_message
 
 log = logging.getLogger(__name__)
 
-REPORT_PERIOD = 1.0  # s between two reports of who is seen as whom
-CHANGE_PERIOD = 0.1  # s: a change is told at once, but no more often than that
 # Lines about one teammate, in so many s: nobody may fill our log, or hide others in it.
 LINES, LINES_PERIOD = 16, 10.0
 
@@ -52,7 +51,7 @@ class Teamwork:
         perceived: Perceived,
         transport: Transport,
         health: Health,
-        teller: Teller,
+        notices: PilotNotices,
         *,
         drone_id: int,
         boot: str,
@@ -70,7 +69,7 @@ class Teamwork:
         self._perceived = perceived
         self._transport = transport
         self._health = health
-        self._teller = teller
+        self._notices = notices
         self._clock = clock
         self._on_report = on_report
         self._simulated = simulated
@@ -99,14 +98,14 @@ class Teamwork:
                     self._health.on_membership(event)
                 case SightingReport():
                     self._tell(event)
-                    self._teller.on_peer(event)
+                    self._notices.on_peer(event)
                     continue  # one a second from everybody: no news
                 case AnnouncementRequested():
                     self._asked.set()
             about = 0 if isinstance(event, AnnouncementRequested) else event.drone_id  # who asks is not told
             level = logging.WARNING if isinstance(event, IdClash) else logging.INFO
             self._note(about, _describe(event), level)
-            self._teller.on_peer(event)
+            self._notices.on_peer(event)
 
     async def announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is, and those of simulated teammates; then again
@@ -124,7 +123,7 @@ class Teamwork:
     async def report(self) -> None:
         """Until cancelled: whom this drone sees as whom, once a second and when it changed."""
         while True:
-            await asyncio.sleep(CHANGE_PERIOD)
+            await asyncio.sleep(periods.IDENTITIES_CHANGED)
             self._report()
 
     def _report(self) -> None:
@@ -133,7 +132,7 @@ class Teamwork:
         if report is None:
             return
         whom = (report.known, frozenset(sighting.drone_id for sighting in report.sightings))
-        if whom == self._reported and now - self._reported_at < REPORT_PERIOD:
+        if whom == self._reported and now - self._reported_at < periods.IDENTITIES:
             return
         self._reports += 1
         self._reported, self._reported_at = whom, now
@@ -175,7 +174,7 @@ class Teamwork:
         pair = (found.observer, found.drone_id)
         if found.overruled or pair not in self._disputed:
             self._note(found.observer, _describe_disagreement(found), logging.WARNING)
-            self._teller.on_disagreement(found)
+            self._notices.on_disagreement(found)
         self._disputed.add(pair)
         if found.overruled:
             self._disputed.clear()

@@ -148,7 +148,7 @@ class Weighed(NamedTuple):
     missed: Array
 
 
-class Story(NamedTuple):
+class Association(NamedTuple):
     """What leaves made of a scan: row (…,) of each leaf, and column (…,) of its detection or `NONE`."""
 
     leaf: Indices
@@ -156,10 +156,10 @@ class Story(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """Of a scan, by confirmed tracks. settled: the story of those beyond doubt; disputed: the clusters of the others,
-    with the columns (h, k) of their leaves; taken (m,): how surely one of them made each detection."""
+    """Of a scan, by confirmed tracks. settled: the association of those beyond doubt; disputed: the clusters of the
+    others, with the columns (h, k) of their leaves; taken (m,): how surely one of them made each detection."""
 
-    settled: Story
+    settled: Association
     disputed: list[tuple[Cluster, Indices]]
     taken: Array
 
@@ -279,7 +279,7 @@ class Mbm:
         confirmed = np.flatnonzero(self.table.confirmed)
         taken = np.zeros(weighed.gain.shape[1])
         if not len(confirmed):
-            return Explanation(Story(confirmed, confirmed), [], taken)
+            return Explanation(Association(confirmed, confirmed), [], taken)
         alone, groups = self._groups(confirmed, weighed)
         settled, doubtful = self._settle(self._best[alone], weighed)
         taken[settled.column[settled.column >= 0]] = 1.0
@@ -326,16 +326,16 @@ class Mbm:
             related[np.ix_(rows, rows)] = True
         return related
 
-    def _settle(self, leaves: Indices, weighed: Weighed) -> tuple[Story, Indices]:
-        """Of tracks with one leaf (k,) whose detections nobody else wants: the story of those where one explanation is
-        beyond doubt, and the leaves of the others."""
+    def _settle(self, leaves: Indices, weighed: Weighed) -> tuple[Association, Indices]:
+        """Of tracks with one leaf (k,) whose detections nobody else wants: the association of those where one
+        explanation is beyond doubt, and the leaves of the others."""
         m = weighed.gain.shape[1]
         options = np.concatenate([weighed.gain[leaves], np.zeros((len(leaves), 1))], axis=1)
         choice = options.argmax(axis=1)
         best = options.max(axis=1)
         clear = (options > (best - self._depth)[:, None]).sum(axis=1) == 1
         column = np.where(choice < m, choice, NONE)
-        return Story(leaves[clear], column[clear]), leaves[~clear]
+        return Association(leaves[clear], column[clear]), leaves[~clear]
 
     def _cluster_of(self, tracks: Indices) -> Cluster:
         """One cluster of all that is known about these tracks."""
@@ -371,11 +371,11 @@ class Mbm:
         )
         return continued, column
 
-    def _explain_tentative(self, weighed: Weighed, taken: Array) -> Story:
+    def _explain_tentative(self, weighed: Weighed, taken: Array) -> Association:
         """Each makes the detection, or none, that together is most likely of what the confirmed ones left."""
         leaves = self._best[~self.table.confirmed]
         if not len(leaves):
-            return Story(leaves, leaves)
+            return Association(leaves, leaves)
         left = np.flatnonzero(taken < 1.0 - LEAST_AVAILABLE)
         p_detection = weighed.visibility.p_detection[self._leaves.owner[leaves]]
         with np.errstate(divide="ignore"):
@@ -384,7 +384,7 @@ class Mbm:
         rows, columns = most_likely_matching(ratio)
         column = np.full(len(leaves), NONE)
         column[rows] = left[columns]
-        return Story(leaves, column)
+        return Association(leaves, column)
 
     # --- what becomes of it -------------------------------------------------------------------------
 
@@ -394,12 +394,12 @@ class Mbm:
         measured: Measurements,
         weighed: Weighed,
         explanation: Explanation,
-        started: Story,
+        started: Association,
     ) -> Explained:
         """The leaves, hypotheses and tracks after the scan; births from what nobody made."""
         _, disputed, taken = explanation
-        stories = [Story(cluster.leaf, column) for cluster, column in disputed]
-        told, rows = _distinct([explanation.settled, started, *stories], *weighed.gain.shape)
+        associations = [Association(cluster.leaf, column) for cluster, column in disputed]
+        told, rows = _distinct([explanation.settled, started, *associations], *weighed.gain.shape)
         leaves, distance = self._continued(told, measured, weighed, taken)
         undisputed = np.concatenate(rows[:2])
         continued = [
@@ -416,7 +416,7 @@ class Mbm:
         shown = self._keep(leaves, undisputed, continued)
         seen = hit[shown]
         self._show_best()
-        self._weigh_existence(Story(told.leaf[shown], told.column[shown]), weighed, taken)
+        self._weigh_existence(Association(told.leaf[shown], told.column[shown]), weighed, taken)
         self.table.fit[leaves.owner[hit]] |= measured.fit[told.column[hit]]
         self._population.judge(t, seen, weighed.visibility)
         free[self._population.shadowed(t, measured, seen)] = 0.0
@@ -434,7 +434,7 @@ class Mbm:
         return gated
 
     def _continued(
-        self, told: Story, measured: Measurements, weighed: Weighed, taken: Array
+        self, told: Association, measured: Measurements, weighed: Weighed, taken: Array
     ) -> tuple[Leaves, Array]:
         """The leaves after the scan, and of those that made a detection its squared Mahalanobis distance."""
         before = self._leaves.take(told.leaf)
@@ -461,9 +461,9 @@ class Mbm:
         )  # whether it made it, the hypotheses' weights tell
         return Leaves(owner, motion, existence, size), distance
 
-    def _weigh_existence(self, shown: Story, weighed: Weighed, taken: Array) -> None:
-        """Of each track, as its published story tells it; under other hypotheses its target may be another's. Tentative
-        ones have what confirmed ones left of a detection."""
+    def _weigh_existence(self, shown: Association, weighed: Weighed, taken: Array) -> None:
+        """Of each track, as its published association tells it; under other hypotheses its target may be another's.
+        Tentative ones have what confirmed ones left of a detection."""
         p_detection = weighed.visibility.p_detection
         likelihood = 1.0 - p_detection
         hit = np.flatnonzero(shown.column >= 0)
@@ -544,15 +544,15 @@ class Mbm:
         self._keep(leaves._replace(owner=row[leaves.owner]), best, remaining)
 
 
-def _distinct(stories: list[Story], count: int, m: int) -> tuple[Story, list[Indices]]:
-    """What `count` leaves make of m detections in any of these stories, once each and ordered by leaf; and for each
-    of the given ones its rows among them."""
+def _distinct(associations: list[Association], count: int, m: int) -> tuple[Association, list[Indices]]:
+    """What `count` leaves make of m detections in any of these associations, once each and ordered by leaf; and for
+    each of the given ones its rows among them."""
     told = np.zeros((count, m + 1), np.bool_)
-    for leaf, column in stories:
+    for leaf, column in associations:
         told[leaf, column + 1] = True
     row = told.cumsum().reshape(told.shape) - 1
     leaf, column = told.nonzero()
-    return Story(leaf, column - 1), [row[leaf, column + 1] for leaf, column in stories]
+    return Association(leaf, column - 1), [row[leaf, column + 1] for leaf, column in associations]
 
 
 def _without_doubles(cluster: Cluster, leaves: Leaves) -> Cluster:

@@ -14,7 +14,7 @@ from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.messages import Frame, IdentifiedTrack, ScanReport, StampKind, Track, TrackList, TrackStatus
 from swarmtrack.runtime.annotated_video import AnnotatedVideo, annotate
 from swarmtrack.runtime.console import Console
-from swarmtrack.runtime.meters import Latency, Rate
+from swarmtrack.runtime.meters import LatencyMeter, RateMeter
 from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, JsonLines, as_seen
 
 PINHOLE = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -143,7 +143,7 @@ def test_a_console_that_nobody_reads_any_more_falls_silent():
 
 
 def test_meters_tell_rates_and_spreads():
-    rate, latency = Rate(), Latency()
+    rate, latency = RateMeter(), LatencyMeter()
     rate.read(10.0)
     rate.tick(30)
     assert rate.read(12.0) == pytest.approx(15.0)

@@ -10,7 +10,7 @@ import pytest
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted
-from swarmtrack.runtime.agent import make_health, make_teamwork, make_teller
+from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import EVENTS_KEPT
 from swarmtrack.runtime.teamwork import LINES
@@ -46,7 +46,7 @@ def parts(tmp_path):
 def listen(parts, events):
     told = replace(parts, transport=Told(events))
     health = make_health(parts)
-    asyncio.run(make_teamwork(told, health, make_teller(told), told.door.tell).listen())
+    asyncio.run(make_teamwork(told, health, make_notices(told), told.door.tell).listen())
     return health
 
 

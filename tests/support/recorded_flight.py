@@ -26,8 +26,8 @@ from swarmtrack.messages import (
 )
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.flight_recorder import FlightRecorder
 from swarmtrack.runtime.perception import make_onboard
-from swarmtrack.runtime.recorder import Recorder
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
 
@@ -51,7 +51,7 @@ class Flight:
         self.door = Door(make_onboard(self.config, mounted, None))
         self.boot = f"{drone_id:08x}"
         settings = FlightSettings(self.config, mounted, None)
-        self.recorder = Recorder(settings, self.boot, self.clock, SystemClock(), waits=True)
+        self.recorder = FlightRecorder(settings, self.boot, self.clock, SystemClock(), waits=True)
         self.recorder.open()
         self.door.listener = self.recorder
         self.imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))

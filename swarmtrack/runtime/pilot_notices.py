@@ -29,25 +29,24 @@ from swarmtrack.messages import (
     TrackStatus,
 )
 from swarmtrack.perceived import Perceived
+from swarmtrack.runtime import periods
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
-from swarmtrack.runtime.stated_places import StatedPlaces
-from swarmtrack.runtime.status_lines import Lasting, StatusLines
+from swarmtrack.runtime.reported_positions import ReportedPositions
+from swarmtrack.runtime.status_lines import Debounced, StatusLines
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
 from swarmtrack.wire.health import LinkHealth
 
-PERIOD = 0.2  # s: at most five boxes a second, 0.2 kB/s
-NUMBER_EVERY = 1.0  # s between two of the number of identified teammates, and two looks for news
-PLACES_EVERY = 1.0  # s: as often as teammates tell theirs
 NETWORKS = ("zenoh", "memory")  # names of links to the team
-NUMBER = "trk_n"  # its name
+# Name of the number of teammates in view.
+NUMBER = "trk_n"
 BLIND_AFTER = 1.0  # s without a scan: what was seen then is not seen now
 HOLD = 3.0  # s that a source must be away, or back, to be news
 # s likewise for how many teammates are seen; drones fly in and out of view, so not more often than every REST.
 SIGHT_HOLD, SIGHT_REST = 2.0, 10.0
 
 
-class Teller:
+class PilotNotices:
     """Told of scans and events, it speaks to the autopilot.
 
     autopilot: None where there is none that can be spoken to. tell: what of, as in the config. origin: of the team
@@ -82,17 +81,17 @@ class Teller:
         self._scan_at = -math.inf
         self._links: Mapping[str, bool] = {}
         self._ready = False
-        self._camera = Lasting(True, hold=HOLD)
-        self._network = Lasting(True, hold=HOLD)
-        self._trouble = Lasting("", hold=HOLD)
-        self._sight = Lasting((0, 0), hold=SIGHT_HOLD, rest=SIGHT_REST)
+        self._camera = Debounced(True, hold=HOLD)
+        self._network = Debounced(True, hold=HOLD)
+        self._trouble = Debounced("", hold=HOLD)
+        self._sight = Debounced((0, 0), hold=SIGHT_HOLD, rest=SIGHT_REST)
         self._number_at = -math.inf
         self._texts_sent = 0
         self._shown: int | None = None  # the track whose box is told
         self._idle_at = -math.inf
         # A config that asks for "adsb" has an origin.
-        self._places = StatedPlaces(origin) if origin is not None and "adsb" in tell else None
-        self._places_at = -math.inf
+        self._positions = ReportedPositions(origin) if origin is not None and "adsb" in tell else None
+        self._positions_at = -math.inf
 
     # ── what happens ─────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -113,8 +112,8 @@ class Teller:
                 self.add(Severity.ERROR, f"another agent is drone {drone_id} too")
             case IdClash(drone_id=drone_id):
                 self.add(Severity.WARNING, f"two agents are drone {drone_id}")
-            case SightingReport() if self._places is not None:
-                self._places.told(event)
+            case SightingReport() if self._positions is not None:
+                self._positions.on_report(event)
 
     def on_disagreement(self, found: Disagreement) -> None:
         """A teammate sees somebody elsewhere than we do."""
@@ -133,7 +132,7 @@ class Teller:
     async def run(self) -> None:
         """Until cancelled; returns where there is nobody to tell."""
         while self._autopilot is not None:
-            await asyncio.sleep(PERIOD)
+            await asyncio.sleep(periods.BOX)
             self.tick(self._wall.now())
 
     def tick(self, now: float) -> None:
@@ -141,7 +140,7 @@ class Teller:
         if self._autopilot is None:
             return
         if self._texts:
-            if now - self._number_at >= NUMBER_EVERY:
+            if now - self._number_at >= periods.TEAMMATES_IN_VIEW:
                 self._number_at = now
                 named = len({entry.identity for entry in self._named(now)})
                 self._look_for_news(named, now)
@@ -149,9 +148,9 @@ class Teller:
             self._say_line(now)
         if self._boxes:
             self._show(now)
-        if self._places is not None and now - self._places_at >= PLACES_EVERY:
-            self._places_at = now
-            self._tell_places(self._places)
+        if self._positions is not None and now - self._positions_at >= periods.REPORTED_POSITIONS:
+            self._positions_at = now
+            self._tell_positions(self._positions)
 
     def _named(self, now: float) -> tuple[IdentifiedTrack, ...]:
         """The teammates in view that have a name."""
@@ -200,13 +199,13 @@ class Teller:
             self._texts_sent += 1
             self.lines.said()
 
-    def _tell_places(self, places: StatedPlaces) -> None:
+    def _tell_positions(self, positions: ReportedPositions) -> None:
         """Teammates on the map: each where it says that it is, while our camera sees it there."""
         assert self._autopilot is not None
         own = self._perceived.sighting_report(self._boot, 0)
-        for found in places.seen(own, self._clock.now()):
+        for found in positions.seen(own, self._clock.now()):
             address = _address(self._team, found.drone_id)
-            self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address))
+            self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.position, found.age, address))
 
     def _show(self, now: float) -> None:
         """The box of one teammate: the message has room for one. The largest, for as long as it has a name."""
@@ -219,7 +218,7 @@ class Teller:
             self._idle_at = -math.inf
             for track in as_seen(one, self._lens):
                 self._autopilot.tell(image_status(_corners(track, self._lens)))
-        elif now - self._idle_at >= NUMBER_EVERY:
+        elif now - self._idle_at >= periods.TEAMMATES_IN_VIEW:
             self._idle_at = now
             self._autopilot.tell(image_status(None))
 

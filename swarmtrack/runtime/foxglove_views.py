@@ -45,7 +45,7 @@ GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
 Written = tuple[Topic, bytes]
 
 
-class Views:
+class FoxgloveViews:
     """Makes them of what is recorded."""
 
     def __init__(self, camera: PinholeCamera) -> None:

@@ -16,8 +16,8 @@ from swarmtrack.messages import Frame, Input, LinkStatus, ScanReport, SightingRe
 from swarmtrack.recording import inputs, outputs, schemas
 from swarmtrack.recording.settings import FlightSettings, attachments, preface
 from swarmtrack.recording.writer import Bounds, Preface, Topic
-from swarmtrack.runtime.recorded_views import Views
-from swarmtrack.runtime.recording_thread import Job, RecordingThread, Write, name_of_life
+from swarmtrack.runtime.foxglove_views import FoxgloveViews
+from swarmtrack.runtime.recording_thread import Job, RecordingThread, Write, folder_name
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.records import as_record
 
@@ -28,7 +28,7 @@ SAID = Topic.of_json("/said", schemas.SAID)
 HEALTH = Topic.of_json("/health", schemas.HEALTH)
 
 
-class Recorder:
+class FlightRecorder:
     """Implements `DoorListener`, and hears beside the door what viewers want to see.
 
     clock: the flight's; wall: the machine's, by which the file is flushed. waits: nothing is lost, the flight waits for
@@ -46,7 +46,7 @@ class Recorder:
         self._thread = RecordingThread(wall, waits=waits)
         self._n = 0
         self._next_frame = -math.inf
-        self._views = Views(settings.mounted.camera)
+        self._views = FoxgloveViews(settings.mounted.camera)
 
     def open(self) -> None:
         """Begin. Raises RecordingError where the folder cannot be made."""
@@ -56,7 +56,7 @@ class Recorder:
         self._utc_offset = utc - now
         root = section.dir / f"drone-{drone_id}"
         self._thread.open(
-            root / name_of_life(utc, self._boot),
+            root / folder_name(utc, self._boot),
             Preface(preface(self._settings, self._boot, now, utc), attachments(self._settings)),
             Bounds(root, section.segment_s, int(section.max_mb * 1e6), section.when_full == "oldest"),
         )

@@ -35,9 +35,9 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
-from swarmtrack.runtime.agent import make_teller
+from swarmtrack.runtime.agent import make_notices
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.status_lines import Lasting, StatusLines
+from swarmtrack.runtime.status_lines import Debounced, StatusLines
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_value, status_text
 from swarmtrack.wire.health import link_health
@@ -150,7 +150,7 @@ class Source:
 
 
 class Told:
-    """A teller and the autopilot that it tells, on a perfect link in simulated time."""
+    """A notices and the autopilot that it tells, on a perfect link in simulated time."""
 
     def __init__(self, tmp_path, tell='["status"]', *, looking=False):
         path = tmp_path / "drone.toml"
@@ -162,7 +162,7 @@ class Told:
         self.parts.autopilot = self.flight.unit
         if looking:
             self.parts.door.perceived = Looking(self.flight.clock)
-        self.teller = make_teller(self.parts)
+        self.notices = make_notices(self.parts)
         self.sequence = 0
 
     def fly(self, seconds, identities=(), box=(20.0, 10.0)):
@@ -189,10 +189,12 @@ class Told:
                 )
             )
             self.sequence += 1
-            self.teller.see_links(link_health(link) for link in (self.camera.status(), self.network.status()))
+            self.notices.see_links(
+                link_health(link) for link in (self.camera.status(), self.network.status())
+            )
             if self.camera.ok:
-                self.teller.see(ScanReport(self.sequence, TrackList(now, now, tracks)))
-            self.teller.tick(now)
+                self.notices.see(ScanReport(self.sequence, TrackList(now, now, tracks)))
+            self.notices.tick(now)
 
     @property
     def texts(self):
@@ -246,11 +248,11 @@ async def test_disputes_and_departures_are_told_with_their_severity(tmp_path):
     told = Told(tmp_path)
     async with told.flight:
         told.fly(4.0)
-        told.teller.on_peer(PeerDeparted(3, "0000000a"))
-        told.teller.on_peer(IdClash(2, ("0000000a", "0000000b"), ours=False))
-        told.teller.on_peer(IdClash(1, ("0000000a", "0000000b"), ours=True))
-        told.teller.on_disagreement(Disagreement(3, 2, 4.0, overruled=False))
-        told.teller.on_disagreement(Disagreement(3, 2, 4.0, overruled=True))
+        told.notices.on_peer(PeerDeparted(3, "0000000a"))
+        told.notices.on_peer(IdClash(2, ("0000000a", "0000000b"), ours=False))
+        told.notices.on_peer(IdClash(1, ("0000000a", "0000000b"), ours=True))
+        told.notices.on_disagreement(Disagreement(3, 2, 4.0, overruled=False))
+        told.notices.on_disagreement(Disagreement(3, 2, 4.0, overruled=True))
         told.fly(12.0)
     assert told.ground.texts[1:] == [
         (common.MAV_SEVERITY_WARNING, "swarmtrack: drone 3 is gone"),
@@ -267,10 +269,10 @@ async def test_a_flood_of_events_fills_no_radio(tmp_path):
     async with told.flight:
         told.fly(4.0)
         for drone_id in range(2, 1002):
-            told.teller.on_peer(PeerDeparted(drone_id, "0000000a"))
+            told.notices.on_peer(PeerDeparted(drone_id, "0000000a"))
         told.fly(60.0)
     assert len(told.texts) <= 40
-    assert told.teller.lines.untold > 900
+    assert told.notices.lines.untold > 900
 
 
 async def test_what_nobody_heard_is_told_when_the_autopilot_is_back_unless_it_is_old(tmp_path):
@@ -280,15 +282,15 @@ async def test_what_nobody_heard_is_told_when_the_autopilot_is_back_unless_it_is
         told.ground.mute = True
         told.fly(8.0)
         sent = len(told.ground.of("STATUSTEXT")) + len(told.ground.of("NAMED_VALUE_FLOAT"))
-        told.teller.on_peer(PeerDeparted(3, "0000000a"))
+        told.notices.on_peer(PeerDeparted(3, "0000000a"))
         told.fly(20.0)
         assert len(told.ground.of("STATUSTEXT")) + len(told.ground.of("NAMED_VALUE_FLOAT")) == sent
-        told.teller.on_peer(PeerDeparted(4, "0000000a"))
+        told.notices.on_peer(PeerDeparted(4, "0000000a"))
         told.ground.mute = False
         told.fly(6.0)
     assert "drone 4 is gone" in told.texts
     assert "drone 3 is gone" not in told.texts
-    assert told.teller.lines.untold == 1
+    assert told.notices.lines.untold == 1
 
 
 async def test_the_box_is_of_one_teammate_with_a_name_and_stays_with_it(tmp_path):
@@ -335,8 +337,8 @@ async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_see
         told.fly(4.0)
         assert not told.ground.of("ADSB_VEHICLE")  # nobody has said where it is
         for _ in range(3):
-            told.teller.on_peer(says_it_stands(2, clock.now(), (100.0, 1.0, -20.0 + 20.5)))
-            told.teller.on_peer(says_it_stands(3, clock.now(), (50.0, 0.0, 0.0)))  # not in view
+            told.notices.on_peer(says_it_stands(2, clock.now(), (100.0, 1.0, -20.0 + 20.5)))
+            told.notices.on_peer(says_it_stands(3, clock.now(), (50.0, 0.0, 0.0)))  # not in view
             told.fly(1.0)
         places = told.ground.of("ADSB_VEHICLE")
         assert len(places) == 3
@@ -355,9 +357,9 @@ async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_see
         assert silent <= 5
         # Words that the camera gives the lie to; the last one lies where it looks, but no camera sees so far.
         for elsewhere in ((0.0, 100.0, 0.0), (-100.0, 0.0, 0.0), (1e7, 0.0, 0.0)):
-            told.teller.on_peer(says_it_stands(2, clock.now(), elsewhere))
+            told.notices.on_peer(says_it_stands(2, clock.now(), elsewhere))
             told.fly(2.0)
-        told.teller.on_peer(
+        told.notices.on_peer(
             says_it_stands(2, clock.now(), (100.0, 0.0, 0.0), sigma=50.0)
         )  # too vague to be wrong
         told.fly(2.0)
@@ -368,16 +370,16 @@ async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_see
 async def test_a_flood_of_places_is_not_remembered(tmp_path):
     told = Told(tmp_path, '["adsb"]')
     for drone_id in range(2, 5000):
-        told.teller.on_peer(says_it_stands(drone_id, 0.0, (1.0, 0.0, 0.0)))
-    assert len(told.teller._places._reports) <= 256
+        told.notices.on_peer(says_it_stands(drone_id, 0.0, (1.0, 0.0, 0.0)))
+    assert len(told.notices._positions._reports) <= 256
 
 
 async def test_with_an_empty_list_only_our_heartbeat_goes_out(tmp_path):
     told = Told(tmp_path, "[]")
     async with told.flight:
         told.fly(6.0, [2, 3])
-        told.teller.on_peer(PeerDeparted(3, "0000000a"))
-        await asyncio.wait_for(told.teller.run(), 1.0)  # nobody to tell: done
+        told.notices.on_peer(PeerDeparted(3, "0000000a"))
+        await asyncio.wait_for(told.notices.run(), 1.0)  # nobody to tell: done
     assert {m.get_type() for m in told.ground.heard} == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG"}
 
 
@@ -504,7 +506,7 @@ def test_numbers_out_of_range_still_make_a_message():
 
 
 def test_a_state_is_news_once_it_has_lasted_and_not_too_often():
-    sight = Lasting(0, hold=2.0, rest=10.0)
+    sight = Debounced(0, hold=2.0, rest=10.0)
     assert not sight.is_news(0, 0.0)
     assert not sight.is_news(3, 1.0)
     assert not sight.is_news(2, 2.0)

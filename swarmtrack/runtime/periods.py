@@ -1,0 +1,18 @@
+"""What an agent says, and how often [s]. Tracks come at `output.tracks_hz`, and at once after each scan.
+
+Readers count on it: a drone's word is out of date where the next two have not come.
+"""
+
+from __future__ import annotations
+
+# To the team, and to whoever watches it.
+HEALTH = 1.0
+IDENTITIES = 1.0
+# Whom we see as whom is told at once where it changed, but no more often than that.
+IDENTITIES_CHANGED = 0.1
+VIDEO = 0.1
+
+# To the autopilot. Five boxes a second are 0.2 kB/s.
+BOX = 0.2
+TEAMMATES_IN_VIEW = 1.0
+REPORTED_POSITIONS = IDENTITIES
