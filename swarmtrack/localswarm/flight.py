@@ -77,8 +77,8 @@ async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
         emulator = None
         if scenario.needs_radio:
             emulator = await stack.enter_async_context(RadioEmulator(scenario.members, seed=scenario.seed))
-            emulator.loss, emulator.latency_s = scenario.radio.loss, scenario.radio.latency_s
-            emulator.jitter_s = scenario.radio.jitter_s
+            radio = scenario.radio
+            emulator.impair(loss=radio.loss, latency_s=radio.latency_s, jitter_s=radio.jitter_s)
         folder = Path(tempfile.mkdtemp(prefix="swarmtrack-sim-"))
         if plan.keep:
             spectator.note(f"configs and logs: {folder}")

@@ -28,7 +28,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 from functools import partial
 from io import FileIO
-from types import TracebackType
 from typing import Final, Self
 
 from swarmtrack.errors import SwarmtrackError
@@ -97,12 +96,7 @@ class RadioEmulator:
             raise
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, kind: object, error: object, traceback: object) -> None:
         died = self._switch is not None and self._switch.returncode is not None
         await self._close()
         if died and error is None:
@@ -132,46 +126,24 @@ class RadioEmulator:
 
     # --- faults -------------------------------------------------------------------------
 
-    @property
-    def loss(self) -> float:
-        """Probability that a frame is lost on its way to one receiver, worst link; setting it sets every link."""
-        return max(self._channel.loss)
-
-    @loss.setter
-    def loss(self, probability: float) -> None:
-        self.impair(self._ports, loss=probability)
-
-    @property
-    def latency_s(self) -> float:
-        return max(self._channel.latency_s)
-
-    @latency_s.setter
-    def latency_s(self, seconds: float) -> None:
-        self.impair(self._ports, latency_s=seconds)
-
-    @property
-    def jitter_s(self) -> float:
-        return max(self._channel.jitter_s)
-
-    @jitter_s.setter
-    def jitter_s(self, seconds: float) -> None:
-        self.impair(self._ports, jitter_s=seconds)
-
     def impair(
         self,
-        drones: Collection[int],
+        drones: Collection[int] | None = None,
         *,
         loss: float | None = None,
         latency_s: float | None = None,
         jitter_s: float | None = None,
     ) -> None:
-        """Set what is given for every link to and from these drones."""
+        """Set what is given for every link to and from these drones, or for all.
+
+        loss: probability that a frame is lost on its way to one receiver.
+        """
         if loss is not None and not 0.0 <= loss <= 1.0:
             raise ValueError(f"loss: found {loss:g}, expected 0 to 1")
         for name, seconds in (("latency_s", latency_s), ("jitter_s", jitter_s)):
             if seconds is not None and not 0.0 <= seconds <= 60.0:
                 raise ValueError(f"{name}: found {seconds:g}, expected 0 to 60 s")
-        ports = {self._ports[drone] for drone in drones}
+        ports = {self._ports[drone] for drone in (self._ports if drones is None else drones)}
         for pair in self._pairs(lambda a, b: a in ports or b in ports):
             if loss is not None:
                 self._channel.loss[pair] = loss

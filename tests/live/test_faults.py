@@ -101,7 +101,7 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(gather: Gat
     await team.until_known(team.drones, since=time.monotonic())
 
     lossy = time.monotonic()
-    team.emulator.loss = 0.2
+    team.emulator.impair(loss=0.2)
     await asyncio.sleep(LOSSY_S)
     lost = sum(counters.lost for counters in team.emulator.counters.values())
     frames = sum(counters.frames for counters in team.emulator.counters.values())

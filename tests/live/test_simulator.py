@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from support.autopilot_flight import RealFlight
 from support.places import ROOT
 from support.streams import first
 from swarmtrack.clock import SystemClock
-from swarmtrack.messages import Detections, EgoPose, Frame, ImuSample
+from swarmtrack.messages import Detections, Frame
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.cameras import open_camera
 from swarmtrack.sensors.detection_stream import DetectionStream
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.simulation.sensors import Imu, visible
 
@@ -95,45 +95,6 @@ def exact(tmp_path: Path) -> Path:
     path = tmp_path / "exact.toml"
     path.write_text(EXACT)
     return path
-
-
-class Listener:
-    def __init__(self) -> None:
-        self.imu: list[ImuSample] = []
-        self.poses: list[EgoPose] = []
-        self.reboots = 0
-
-    def on_imu(self, sample: ImuSample) -> None:
-        self.imu.append(sample)
-
-    def on_pose(self, pose: EgoPose) -> None:
-        self.poses.append(pose)
-
-    def on_autopilot_reboot(self) -> None:
-        self.reboots += 1
-
-    def on_found_flying(self) -> None:
-        """It does."""
-
-
-class Pilot:
-    """The agent's own side of an autopilot."""
-
-    def __init__(self, link: str, imu_rate_hz: float = 200.0) -> None:
-        self.unit = MavlinkAutopilot(link, clock=SystemClock(), imu_rate_hz=imu_rate_hz)
-        self.heard = Listener()
-
-    async def __aenter__(self) -> Pilot:
-        self._task = asyncio.create_task(self.unit.run(self.heard))
-        return self
-
-    async def __aexit__(self, *error: object) -> None:
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
-
-    @property
-    def count(self) -> dict[str, float]:
-        return dict(self.unit.status().counters)
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -212,11 +173,11 @@ async def test_the_autopilot_streams_what_was_asked_on_its_own_clock_and_tells_t
 ) -> None:
     scenario = load_scenario(exact)
     with simulator(exact, "--detector", "oracle", epoch=time.monotonic() - 20.0) as simulated:
-        async with Pilot(simulated.drones[1]["autopilot"]) as pilot:
-            await until(lambda: len(pilot.heard.imu) > 1200 and len(pilot.heard.poses) > 200)
+        async with RealFlight(simulated.drones[1]["autopilot"]) as pilot:
+            await until(lambda: len(pilot.listener.imu) > 1200 and len(pilot.listener.poses) > 200)
             assert pilot.unit.status().ok
             assert pilot.count["imu_rate_hz"] == pytest.approx(200.0, rel=0.1)
-            imu, poses = pilot.heard.imu[-200:], pilot.heard.poses[-50:]
+            imu, poses = pilot.listener.imu[-200:], pilot.listener.poses[-50:]
     drone = scenario.world.drones[1]
     bias = Imu(scenario.world, 1).gyro_bias
     true_rate = np.array([drone.body_rate(simulated.world_time(sample.t)) for sample in imu])
@@ -263,17 +224,17 @@ async def test_faults_come_at_their_times_to_whom_they_concern_and_are_healed(tm
     with simulator(path, "--detector", "oracle", epoch=time.monotonic() + 2.0) as simulated:
         now = time.monotonic
         async with (
-            Pilot(simulated.drones[1]["autopilot"]) as first,
-            Pilot(simulated.drones[2]["autopilot"]) as second,
+            RealFlight(simulated.drones[1]["autopilot"]) as first,
+            RealFlight(simulated.drones[2]["autopilot"]) as second,
             opened(simulated.drones[1]["camera"]) as stalled,
             opened(simulated.drones[2]["camera"]) as fine,
         ):
             over = lambda taken: simulated.world_time(taken[-1].t) > 15.0  # noqa: E731
             seen, seen_by_second = await asyncio.gather(scans(stalled, over), scans(fine, over))
             await until(lambda: simulated.world_time(now()) > 16.0 and first.unit.status().ok)
-            assert (first.heard.reboots, second.heard.reboots) == (1, 0)
+            assert (first.listener.reboots, second.listener.reboots) == (1, 0)
             assert second.count["gaps"] >= 1
-            imu = np.array([simulated.world_time(sample.t) for sample in second.heard.imu])
+            imu = np.array([simulated.world_time(sample.t) for sample in second.listener.imu])
             assert not ((imu > 12.1) & (imu < 12.9)).any()
             assert imu.max() > 14.0
     stall, no_stall = (
@@ -293,18 +254,18 @@ async def test_garbage_and_strangers_on_the_port_change_nothing_and_a_restarted_
     with simulator(exact, "--detector", "oracle") as simulated:
         link = simulated.drones[1]["autopilot"]
         host, port = link.removeprefix("udpout:").split(":")
-        async with Pilot(link) as pilot:
-            await until(lambda: len(pilot.heard.imu) > 20)
+        async with RealFlight(link) as pilot:
+            await until(lambda: len(pilot.listener.imu) > 20)
             noise = random.Random(11)
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
                 for _ in range(500):
                     stranger.sendto(noise.randbytes(noise.randrange(300)), (host, int(port)))
-                seen = len(pilot.heard.imu)
-                await until(lambda: len(pilot.heard.imu) > seen + 100)
+                seen = len(pilot.listener.imu)
+                await until(lambda: len(pilot.listener.imu) > seen + 100)
                 with pytest.raises(BlockingIOError):
                     stranger.recv(1, socket.MSG_DONTWAIT)
-        async with Pilot(link) as restarted:
-            await until(lambda: len(restarted.heard.imu) > 100)
+        async with RealFlight(link) as restarted:
+            await until(lambda: len(restarted.listener.imu) > 100)
         assert simulated.process.poll() is None
 
 

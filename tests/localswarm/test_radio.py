@@ -182,14 +182,14 @@ async def test_drones_hear_each_other_over_the_radio_and_it_counts_them(emulator
 async def test_a_fifth_of_the_frames_is_lost_each_way(emulator: RadioEmulator):
     with echo(emulator, 1):
         assert await answers(emulator, 2, emulator.radio_address(1)) == 1  # addresses are resolved
-        emulator.loss = 0.2
+        emulator.impair(loss=0.2)
         answered = await answers(emulator, 2, emulator.radio_address(1), count=400, wait=0.02)
     assert abs(answered - 400 * 0.8 * 0.8) < 4 * 10
     assert sum(count.lost for count in emulator.counters.values()) >= 400 - answered
 
 
 async def test_latency_is_paid_each_way(emulator: RadioEmulator):
-    emulator.latency_s, emulator.jitter_s = 0.2, 0.05
+    emulator.impair(latency_s=0.2, jitter_s=0.05)
     with echo(emulator, 1):
         assert await answers(emulator, 2, emulator.radio_address(1)) == 1
         assert await answers(emulator, 2, emulator.radio_address(1), wait=0.25) == 0
@@ -219,7 +219,7 @@ async def test_the_impaired_links_are_those_of_the_drones_named(emulator: RadioE
 
 
 async def test_the_cable_has_no_faults_and_leads_to_no_other_drone(emulator: RadioEmulator):
-    emulator.loss = 1.0
+    emulator.impair(loss=1.0)
     emulator.cut({1, 2})
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host, echo(emulator, 1):
         host.settimeout(PATIENCE)

@@ -10,9 +10,7 @@ import os
 import random
 import re
 import socket
-import time
 import tty
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +18,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega, common
 
-from support.autopilot_flight import Flight, Listener
+from support.autopilot_flight import Flight, Listener, RealFlight
 from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.places import SHARED
-from swarmtrack.clock import ManualClock, SystemClock
+from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.sensors.mavlink.address import LinkAddress
@@ -321,28 +319,6 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
         s.bind(("127.0.0.1", 0))
         return int(s.getsockname()[1])
-
-
-class RealFlight:
-    """A unit running in real time."""
-
-    def __init__(self, link: str) -> None:
-        self.now = time.monotonic
-        self.listener = Listener()
-        self.unit = MavlinkAutopilot(link, clock=SystemClock())
-
-    async def __aenter__(self) -> RealFlight:
-        self._task = asyncio.create_task(self.unit.run(self.listener))
-        return self
-
-    async def __aexit__(self, *error: object) -> None:
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
-
-    async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(TIMEOUT):
-            while not condition():  # noqa: ASYNC110 (what is waited for happens outside)
-                await asyncio.sleep(0.01)
 
 
 async def test_two_megabytes_of_noise_into_the_udp_port_stop_nothing(caplog):

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
-from swarmtrack.clock import ManualClock
+from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.messages import EgoPose, ImuSample
 from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.links import Receiver
 from swarmtrack.simulation.autopilot import SimulatedArduPilot
+
+PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
 
 
 class Listener:
@@ -58,6 +61,32 @@ class SimulatedLink:
 
     def drop(self, reason: str) -> None:
         self.dropped = reason
+
+
+class RealFlight:
+    """An agent's `MavlinkAutopilot` on a real link, in real time."""
+
+    def __init__(self, link: str, **options: Any) -> None:
+        self.now = time.monotonic
+        self.listener = Listener()
+        self.unit = MavlinkAutopilot(link, clock=SystemClock(), **options)
+
+    async def __aenter__(self) -> Self:
+        self._task = asyncio.create_task(self.unit.run(self.listener))
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(PATIENCE):
+            while not condition():  # noqa: ASYNC110 (what is waited for happens outside)
+                await asyncio.sleep(0.01)
+
+    @property
+    def count(self) -> dict[str, float]:
+        return dict(self.unit.status().counters)
 
 
 class Flight:
