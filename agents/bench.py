@@ -9,19 +9,19 @@ from swarmtrack.arguments import add_commands
 from swarmtrack.errors import SourceError
 
 BENCHMARKS = {
-    "agent": ("swarmtrack.benchmarks.agent_budget", "what an agent costs, beside the design's budgets"),
+    "agent": ("swarmtrack.benchmarks.agent_budget", "what an agent costs, next to the design's budgets"),
     "calibration": (
         "swarmtrack.benchmarks.calibration",
         "calibrations by hand and by board, against the truth",
     ),
     "clients": (
         "swarmtrack.benchmarks.hundred_clients",
-        "how long until everybody knows everybody, to 100 drones",
+        "time until all drones know each other, up to 100 drones",
     ),
     "clips": ("swarmtrack.benchmarks.real_clips", "real drones on labelled clips, through the agent"),
     "detection-noise": (
         "swarmtrack.benchmarks.detection_noise",
-        "how far the shipped detector's boxes are off, and which pairs it tells apart",
+        "how far the shipped detector's boxes are off, and which pairs it resolves",
     ),
     "detector": (
         "swarmtrack.benchmarks.detector",
@@ -33,9 +33,9 @@ BENCHMARKS = {
     ),
     "fixed-lag": (
         "swarmtrack.benchmarks.trackers.fixed_lag",
-        "what waiting some scans is worth to a tracker's estimates",
+        "what a delay of some scans is worth to a tracker's estimates",
     ),
-    "flood": ("swarmtrack.benchmarks.flood", "a member that floods, and the others"),
+    "flood": ("swarmtrack.benchmarks.flood", "what a member that floods does to the others"),
     "identity": (
         "swarmtrack.benchmarks.identity.layouts",
         "who is who from one look: the paper's rule and ours",
@@ -46,7 +46,7 @@ BENCHMARKS = {
     ),
     "offset": (
         "swarmtrack.benchmarks.time_offset",
-        "how well the camera's clock and the gyro's bias are found",
+        "how well the camera's clock and the gyro's bias are estimated",
     ),
     "recognition": (
         "swarmtrack.benchmarks.identity.recognition",

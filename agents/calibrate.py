@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_intrinsics_command(steps)
     extrinsics = steps.add_parser(
         "extrinsics",
-        help="how the camera sits on the gyro, and how far their clocks are apart",
-        description="How the camera sits on the gyro, and how far their clocks are apart: take the drone, propellers "
-        "off, and turn it by hand for a minute about all its axes, to and fro, in a room or yard with much to see, "
-        "nothing of it nearer than three metres. Exit code 0: believe it, 1: turn again, and why.",
+        help="how the camera is mounted relative to the gyro, and the offset of their clocks",
+        description="How the camera is mounted relative to the gyro, and the offset of their clocks. Take the "
+        "propellers off. Turn the drone by hand for a minute, to and fro about all its axes, in a room or yard with "
+        "much texture and nothing nearer than three metres. Exit code 0: good. 1: not good, with the reason.",
         allow_abbrev=False,
     )
     add_file(extrinsics, "--config", "the drone's config: its camera and autopilot")
@@ -45,10 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seconds(
         extrinsics,
         "--reach",
-        f"search offsets of up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
+        f"search offsets up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
     )
-    add_file(extrinsics, "--write", "put the lines into this config, if they can be believed")
-    add_flag(extrinsics, "--json", "the numbers instead of words")
+    add_file(extrinsics, "--write", "write the result into this config, if it is good")
+    add_flag(extrinsics, "--json", "print JSON")
 
 
 class RecordedTime:

@@ -30,7 +30,7 @@ def add_board_command(steps: Any) -> None:
     board = steps.add_parser(
         "board",
         help="write a board to print",
-        description="Write a board to print: as PDF to scale, or as PNG. Glue it onto something flat.",
+        description="Write a board to print, as a PDF to scale or as a PNG. Glue it onto something flat.",
         allow_abbrev=False,
     )
     add_file(board, "--out", "board.pdf or board.png", required=True)
@@ -44,9 +44,9 @@ def add_intrinsics_command(steps: Any) -> None:
     intrinsics = steps.add_parser(
         "intrinsics",
         help="focal lengths, centre and distortion of a camera, from views of a board",
-        description="Focal lengths, centre and distortion of a camera: hold the board still in all parts of its "
-        "picture, near and far, tilted to all sides; what is still missing is said. Ctrl-C ends it early. "
-        "Exit code 0: good, 1: not.",
+        description="Focal lengths, centre and distortion of a camera. Hold the board still in all parts of the "
+        "image, near and far, tilted to all sides. The terminal shows what is still missing. Ctrl-C ends it early. "
+        "Exit code 0: good. 1: not good.",
         allow_abbrev=False,
     )
     intrinsics.add_argument(
@@ -60,11 +60,11 @@ def add_intrinsics_command(steps: Any) -> None:
         "--model",
         default="radtan",
         choices=["radtan", "equidistant"],
-        help="of the lens: equidistant for fisheyes, above about 100 degrees (default: %(default)s)",
+        help="lens model: equidistant for fisheyes, above about 100 degrees (default: %(default)s)",
     )
-    add_seconds(intrinsics, "--seconds", "at most (default: %(default)g)", default=SECONDS)
+    add_seconds(intrinsics, "--seconds", "end after S seconds (default: %(default)g)", default=SECONDS)
     add_file(intrinsics, "--plot", "a PNG of residuals (needs swarmtrack[bench])")
-    add_flag(intrinsics, "--json", "the numbers instead of words")
+    add_flag(intrinsics, "--json", "print JSON")
     _add_board_arguments(intrinsics)
 
 
@@ -86,7 +86,7 @@ def _add_board_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=SQUARE_MM,
         metavar="MM",
-        help="side of a square, measured (default: %(default)g)",
+        help="measured side of a square (default: %(default)g)",
     )
 
 

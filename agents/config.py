@@ -27,12 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
 
     new = actions.add_parser(
-        "new", help="write a commented config for a drone, and its team's", allow_abbrev=False
+        "new", help="write a commented config for a drone and its team", allow_abbrev=False
     )
     wizard.add_arguments(new)
 
     check = actions.add_parser(
-        "check", help="what swarmtrack-agent --check says; several files: also as a team"
+        "check",
+        help="check a config, as swarmtrack-agent --check does; several files are also checked as a team",
     )
     add_file(check, "files", "a drone's config", nargs="+")
 
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("reference", "all keys as a page in Markdown"),
     ):
         writing = actions.add_parser(action, help=text)
-        add_file(writing, "--out", "write it there (default: print it)")
+        add_file(writing, "--out", "write to this file (default: print it)")
 
 
 def run(args: argparse.Namespace) -> int:

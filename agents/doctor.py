@@ -1,4 +1,4 @@
-"""`swarmtrack doctor --config FILE`: why does it not work? One line a check, with what to do."""
+"""`swarmtrack doctor --config FILE`: why does it not work? One line per check, with what to do."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ COLOURS = {"ok": "green", "skipped": "dim", "warning": "yellow", "failure": "bol
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Why does it not work? Camera, autopilot, calibration, detector, network, keys, disk and heat: one line each, "
-        "with what to do. Turn the drone by hand meanwhile, and its camera is compared with its gyro. "
-        "Exit code 0: all works, 1: something does not, 2: the config is wrong."
+        "with what to do. Turn the drone by hand while it watches, and it compares the camera with the gyro. "
+        "Exit code 0: all works. 1: something does not. 2: the config is wrong."
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
     add_seconds(parser, "--seconds", "how long to watch rates (default: %(default)g)", default=SECONDS)
-    add_flag(parser, "--json", "a list of findings instead of lines")
+    add_flag(parser, "--json", "print a JSON list of findings instead of lines")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr)
     if not args.json and sys.stderr.isatty():
         print(
-            f"Watching for {args.seconds:g} s. Turn the drone by hand meanwhile, about all axes.",
+            f"Watching for {args.seconds:g} s. Turn the drone by hand about all axes.",
             file=sys.stderr,
         )
     findings = asyncio.run(examine(config, SystemClock(), args.seconds))

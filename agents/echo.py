@@ -1,4 +1,4 @@
-"""`swarmtrack echo KEY`: what a running swarm says, decoded, one JSON line a message."""
+"""`swarmtrack echo KEY`: the messages of a running swarm, decoded, one JSON line per message."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "key",
         metavar="KEY",
-        help="what to hear, below swarmtrack/TEAM/v1: 'tracks/*', 'pose/*', 'health/3', '**'; or a full key",
+        help="which messages, below swarmtrack/TEAM/v1: 'tracks/*', 'pose/*', 'health/3', '**'; or a full key",
     )
     add_network_arguments(parser)
     parser.add_argument("--count", type=count, metavar="N", help="end after N messages")

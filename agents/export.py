@@ -26,13 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--precision", choices=("fp32", "fp16", "int8"), default="int8", help="(default: %(default)s)"
     )
-    add_folder(parser, "--data", "labelled images that int8 is calibrated on, of scenes as in flight")
+    add_folder(parser, "--data", "labelled images for the calibration of int8, of scenes as in flight")
     parser.add_argument(
         "--pictures",
         type=int,
         default=PICTURES,
         metavar="N",
-        help="of them, evenly spread (default: %(default)s)",
+        help="how many of them to use, evenly spread (default: %(default)s)",
     )
 
     add_flag(

@@ -1,6 +1,6 @@
 """`swarmtrack healthy`: whether an agent does its work, by the file it writes its health to. For health checks.
 
-Imports nothing heavy: it is run every few seconds, beside the agent, on a small computer.
+Imports nothing heavy: it runs every few seconds, next to the agent, on a small computer.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seconds(
         parser,
         "--max-age",
-        "an agent that has not written for so long hangs or is gone (default: %(default)g)",
+        "an agent that has not written for this long hangs or is gone (default: %(default)g)",
         default=5.0,
     )
     add_seconds(
         parser,
         "--max-frame-age",
-        "an agent that has tracked no frame for so long is blind (default: %(default)g)",
+        "an agent that has tracked no frame for this long is blind (default: %(default)g)",
         default=10.0,
     )
 

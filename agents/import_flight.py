@@ -1,4 +1,4 @@
-"""`swarmtrack import`: a telemetry log and a video of a flight that is over become a recording.
+"""`swarmtrack import`: turn the telemetry log and the video of a past flight into a recording.
 
 Both go through the agent's own parts: the log is read as from a link, every frame is seen by the detector. Nothing is
 live, so nothing is dropped and nothing depends on how fast this machine is: what the autopilot said and what was
@@ -39,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="S",
-        help="the video's first frame was exposed so long after the log's first record (default: 0)",
+        help="time from the log's first record to the exposure of the video's first frame (default: 0)",
     )
-    add_flag(parser, "--frames", "keep the pictures in the recording, too")
+    add_flag(parser, "--frames", "keep the images in the recording")
 
 
 class _Log:

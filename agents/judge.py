@@ -55,14 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="where `python -m swarmtrack.agents.simulator --port P` serves its cameras, http://HOST:P",
     )
-    add_seconds(parser, "--seconds", "to judge, once everybody is there (default: %(default)g)", default=20.0)
+    add_seconds(
+        parser,
+        "--seconds",
+        "how long to judge, once all agents are there (default: %(default)g)",
+        default=20.0,
+    )
     add_seconds(
         parser,
         "--patience",
-        "for the simulator and all agents to be there (default: %(default)g)",
+        "how long to wait for the simulator and all agents (default: %(default)g)",
         default=90.0,
     )
-    add_file(parser, "--json", "write the verdict and all figures there")
+    add_file(parser, "--json", "write the verdict and all figures to this file")
     add_network_arguments(parser)
 
 

@@ -28,21 +28,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     issue = actions.add_parser("issue", help="make keys and a certificate for each of NAME")
     add_folder(issue, "--out", "where the folders go (default: the CA's)")
-    issue.add_argument("--days", type=_days, metavar="N", help="that a certificate is valid (default: 90)")
+    issue.add_argument(
+        "--days", type=_days, metavar="N", help="how long a certificate is valid (default: 90)"
+    )
     renew_or_force = issue.add_mutually_exclusive_group()
     renew_or_force.add_argument(
         "--renew",
         action="store_true",
-        help="new certificates for the keys that are out there (no NAME: for all)",
+        help="new certificates for keys already issued (no NAME: for all)",
     )
     for overwriting in (init, renew_or_force):
         overwriting.add_argument("--force", action="store_true", help="overwrite keys")
 
     revoke = actions.add_parser(
-        "revoke", help="take a name out of the roster: whoever has the new one ignores it"
+        "revoke", help="take a name out of the roster: drones with the new roster ignore it"
     )
 
-    listing = actions.add_parser("list", help="who has keys, their fingerprints, and until when")
+    listing = actions.add_parser("list", help="who has keys, their fingerprints, and when they expire")
 
     for action in (init, issue, revoke, listing):
         add_folder(action, "folder", "the CA's folder; it stays with you")
@@ -87,7 +89,7 @@ def _issue(args: argparse.Namespace, now: datetime) -> None:
     wanted = [from_user(name) for name in args.names]
     if args.renew:
         if args.out is not None:
-            raise KeysError("--out beside --renew, expected --renew alone: it needs the CA's folder only")
+            raise KeysError("--out with --renew, expected --renew alone: it needs only the CA's folder")
         outcome = authority.renew(wanted or authority.roster.names, now, days=days)
         for name, folder in outcome.folders.items():
             print(
@@ -95,7 +97,7 @@ def _issue(args: argparse.Namespace, now: datetime) -> None:
             )
         return
     if not wanted:
-        raise KeysError("nobody named, expected a drone's ID, monitor[-NAME] or router-NAME")
+        raise KeysError("no name given, expected a drone's ID, monitor[-NAME] or router-NAME")
     outcome = authority.issue(wanted, now, out=args.out, days=days, force=args.force)
     for name, folder in outcome.folders.items():
         print(f"{folder}: copy this folder to {name}, and to no other machine")

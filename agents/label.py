@@ -27,11 +27,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_folder(parser, "--out", "a new folder, for swarmtrack train --data", metavar="DATA", required=True)
     parser.add_argument(
-        "--span", type=_metres, required=True, metavar="M", help="of your drones, from rotor tip to rotor tip"
+        "--span",
+        type=_metres,
+        required=True,
+        metavar="M",
+        help="width of your drones, from rotor tip to rotor tip",
     )
-    parser.add_argument("--height", type=_metres, metavar="M", help="of your drones (default: span / 3)")
     parser.add_argument(
-        "--every", type=count, default=1, metavar="N", help="take every Nth picture (default: %(default)s)"
+        "--height", type=_metres, metavar="M", help="height of your drones (default: span / 3)"
+    )
+    parser.add_argument(
+        "--every", type=count, default=1, metavar="N", help="use every Nth image (default: %(default)s)"
     )
 
 

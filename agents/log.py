@@ -18,16 +18,12 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="info|repair|merge")
-    info = actions.add_parser(
-        "info", help="topics, counts, rates, gaps, and what is damaged", allow_abbrev=False
-    )
+    info = actions.add_parser("info", help="topics, counts, rates, gaps and damage", allow_abbrev=False)
     info.add_argument("path", type=Path, metavar="FILE|DIR")
     add_flag(info, "--json", "print JSON")
-    repair = actions.add_parser(
-        "repair", help="make complete files of those that were cut off; the originals are kept as *.cut"
-    )
+    repair = actions.add_parser("repair", help="complete truncated files; the originals are kept as *.cut")
     repair.add_argument("path", type=Path, metavar="FILE|DIR")
-    merge = actions.add_parser("merge", help="several recordings as one file, on one timeline")
+    merge = actions.add_parser("merge", help="merge several recordings into one file, on one timeline")
     merge.add_argument("paths", type=Path, nargs="+", metavar="FILE|DIR")
     add_file(merge, "--out", "the new file, .mcap", required=True)
 

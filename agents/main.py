@@ -13,7 +13,7 @@ from swarmtrack.arguments import add_commands
 from swarmtrack.errors import SwarmtrackError
 
 COMMANDS = {
-    "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent a drone, a verdict"),
+    "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent per drone, a verdict"),
     "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
     "calibrate": ("swarmtrack.agents.calibrate", "measure a camera, and how it sits on its drone"),
     "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),

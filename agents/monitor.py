@@ -39,19 +39,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bind",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="where to serve the page; beyond this machine it takes a token (default: %(default)s)",
+        help="where to serve the page; beyond this machine a token is needed (default: %(default)s)",
     )
     parser.add_argument(
         "--port",
         type=port,
         default=DEFAULT_PORT,
         metavar="PORT",
-        help="0: any that is free (default: %(default)s)",
+        help="0: any free port (default: %(default)s)",
     )
     parser.add_argument(
         "--token",
         metavar="TEXT",
-        help="what a viewer has to know (default: drawn by chance where one is needed)",
+        help="what a viewer has to know (default: random, where one is needed)",
     )
     add_flag(parser, "--open", "open the page in this machine's browser")
 
@@ -102,7 +102,7 @@ async def _serve_recording(args: argparse.Namespace) -> int:
 
     if args.team or args.config or args.connect or args.keys or args.insecure:
         raise SwarmtrackError(
-            "--recording: stands beside --team, --config, --connect, --keys or --insecure, expected a recording "
+            "--recording: given with --team, --config, --connect, --keys or --insecure, expected a recording "
             "or a swarm"
         )
     name = " ".join(path.resolve().name for path in args.recording)

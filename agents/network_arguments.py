@@ -17,7 +17,7 @@ from swarmtrack.transport.settings import NetworkSettings
 
 def add_network_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--team", metavar="NAME", help=f"the team to hear (default: {NetworkSection().team})")
-    add_file(parser, "--config", "the team's file: its [network] tells the team and its addresses")
+    add_file(parser, "--config", "the team's file: its [network] has the team's name and addresses")
     add_list(
         parser,
         "--connect",

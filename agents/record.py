@@ -1,4 +1,4 @@
-"""`swarmtrack record`: everything that a running swarm says, into a recording, until Ctrl-C."""
+"""`swarmtrack record`: all messages of a running swarm, into a recording, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=4000.0,
         metavar="MB",
-        help="of all recordings below DIR/swarm; then the oldest files go (default: %(default)g)",
+        help="limit for all recordings below DIR/swarm; beyond it the oldest files are deleted (default: %(default)g)",
     )
 
 

@@ -39,29 +39,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|DIR",
         nargs="+",
     )
-    parser.add_argument("--tracker", choices=list(TRACKERS), help="what if it had flown with this one?")
+    parser.add_argument("--tracker", choices=list(TRACKERS), help="replay with this tracker instead")
     add_list(
         parser,
         "--set",
-        "what if the config had said so? e.g. tracker.p_detection=0.8; again for more",
+        "change a key of the config, such as tracker.p_detection=0.8; may be repeated",
         "KEY=VALUE",
         dest="changes",
     )
-    add_flag(parser, "--detect", "detect anew in the recorded frames, instead of what was detected")
+    add_flag(
+        parser, "--detect", "run the detector on the recorded frames instead of using the recorded detections"
+    )
     parser.add_argument(
         "--against",
         metavar="recorded|FILE",
-        help="compare with what was recorded, or with another replay's --json (default: recorded, if anything differs)",
+        help="compare with the recording, or with another replay's --json (default: recorded, if anything changed)",
     )
-    add_file(parser, "--json", "write results, tracks and differences there")
+    add_file(parser, "--json", "write results, tracks and differences to this file")
     add_file(parser, "--plot", "draw the differences, .png or .svg (needs matplotlib)")
     add_flag(
         parser,
         "--exact",
-        "compare every published list of tracks, not every tenth, and exit with 1 unless all are the same bit "
-        "for bit",
+        "compare every published list of tracks, not every tenth; exit code 1 unless all are the same bit for bit",
     )
-    parser.add_argument("--jobs", type=count, metavar="N", help="recordings at a time (default: two a core)")
+    parser.add_argument(
+        "--jobs", type=count, metavar="N", help="how many recordings at a time (default: two per core)"
+    )
 
 
 @dataclass(frozen=True, slots=True)

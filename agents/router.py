@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="which of network.routers this is (default: the one that is an address of this machine)",
     )
     add_seconds(parser, "--seconds", "end after S seconds")
-    add_flag(parser, "--quiet", "no lines, only warnings")
+    add_flag(parser, "--quiet", "print only warnings")
 
 
 def run(args: argparse.Namespace) -> int:

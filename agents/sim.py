@@ -1,4 +1,4 @@
-"""`swarmtrack sim`: a local swarm, one real agent process for each drone, and a verdict against truth."""
+"""`swarmtrack sim`: a local swarm, one real agent process per drone, and a verdict against the truth."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=seed,
         default=1,
         metavar="K",
-        help="decides all that is left to chance (default: %(default)s)",
+        help="seed of everything random (default: %(default)s)",
     )
     parser.add_argument(
         "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
@@ -70,14 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="onnx: rendered images, the shipped network; oracle: synthetic detections, for large swarms "
         "(default: %(default)s)",
     )
-    add_file(parser, "--json", "write the verdict and all figures there")
+    add_file(parser, "--json", "write the verdict and all figures to this file")
     add_folder(parser, "--record", "record every agent, the truth and the verdict there")
     add_flag(parser, "--monitor", "serve the web page of the flight; it ends with the flight")
     parser.add_argument(
         "--monitor-port",
         type=port,
         metavar="PORT",
-        help="of the page on this machine, 0: any that is free (default: 0); asks for --monitor by itself",
+        help="port of the monitor's page on this machine, 0: any free one (default: 0); implies --monitor",
     )
     add_flag(parser, "--keep", "keep the folder with the configs and logs")
 

@@ -58,7 +58,7 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m swarmtrack.agents.simulator",
         description="The cameras and autopilots of a simulated swarm, on real sockets.",
         epilog="Example: python -m swarmtrack.agents.simulator --scenario crossing --drones 4 --detector oracle; "
-        "then camera.source and autopilot.link of a drone's config are those of the line that it prints.",
+        "then take camera.source and autopilot.link of a drone's config from the line that it prints.",
         allow_abbrev=False,
     )
     parser.add_argument(
@@ -67,8 +67,10 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME|FILE",
         help="one of configs/scenarios, or a file (default: hover-triangle)",
     )
-    parser.add_argument("--seed", type=seed, default=1, metavar="K", help="of everything left to chance")
-    parser.add_argument("--drones", type=int, metavar="N", help="how many, where the scenario leaves it open")
+    parser.add_argument("--seed", type=seed, default=1, metavar="K", help="seed of everything random")
+    parser.add_argument(
+        "--drones", type=int, metavar="N", help="how many drones, where the scenario leaves it open"
+    )
     parser.add_argument(
         "--epoch",
         type=_finite,
@@ -82,14 +84,14 @@ def parser() -> argparse.ArgumentParser:
         help="onnx: send images, for the agents' own detectors; oracle: send detections (default: onnx)",
     )
     parser.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDR", help="to listen on (default: 127.0.0.1)"
+        "--host", default="127.0.0.1", metavar="ADDR", help="address to listen on (default: 127.0.0.1)"
     )
     parser.add_argument(
         "--port",
         type=_port,
         default=0,
         metavar="P",
-        help="of the cameras; drone N's autopilot is at UDP port P + N (default: whichever are free)",
+        help="port of the cameras; drone N's autopilot is at UDP port P + N (default: free ports)",
     )
     return parser
 

@@ -1,4 +1,4 @@
-"""`swarmtrack train --out MODEL.onnx`: train a detector on drawn pictures, and on labelled images of yours."""
+"""`swarmtrack train --out MODEL.onnx`: train a detector on drawn images, and on labelled images of yours."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
     add_file(
         parser,
         "--out",
-        "the .onnx file to write; the checkpoint (.pt) and the report (folder .report) go beside it",
+        "the .onnx file to write; the checkpoint (.pt) and the report (folder .report) go next to it",
         required=True,
     )
     add_folder(parser, "--data", "labelled images: CSV, COCO or YOLO; without it all is procedural")
@@ -37,7 +37,7 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
     add_list(parser, "--hold-out", "keep a scene of --data for validation; may be repeated", "SCENE")
     add_flag(parser, "--hold-out-negatives", "keep a third of the clips without drones for validation")
     parser.add_argument(
-        "--licence", default="", metavar="TEXT", help="of the training data, written into the model"
+        "--licence", default="", metavar="TEXT", help="licence of the training data, written into the model"
     )
 
 
@@ -48,7 +48,10 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "--minutes", type=positive, metavar="M", help=f"how long to train (default: {MINUTES:g})"
     )
     length.add_argument(
-        "--iterations", type=count, metavar="N", help="instead of minutes: the same weights each time"
+        "--iterations",
+        type=count,
+        metavar="N",
+        help="how long to train, instead of --minutes: gives the same weights each time",
     )
     parser.add_argument("--network", choices=NETWORKS, default="plain", help="(default: %(default)s)")
     parser.add_argument(
@@ -71,13 +74,13 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         type=count,
         default=1,
         metavar="N",
-        help="processes that draw samples; a GPU wants several (default: %(default)s)",
+        help="processes that draw samples; a GPU needs several (default: %(default)s)",
     )
 
 
 def _add_start(parser: argparse.ArgumentParser) -> None:
     """With which weights it begins."""
-    add_flag(parser, "--resume", "go on from the checkpoint beside --out, with the same options")
+    add_flag(parser, "--resume", "continue from the checkpoint next to --out, with the same options")
     add_file(parser, "--start", "begin with the weights of a checkpoint (.pt)")
 
 

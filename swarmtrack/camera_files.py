@@ -199,9 +199,7 @@ def _choose(file: _CameraFile, names: list[str], camera: str | None) -> str:
     """Which of several cameras."""
     listed = ", ".join(names)
     if camera is None and len(names) > 1:
-        file.refuse(
-            "", f"{len(names)} cameras ({listed}), expected to be told which one (calibration_camera)"
-        )
+        file.refuse("", f"{len(names)} cameras ({listed}), expected calibration_camera to name one")
     if camera is not None and camera not in names:
         file.refuse("", f"cameras {listed}, expected one named {camera!r}")
     return camera or names[0]
@@ -323,7 +321,7 @@ def _distortion(file: _CameraFile, key: str | None) -> Distortion | None:
     if not coefficients.any():
         return None
     if model == "none":
-        file.refuse(key, "not zero beside distortion_model none, expected the name of the model")
+        file.refuse(key, "not zero with distortion_model none, expected the name of the model")
     if coefficients.size in (12, 14) and not coefficients[8:].any():
         coefficients = coefficients[:8]
     if coefficients.size not in (4, 5, 8):

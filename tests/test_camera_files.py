@@ -176,7 +176,9 @@ def test_the_pixels_of_a_camera_that_was_read_are_opencvs(write):
 
 def test_of_several_cameras_one_must_be_named(write):
     path = write(KALIBR)
-    with pytest.raises(CalibrationError, match=r"2 cameras \(cam0, cam1\), expected to be told which one"):
+    with pytest.raises(
+        CalibrationError, match=r"2 cameras \(cam0, cam1\), expected calibration_camera to name one"
+    ):
         load_calibration(path)
     fisheye = load_calibration(path, "cam1")
     assert fisheye.name == "cam1"

@@ -32,7 +32,7 @@ def check(path: Path) -> None:
     print(f"camera     {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
     print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
     if link in ("none", "sim"):
-        print(f"autopilot  {'simulated' if parts.autopilot else 'none: the camera is taken to be still'}")
+        print(f"autopilot  {'simulated' if parts.autopilot else 'none: the camera is assumed not to turn'}")
     else:
         autopilot = link_address(link)
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")

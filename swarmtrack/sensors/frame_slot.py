@@ -85,7 +85,7 @@ def check_size(found: tuple[int, int], size: tuple[int, int] | None, resize: boo
     if size is not None and found != size and not resize:
         raise WrongSize(
             f"frames are {found[0]}x{found[1]}, the calibration is for {size[0]}x{size[1]}: set the camera to that "
-            "size, calibrate anew, or write resize=1 if it shows the same field of view"
+            "size, calibrate again, or add resize=1 if it shows the same field of view"
         )
 
 

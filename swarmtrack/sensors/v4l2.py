@@ -98,7 +98,7 @@ class V4l2Camera:
         if asked and size and asked != size and not options.resize:
             raise SourceError(
                 f"camera source {address}: {asked[0]}x{asked[1]} is asked, the calibration is for {size[0]}x{size[1]}: "
-                "ask for that size, calibrate anew, or write resize=1 if it shows the same field of view"
+                "ask for that size, calibrate again, or add resize=1 if it shows the same field of view"
             )
         self._ask_size = asked or size
         self._clock = clock

@@ -28,8 +28,8 @@ WIRINGS = {
     "px4-udp": Wiring("udpin:0.0.0.0:14540", ("Where PX4 sends to companions by default.",)),
     "ardupilot-uart": Wiring(UART, (ARDUPILOT_UART, DEVICES)),
     "ardupilot-usb": Wiring(USB, (BY_ID,)),
-    "ardupilot-udp": Wiring("udpin:0.0.0.0:14550", ("Let ArduPilot, or the router beside it, send here.",)),
-    "none": Wiring("none", ("No autopilot: the camera is taken to be still.",)),
+    "ardupilot-udp": Wiring("udpin:0.0.0.0:14550", ("Let ArduPilot, or the router next to it, send here.",)),
+    "none": Wiring("none", ("No autopilot: the camera is assumed not to turn.",)),
 }
 
 

@@ -36,7 +36,9 @@ def contradictions(configs: Sequence[DroneConfig]) -> list[str]:
         problems += _of_two(first, other)
     if len(configs) > 1:
         problems += [
-            config.problem(("network", "transport"), '"memory" reaches nobody, expected "zenoh" for a team')
+            config.problem(
+                ("network", "transport"), '"memory" stays within one process, expected "zenoh" for a team'
+            )
             for config in configs
             if config.network.transport == "memory"
         ]

@@ -11,8 +11,8 @@ from typing import NamedTuple
 NOBODY: Mapping[int, str] = MappingProxyType({})
 BY_TAPE = """\
 # Where it stands when its agent starts: [north, east, down] in the team frame (up is negative), the nose clockwise from
-# north. from = "local" or "gps" instead survives a restart in the air."""
-BY_AUTOPILOT = "# Its place is its autopilot's to say, also after a restart in the air."
+# north. With from = "local" or "gps" instead, the agent may restart in the air."""
+BY_AUTOPILOT = "# The autopilot knows where the drone is, also after a restart in the air."
 MOUNT = """
 # Where the camera sits: zero angles look along the nose, upright; pitch 20 looks 20 degrees up, yaw 90 to the right.
 # position_m is [forward, right, down] from the autopilot.
@@ -43,7 +43,7 @@ class TeamPlan(NamedTuple):
 
 
 def calibrated_lens(file: str) -> list[str]:
-    """By a calibration beside the config."""
+    """By a calibration next to the config."""
     return [f"calibration = {_quoted(file)}"]
 
 
@@ -79,16 +79,16 @@ source = {_quoted(plan.camera)}
 
 [autopilot]
 {notes}link = {_quoted(plan.link)}
-imu_rate_hz = 200                   # asked of the autopilot, and watched
-tell = ["status"]                   # what a ground station hears by way of the autopilot; [] for nothing
+imu_rate_hz = 200                   # requested from the autopilot, and monitored
+tell = ["status"]                   # what a ground station hears through the autopilot; [] for nothing
 
 # [output]
-# jsonl = "drone-{plan.drone_id}.jsonl"           # a line for each frame, in the working directory
+# jsonl = "drone-{plan.drone_id}.jsonl"           # one line per frame, in the working directory
 """
 
 
 def team_text(plan: TeamPlan) -> str:
-    """team.toml. What was not told stands there as a comment, to be filled in."""
+    """team.toml. What is unknown is in it as a comment, to be filled in."""
     origin = "# [team]\n# origin = { lat_deg = 47.397742, lon_deg = 8.545594, alt_m = 488.0 }"
     if plan.origin:
         origin = "[team]\norigin = {{ lat_deg = {}, lon_deg = {}, alt_m = {} }}".format(*plan.origin)
@@ -96,16 +96,16 @@ def team_text(plan: TeamPlan) -> str:
     peers = ", ".join(f"{number} = {_quoted(host)}" for number, host in plan.peers.items())
     peers = f"peers = {{ {peers} }}" if peers else '# peers = { 1 = "10.0.0.11", 2 = "10.0.0.12" }'
     return f"""\
-# What all drones of team {plan.name} share; a copy lies on each.
+# What all drones of team {plan.name} share. Each drone has a copy.
 
-# Where on the Earth the team frame begins, for drones that start = {{ from = "gps" }}: a point of the field, above mean
-# sea level.
+# The origin of the team frame, for drones with start = {{ from = "gps" }}: a point of the field. alt_m is the height
+# above mean sea level.
 {origin}
 
 [network]
 team = {_quoted(plan.name)}
 # Without keys and peers, drones find each other on one machine only.
-# Made by `swarmtrack keys`, a folder for each drone; {{id}} is drone.id:
+# Made by `swarmtrack keys`, one folder per drone; {{id}} stands for drone.id:
 {keys}
 # HOST or HOST:PORT of every drone:
 {peers}
@@ -113,7 +113,7 @@ team = {_quoted(plan.name)}
 {"" if plan.insecure else "# "}insecure = true
 
 [detector]
-model = "default"                   # the one that is shipped, or your own .onnx file
+model = "default"                   # the shipped one, or your own .onnx file
 
 [tracker]
 name = "mbm"                        # or jpdaf, gmphd, kalman

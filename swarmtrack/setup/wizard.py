@@ -29,7 +29,8 @@ _T = TypeVar("_T")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Write drone-ID.toml, and team.toml where there is none. On a terminal, asks for what is not told."
+        "Write drone-ID.toml, and team.toml where there is none. On a terminal, it asks for what the options leave "
+        "open."
     )
     tell = parser.add_argument
     kinds = ", ".join(answers.WIRINGS)

@@ -243,7 +243,7 @@ def test_without_camera_or_autopilot_it_says_what_is_missing(tmp_path, capsys):
     assert main(["calibrate", "extrinsics", "--config", str(path), "--seconds", "0.5"]) == 1
     said = capsys.readouterr().err
     assert "too little to say anything" in said
-    assert "not a byte from the autopilot" in said
+    assert "no data from the autopilot" in said
 
 
 def test_a_config_and_a_recording_together_are_a_wrong_usage(capsys):

@@ -183,9 +183,9 @@ def test_no_key_is_overwritten_without_force(keys: Keys, tmp_path: Path) -> None
         (["issue", "../1"], "found '../1'"),
         (["issue", "router"], "router-NAME"),
         (["issue", "monitor-"], "found 'monitor-'"),
-        (["issue"], "nobody named"),
+        (["issue"], "no name given"),
         (["issue", "9", "--renew"], "drone-9 has no certificate, expected one of drone-1"),
-        (["issue", "1", "--renew", "--out", "x"], "--out beside --renew"),
+        (["issue", "1", "--renew", "--out", "x"], "--out with --renew"),
         (["revoke", "9"], "drone-9 is not in the roster"),
     ],
 )

@@ -269,7 +269,7 @@ def drone(tmp_path, number, drone_id, extra="", start="position_m = [0.0, 0.0, 0
             {"start": "yaw_deg = 90.0"},
             "2: drone.start.position_m: [0.0, 0.0, 0.0], where drone 1 starts too",
         ),
-        ({}, {"extra": 'network.transport = "memory"'}, '5: network.transport: "memory" reaches nobody'),
+        ({}, {"extra": 'network.transport = "memory"'}, '5: network.transport: "memory" stays within'),
         (
             {"extra": 'network.peers = { 1 = "127.0.0.1:7601", 2 = "127.0.0.1:7602" }'},
             {"extra": 'network.peers = { 1 = "127.0.0.1:7601", 2 = "127.0.0.1:7603" }'},
