@@ -12,6 +12,7 @@ from typing import Any
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.arguments import add_seconds, count
+from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         network = network_of_monitor(args)
         expression = args.key if args.key.startswith(f"{keys.ROOT}/") else keys.key(network.team, args.key)
-        listener = ZenohListener(network, expression)
+        listener = ZenohListener(network, expression, SystemClock())
     except TransportError as error:
         print(f"swarmtrack echo: {error}", file=sys.stderr)
         return 2

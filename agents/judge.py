@@ -21,6 +21,7 @@ from swarmtrack.arguments import add_file, add_seconds
 from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, first_of
 
 if TYPE_CHECKING:
+    from swarmtrack.clock import Clock
     from swarmtrack.evaluation.swarm_verdict import SwarmReport
     from swarmtrack.localswarm.table import Spectator
     from swarmtrack.localswarm.watch import Watch
@@ -112,7 +113,7 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
     scenario = load_scenario(flown.scenario, seed=flown.seed, drones=flown.drones)
     watch = Watch(scenario, clock, clock, epoch=flown.epoch, seconds=0.0)
     try:
-        async with _heard(network, watch):
+        async with _heard(network, watch, clock):
             spectator.note(f"{scenario.name}: waiting for drones {', '.join(map(str, scenario.members))} …")
             await _everybody(watch, deadline - clock.now())
             start = watch.t + SETTLE_S
@@ -167,12 +168,12 @@ def _understood(told: dict[str, Any], now: float) -> FlownScenario:
 
 
 @contextlib.asynccontextmanager
-async def _heard(network: NetworkSettings, watch: Watch) -> AsyncIterator[None]:
+async def _heard(network: NetworkSettings, watch: Watch, clock: Clock) -> AsyncIterator[None]:
     """The watch hears the team meanwhile, and judges what it can."""
     from swarmtrack.transport import keys
     from swarmtrack.transport.zenoh_listener import ZenohListener
 
-    listener = ZenohListener(network, keys.all_but_video(network.team))
+    listener = ZenohListener(network, keys.all_but_video(network.team), clock)
     await listener.open()
     try:
         async with asyncio.TaskGroup() as tasks:

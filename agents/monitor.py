@@ -84,12 +84,13 @@ async def _serve_swarm(args: argparse.Namespace) -> int:
     from swarmtrack.transport import keys
     from swarmtrack.transport.zenoh_listener import ZenohListener
 
+    clock = SystemClock()
     try:
         network = network_of_monitor(args)
-        listener = ZenohListener(network, keys.all_but_video(network.team), newest_per_key=True)
+        listener = ZenohListener(network, keys.all_but_video(network.team), clock, newest_per_key=True)
     except TransportError as error:
         raise SwarmtrackError(str(error)) from None  # of what was written: exit code 2
-    feed = LiveFeed(MonitoredTeam(network.team, SystemClock()), listener)
+    feed = LiveFeed(MonitoredTeam(network.team, clock), listener)
     try:
         return await _serve(args, feed, f"monitor of team {network.team}", listener.open)
     finally:

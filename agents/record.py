@@ -39,16 +39,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    clock = SystemClock()
     try:
         network = network_of_monitor(args)
         wanted = keys.all_but_video(network.team)
         if args.video:
             wanted.append(keys.key(network.team, Kind.VIDEO, "*"))
-        listener = ZenohListener(network, wanted)
+        listener = ZenohListener(network, wanted, clock)
     except TransportError as error:
         print(f"swarmtrack record: {error}", file=sys.stderr)
         return 2
-    clock = SystemClock()
     recorder = SwarmRecorder(clock, network.team)
     recorder.open(args.dir, bounds={"max_bytes": int(args.max_mb * 1e6), "drop_oldest": True})
     print(f"recording team {network.team} into {recorder.thread.folder}; Ctrl-C ends it", flush=True)

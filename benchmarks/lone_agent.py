@@ -21,6 +21,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
@@ -127,7 +128,7 @@ def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subpro
 async def listening(team: str) -> AsyncIterator[Heard]:
     """Hear a team meanwhile."""
     heard = Heard()
-    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team))
+    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team), SystemClock())
     await listener.open()
 
     async def listen() -> None:

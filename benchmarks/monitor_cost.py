@@ -29,6 +29,7 @@ from swarmtrack.benchmarks.lone_agent import CAMERA, scripted_agent
 from swarmtrack.benchmarks.processes import cpu_seconds
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.scripted_team import scripted_team
+from swarmtrack.clock import SystemClock
 from swarmtrack.runtime.live_video import with_picture
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.rendering import Renderer
@@ -68,7 +69,10 @@ async def measure_agent(seconds: float) -> Watched:
     async with scripted_agent(["--fps", str(FPS)]) as agent:
         pid, video = agent.process.pid, keys.key(agent.team, Kind.VIDEO, 1)
         viewer = ZenohListener(
-            NetworkSettings(team=agent.team), keys.key(agent.team, Kind.POSE, "*"), newest_per_key=True
+            NetworkSettings(team=agent.team),
+            keys.key(agent.team, Kind.POSE, "*"),
+            SystemClock(),
+            newest_per_key=True,
         )
         await viewer.open()
 

@@ -27,6 +27,7 @@ from swarmtrack.benchmarks.endurance.verdict import JUDGE, AgentWindow, ViewerWi
 from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.clock import SystemClock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
@@ -295,7 +296,9 @@ async def measure(
 ) -> list[Window]:
     """Windows of so many seconds each, as many as fit between the beginning of the flight and `flight_s`."""
     healths, viewer = Healths(), Viewer()
-    listener = ZenohListener(NetworkSettings(team=swarm.team), keys.key(swarm.team, Kind.HEALTH, "*"))
+    listener = ZenohListener(
+        NetworkSettings(team=swarm.team), keys.key(swarm.team, Kind.HEALTH, "*"), SystemClock()
+    )
     await listener.open()
 
     async def listen() -> None:

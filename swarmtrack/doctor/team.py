@@ -64,7 +64,7 @@ async def _listen(
     absent, taken = await _own_addresses(as_drone.listen)
     facts = replace(facts, absent_hosts=absent)
     listener = ZenohListener(
-        topology.of_monitor(config.network, credentials), keys.all_but_video(config.network.team)
+        topology.of_monitor(config.network, credentials), keys.all_but_video(config.network.team), clock
     )
     alive: dict[int, set[str]] = defaultdict(set)
     clocks: dict[int, SenderClock] = defaultdict(SenderClock)

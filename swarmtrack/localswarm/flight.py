@@ -137,7 +137,7 @@ class _SwarmFlight:
         )
         if self._plan.monitor_port is not None:
             await self._start_monitor(self._plan.monitor_port)
-        listener = ZenohListener(self._listening(), keys.all_but_video(self._team))
+        listener = ZenohListener(self._listening(), keys.all_but_video(self._team), self._clock)
         await listener.open()
         watch = self._watch
         plan = self._plan

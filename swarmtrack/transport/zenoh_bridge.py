@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import zenoh
 
-from swarmtrack.clock import Clock, SystemClock
+from swarmtrack.clock import Clock
 from swarmtrack.transport.base import Sample
 from swarmtrack.wire.fields import MAX_BYTES
 
@@ -41,12 +41,13 @@ class Bridge:
         receive: Callable[[Sample], None],
         capacity: int = BRIDGE_CAPACITY,
         newest_per_key: int = 0,
-        clock: Clock | None = None,
+        *,
+        clock: Clock,
     ) -> None:
         self._receive = receive
         self._capacity = capacity
         self._newest_per_key = newest_per_key
-        self._clock = clock or SystemClock()
+        self._clock = clock
         self._loop = asyncio.get_running_loop()
         self._lock = threading.Lock()
         # Samples by key, the keys in order of arrival; in order of arrival altogether under the one key "".

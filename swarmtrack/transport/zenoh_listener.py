@@ -9,6 +9,7 @@ from typing import Any
 
 import zenoh
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
@@ -30,13 +31,14 @@ class ZenohListener:
 
     key_expressions: full ones; `*` is one part of a key, `**` any number. `listen_to` and `leave` change them later,
     which is for what is only said while somebody listens. Announcements made before we came are
-    asked for, so each is heard, if now and then twice.
+    asked for, so each is heard, if now and then twice. clock: of when samples come.
     """
 
     def __init__(
         self,
         network: NetworkSettings,
         key_expressions: str | Sequence[str],
+        clock: Clock,
         capacity: int = BRIDGE_CAPACITY,
         newest_per_key: bool = False,
     ) -> None:
@@ -44,6 +46,7 @@ class ZenohListener:
         texts = [key_expressions] if isinstance(key_expressions, str) else key_expressions
         self._expressions = [_expression(text) for text in texts]
         self._network = network
+        self._clock = clock
         self._capacity = capacity
         self._newest_per_key = newest_per_key
         self._session: zenoh.Session | None = None
@@ -54,8 +57,8 @@ class ZenohListener:
         self._dropped = 0
 
     async def open(self) -> None:
-        bridge = Bridge(self._take, self._capacity, int(self._newest_per_key))
-        tokens = Bridge(self._on_token, 65536, newest_per_key=1)
+        bridge = Bridge(self._take, self._capacity, int(self._newest_per_key), clock=self._clock)
+        tokens = Bridge(self._on_token, 65536, newest_per_key=1, clock=self._clock)
         self._bridge = bridge
         self._session = await open_session(self._network, listening=False)
 

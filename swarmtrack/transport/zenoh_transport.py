@@ -95,7 +95,9 @@ class ZenohTransport:
     async def open(self) -> None:
         # A token's key says all, so the last two words on each are enough: whether it is alive, and whether it was away
         # before, when it may have announced itself anew. No flood of tokens can push a departure out.
-        tokens = Bridge(lambda s: self._peers.on_token(s.key, s.alive), _MAX_TOKENS, newest_per_key=2)
+        tokens = Bridge(
+            lambda s: self._peers.on_token(s.key, s.alive), _MAX_TOKENS, newest_per_key=2, clock=self._clock
+        )
 
         def on_message(sample: Sample) -> None:
             tokens.hand_over()  # nobody is believed before its token, and it may wait beside us

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.benchmarks.lone_agent import agent_process
+from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.runtime.live_video import PICTURE_WIDTH, with_picture
 from swarmtrack.transport import keys
@@ -54,7 +55,7 @@ async def test_an_agent_says_video_only_while_somebody_listens() -> None:
             for name in ("fx", "fy", "cx", "cy", "width", "height")
         },
     }
-    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team))
+    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team), SystemClock())
     await listener.open()
     sent: list[float] = []
     frames: list[int] = []

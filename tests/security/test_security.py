@@ -33,6 +33,7 @@ from support.network_of_keys import (
     free_addresses,
     now,
 )
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection
 from swarmtrack.messages import IdClash, PeerArrived, PeerDeparted, PeerEvent
 from swarmtrack.security.credentials import Credentials
@@ -316,7 +317,9 @@ async def test_tracks_of_a_member_reach_others_under_its_own_id_only(
         field.team.credentials("3"), listen=EndpointTemplate.PAIR.at(field.addresses[3], "test")
     )
     monitor = ZenohListener(
-        topology.of_monitor(field.section, field.team.credentials("monitor")), intruder.key(Kind.TRACKS, "*")
+        topology.of_monitor(field.section, field.team.credentials("monitor")),
+        intruder.key(Kind.TRACKS, "*"),
+        SystemClock(),
     )
     await monitor.open()
     await intruder.is_linked_to("monitor")
@@ -339,6 +342,7 @@ async def test_a_monitor_may_watch_video_which_a_drone_then_knows(
     listener = ZenohListener(
         topology.of_monitor(field.section, field.team.credentials("monitor")),
         keys.all_but_video(field.team.name),
+        SystemClock(),
     )
     await listener.open()
     await listener.listen_to(keys.key(field.team.name, Kind.VIDEO, 1))

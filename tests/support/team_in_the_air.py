@@ -24,6 +24,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from support.places import ROOT
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.localswarm.configs import Sources, write_configs
@@ -133,7 +134,9 @@ class Team:
         self._looked = asyncio.Condition()
         self._watching: asyncio.Task[None] | None = None
         self._keys = self._make_keys(folder / "keys") if secured else None
-        self._listener = ZenohListener(self._spectator(), keys.key(self._name, Kind.TRACKS, "*"))
+        self._listener = ZenohListener(
+            self._spectator(), keys.key(self._name, Kind.TRACKS, "*"), SystemClock()
+        )
         self.epoch = 0.0
 
     @property

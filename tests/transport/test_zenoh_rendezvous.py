@@ -183,7 +183,7 @@ async def test_explicit_endpoints_meet_whoever_starts_first(ports: range) -> Non
 
 async def test_a_bridge_keeps_order_and_drops_the_oldest_when_full() -> None:
     got: list[Sample] = []
-    bridge = Bridge(got.append, capacity=3)
+    bridge = Bridge(got.append, capacity=3, clock=ManualClock())
     samples = [Sample(f"key/{i}", b"", True, 0.0) for i in range(5)]
     for sample in samples:
         bridge.put(sample)
@@ -194,7 +194,7 @@ async def test_a_bridge_keeps_order_and_drops_the_oldest_when_full() -> None:
 
 async def test_a_bridge_of_newest_keeps_the_last_word_on_each_key() -> None:
     got: list[Sample] = []
-    bridge = Bridge(got.append, capacity=3, newest_per_key=1)
+    bridge = Bridge(got.append, capacity=3, newest_per_key=1, clock=ManualClock())
     for alive in (True, False, True, False):
         bridge.put(Sample("alive/1", b"", alive, 0.0))
         bridge.put(Sample("alive/2", b"", not alive, 0.0))
@@ -209,7 +209,7 @@ async def test_a_link_lost_and_found_within_a_moment_does_not_look_as_if_it_had_
     def on_token(sample: Sample) -> None:
         told.extend((membership.arrived if sample.alive else membership.departed)(2, "0000000b"))
 
-    bridge = Bridge(on_token, newest_per_key=2)
+    bridge = Bridge(on_token, newest_per_key=2, clock=ManualClock())
     for moment, expected in (([True], 1), ([False, True], 3), ([False, True, False, True], 5)):
         for alive in moment:
             bridge.put(Sample("alive/2/0000000b", b"", alive, 0.0))
@@ -222,7 +222,7 @@ async def test_a_link_lost_and_found_within_a_moment_does_not_look_as_if_it_had_
 
 async def test_whoever_floods_a_bridge_replaces_only_its_own_and_waits_its_turn() -> None:
     got: list[Sample] = []
-    bridge = Bridge(got.append, newest_per_key=2)
+    bridge = Bridge(got.append, newest_per_key=2, clock=ManualClock())
     for i in range(10_000):
         bridge.put(Sample("flood", b"%d" % i, True, 0.0))
     bridge.put(Sample("quiet", b"", True, 0.0))
@@ -234,7 +234,7 @@ async def test_whoever_floods_a_bridge_replaces_only_its_own_and_waits_its_turn(
 async def test_a_bridge_lets_the_loop_turn_between_two_handfuls() -> None:
     """Between any two samples that another task could count, only a bounded number is taken."""
     got: list[Sample] = []
-    bridge = Bridge(got.append)
+    bridge = Bridge(got.append, clock=ManualClock())
     for i in range(1000):
         bridge.put(Sample(f"key/{i}", b"", True, 0.0))
     taken = [0]
@@ -255,7 +255,7 @@ async def test_a_sample_that_cannot_be_taken_does_not_stop_the_next() -> None:
             raise ValueError("a bug of ours")
         good.set()
 
-    bridge = Bridge(receive)
+    bridge = Bridge(receive, clock=ManualClock())
     bridge.put(Sample("bad", b"", True, 0.0))
     await asyncio.sleep(0)
     bridge.put(Sample("good", b"", True, 0.0))
