@@ -221,7 +221,7 @@ class Team:
         if self._keys is None:
             lower = [self.emulator.radio_address(other) for other in self.drones if other < drone]
             return f"insecure = true\nlisten = {json.dumps(own)}\nconnect = {json.dumps(lower)}\n"
-        peers = ", ".join(f'{other} = "{self.air.radio_address(other)}"' for other in self.drones)
+        peers = ", ".join(f'{other} = "{self.emulator.radio_address(other)}"' for other in self.drones)
         folder = json.dumps(str(self._keys / names.drone(name)))
         return f"keys = {folder}\nlisten = {json.dumps(own)}\npeers = {{ {peers} }}\n"
 
