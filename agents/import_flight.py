@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args.config, Layer(Path("swarmtrack import"), "", asked))
     clock = ManualClock(BEGIN_S, _first_stamp(args.tlog))
     parts = assemble(config, SystemClock(), clock)
-    return asyncio.run(_import(parts, clock, args.offset))
+    return asyncio.run(import_flight(parts, clock, args.offset))
 
 
 def _first_stamp(tlog: Path) -> float:
@@ -100,7 +100,7 @@ def _first_stamp(tlog: Path) -> float:
     raise SourceError(f"--tlog {tlog}: holds no record, is it a telemetry log (.tlog)?")
 
 
-async def _import(parts: Parts, clock: ManualClock, offset: float) -> int:
+async def import_flight(parts: Parts, clock: ManualClock, offset: float) -> int:
     from swarmtrack.detection.expectation import PerceivedExpectation
     from swarmtrack.sensors.base import DetectionSource
 

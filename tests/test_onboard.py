@@ -8,7 +8,16 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Announcement, AutopilotRebooted, Detections, EgoPose, ImuSample
+from swarmtrack.messages import (
+    Announcement,
+    AutopilotRebooted,
+    Detections,
+    EgoPose,
+    ImuSample,
+    PoseWanted,
+    ScanReport,
+    SightingReport,
+)
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
@@ -58,11 +67,8 @@ def flight(latency, tracker="kalman", imu_hz=200.0, fps=15.0, seconds=1.5):
         for k in range(int((seconds + latency) * imu_hz))
     ]
     events += [(scan.t + latency, 1, scan) for scan in scans]
-    for _, kind, event in sorted(events, key=lambda e: e[:2]):
-        if kind == 0:
-            drone.tell(event)
-        else:
-            drone.tell(event)
+    for _, _, event in sorted(events, key=lambda e: e[:2]):
+        drone.tell(event)
     return drone, scans
 
 
@@ -204,6 +210,22 @@ def test_teammates_are_named_by_where_they_said_they_are():
     t = watch(drone, [right, left])
     by_place = {round(e.track.mean[0]): e.identity for e in drone.tracks(t).tracks}
     assert by_place == {round(left[0]): 2, round(right[0]): 3}
+
+
+def test_scans_disagreements_and_wishes_leave_by_one_way_and_once():
+    """A teammate that says it stands elsewhere than we see it: we give its name up, and want its pose again."""
+    drone = onboard()
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
+    t = watch(drone, [(320 - 430 / 6, 240.0)])
+    reports = drone.events()
+    assert [type(event) for event in reports] == [ScanReport] * 8
+    assert drone.events() == ()
+    drone.tell(SightingReport(2, "0000000a", 1, t, 0.0, np.array([0.0, 6.0, 0.0]), 0.01, (1,), ()))
+    disagreement, wanted = drone.events()
+    assert (disagreement.observer, disagreement.drone_id, disagreement.overruled) == (2, 2, True)
+    assert wanted == PoseWanted(2)
+    assert drone.events() == ()
+    assert identities(drone, t) == {None}
 
 
 def test_a_stranger_far_from_every_announced_pose_stays_unknown():
