@@ -89,7 +89,7 @@ class Children:
                 stderr=file,
                 process_group=0,
             )
-        self._tell_keeper(f"+{process.pid}")
+        self._tell_reaper(f"+{process.pid}")
         child = Child(name, process, log)
         self._running.append(child)
         watch = asyncio.create_task(self._watch(child), name=f"watch {name}")
@@ -114,12 +114,12 @@ class Children:
 
     async def _watch(self, child: Child) -> None:
         await child.process.wait()
-        self._tell_keeper(f"-{child.process.pid}")
+        self._tell_reaper(f"-{child.process.pid}")
         self._running.remove(child)
         if not child.ending and not self.died.done():
             self.died.set_result(child)
 
-    def _tell_keeper(self, line: str) -> None:
+    def _tell_reaper(self, line: str) -> None:
         assert self._reaper is not None
         assert self._reaper.stdin is not None
         if not self._reaper.stdin.is_closing():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from msgspec import Meta
@@ -14,19 +14,15 @@ from swarmtrack.wire.checks import check_covariances, check_unit, symmetric, upp
 from swarmtrack.wire.fields import (
     SIGNATURE_BYTES,
     VERSION,
-    Boot,
-    DroneId,
     Moment,
+    PeerMessage,
     Position,
     Quaternion,
-    Record,
     Seconds,
-    Sequence,
-    UtcSeconds,
 )
 
 
-class AnnouncementMessage(Record, frozen=True):
+class AnnouncementMessage(PeerMessage, frozen=True):
     """`pose/<id>`: who I am and where I started, in the team's NED frame.
 
     t_utc_s: when the pose held, by the sender's UTC; age_s: how long ago that was when these bytes were made.
@@ -34,12 +30,6 @@ class AnnouncementMessage(Record, frozen=True):
     """
 
     what: ClassVar[str] = "announcement"
-    version: Literal[1]
-    drone_id: DroneId
-    boot: Boot
-    sequence: Sequence
-    t_utc_s: UtcSeconds
-    t_sigma_s: Seconds
     position_m: Position
     quaternion_wxyz: Quaternion
     position_cov_m2: Annotated[tuple[Moment, ...], Meta(min_length=6, max_length=6)]

@@ -5,7 +5,7 @@ The bounds are not physics, they only keep later arithmetic far from overflow.
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import msgspec
 from msgspec import Meta
@@ -57,3 +57,14 @@ Line = Annotated[str, Meta(max_length=256)]
 
 class Record(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
     """An array on the wire: fields go by position, none may be missing and none added."""
+
+
+class PeerMessage(Record, frozen=True):
+    """The first fields of a message that counts only while its boot lives: who says it, its number, and of when."""
+
+    version: Literal[1]
+    drone_id: DroneId
+    boot: Boot
+    sequence: Sequence
+    t_utc_s: UtcSeconds
+    t_sigma_s: Seconds

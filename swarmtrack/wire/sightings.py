@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import numpy as np
 from msgspec import Meta
@@ -14,16 +14,14 @@ from swarmtrack.wire.fields import (
     MAX_KNOWN,
     MAX_SIGHTINGS,
     VERSION,
-    Boot,
     Direction,
     DroneId,
     Length,
+    PeerMessage,
     Position,
     Probability,
     Record,
     Seconds,
-    Sequence,
-    UtcSeconds,
 )
 
 
@@ -37,19 +35,13 @@ class SightingMessage(Record, frozen=True):
     sigma_rad: Annotated[float, Meta(ge=0.0, le=math.pi)]
 
 
-class SightingsMessage(Record, frozen=True):
+class SightingsMessage(PeerMessage, frozen=True):
     """`identities/<id>`: whom one drone sees, and where its camera was at the exposure, `age_s` before it was sent.
 
     sequence counts what this boot published; known: whose announcements the observer has.
     """
 
     what: ClassVar[str] = "sightings"
-    version: Literal[1]
-    drone_id: DroneId
-    boot: Boot
-    sequence: Sequence
-    t_utc_s: UtcSeconds
-    t_sigma_s: Seconds
     age_s: Seconds
     position_m: Position
     position_sigma_m: Length
