@@ -19,9 +19,8 @@ from swarmtrack.arguments import add_file, add_flag, add_seconds
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
-LAST_WORD = (
-    0.3  # s for the interpreter's own end: with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
-)
+# s, for the interpreter's own end: together with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
+LAST_WORD = 0.3
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -385,7 +385,6 @@ def _plot(plt: Any, path: Path, matches: Matches, result: dict[str, Any]) -> Non
 def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
     if len(x) <= CURVE:
         return x, y
-    rows = (
-        np.unique(np.geomspace(1, len(x), CURVE).round().astype(int)) - 1
-    )  # the best detections matter most
+    # The best detections matter most.
+    rows = np.unique(np.geomspace(1, len(x), CURVE).round().astype(int)) - 1
     return x[rows], y[rows]

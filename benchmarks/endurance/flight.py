@@ -227,9 +227,8 @@ def _counter(health: HealthMessage, link: str, counter: str) -> float:
 def _frames_dropped(health: HealthMessage) -> int:
     """Overtaken while the agent was busy, too old when their turn came, or behind the tracker's time."""
     cameras = [link.counters for link in health.links if {"frames", "dropped"} <= link.counters.keys()]
-    overtaken = int(
-        sum(counters["dropped"] for counters in cameras)
-    )  # a camera's link bears its address as name
+    # A camera's link bears its address as name.
+    overtaken = int(sum(counters["dropped"] for counters in cameras))
     return overtaken + sum(health.drops.get(name, 0) for name in ("stale_frames", "late_scans"))
 
 

@@ -15,12 +15,10 @@ MAX_GROWTH = 0.05  # of the resident memory, from when the flight has settled to
 MAX_LAG_S = 0.1
 MAX_UNSTEADY = 0.05  # of its median, that a rate may differ in one window
 SETTLED_S, SETTLED_SHARE = 300.0, 0.2  # of a short flight, so much of it
-ENDS = (
-    6  # windows at either end whose median is compared: one sample may meet a buffer that is full just then
-)
-JUDGE = (
-    "judge"  # the process of `swarmtrack sim`, which keeps the whole flight to judge it: not held to memory
-)
+# Windows at either end whose median is compared: one sample may meet a buffer that is full just then.
+ENDS = 6
+# The process of `swarmtrack sim` keeps the whole flight to judge it, so it is not held to memory.
+JUDGE = "judge"
 RATES = ("tracks", "detections", "imu")
 
 

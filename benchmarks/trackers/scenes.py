@@ -24,9 +24,8 @@ from swarmtrack.messages import Array, Scan
 from swarmtrack.motion.gyro import GyroHistory
 
 SEED = 20_240_614
-PAPER_CAMERA = PinholeCamera(
-    120.0, 120.0, 180.0, 120.0, paper_scenario.WIDTH_PX, paper_scenario.HEIGHT_PX
-)  # of the authors' scripts
+# From the authors' scripts.
+PAPER_CAMERA = PinholeCamera(120.0, 120.0, 180.0, 120.0, paper_scenario.WIDTH_PX, paper_scenario.HEIGHT_PX)
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 PAPER_HZ = 1.0 / STEP_S
 
@@ -140,9 +139,8 @@ def film(scene: Scene, run: int) -> Take:
     t = np.arange(scene.scans) / scene.rate_hz
     truth = motion(t)
     told: list[tuple[Array | None, float]] = [(None, 0.0)] * len(t)
-    gyro_rng = np.random.default_rng(
-        rng.integers(2**63)
-    )  # drawn in every scene, so that those paired stay in step
+    # Drawn in every scene, so that those paired stay in step.
+    gyro_rng = np.random.default_rng(rng.integers(2**63))
     if scene.gyro is not None:
         truth = _turned(truth, _orientation(t, scene.gyro), scene.camera)
         if scene.gyro.told:

@@ -35,9 +35,8 @@ CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 TARGETS = 6
 WARM_UP_TENTHS = 2  # of the scans, after which memory must not grow
 MAX_GROWTH_MB = 5.0
-MAX_GROWTH_BLOCKS = (
-    2000  # what a track more or less is made of, many times over; one leaked a scan would be 200 000
-)
+# Many times what a track is made of; one block leaked per scan would be 200 000.
+MAX_GROWTH_BLOCKS = 2000
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,9 +137,8 @@ def as_yaml(found: Fit, name: str) -> str:
 def _radtan(seen: list[Seen], size: tuple[int, int]) -> _Solution:
     points = [each.points.astype(np.float32) for each in seen]
     pixels = [each.pixels.astype(np.float32) for each in seen]
-    flags = (
-        cv2.CALIB_FIX_K3
-    )  # a third coefficient fits noise, but for the widest lenses, which are equidistant
+    # A third coefficient fits noise, except for the widest lenses, which are equidistant.
+    flags = cv2.CALIB_FIX_K3
     guess = np.eye(3), np.zeros(5)
     _, K, d, rvecs, tvecs, sigma, _, _ = cv2.calibrateCameraExtended(
         points, pixels, size, *guess, flags=flags

@@ -21,9 +21,8 @@ STEP_S = 0.1205
 STEPS = 160
 WIDTH_PX, HEIGHT_PX = 400, 300
 
-HERE = np.array(
-    [[249.138, 188.857], [131.903, 168.139], [180.0, 99.898]]
-)  # px: where the drones begin; v upward
+# px: where the drones begin; v upward
+HERE = np.array([[249.138, 188.857], [131.903, 168.139], [180.0, 99.898]])
 THERE = np.array([[111.207, 85.206], [228.365, 95.753], [180.0, 160.157]])
 
 

@@ -173,9 +173,8 @@ class Equidistant:
         tiny = r < 1e-8  # the series' first terms are exact there: theta_d / r = 1 + (k1 - 1/3) r²
         divisor = np.where(tiny, 1.0, r)
         scale = np.where(tiny, 1.0, theta_d / divisor)
-        bend = np.where(
-            tiny, 2 * (self.coefficients[0] - 1 / 3), (slope / (1 + r * r) - scale) / divisor**2
-        )  # (d scale / d r) / r
+        # (d scale / d r) / r
+        bend = np.where(tiny, 2 * (self.coefficients[0] - 1 / 3), (slope / (1 + r * r) - scale) / divisor**2)
         jacobian = bend[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
         jacobian[:, [0, 1], [0, 1]] += scale[:, None]
         return scale[:, None] * ideal, jacobian

@@ -84,9 +84,8 @@ class MonitoredTeam:
             self._on_token(address.drone_id, drone, address.rest, sample)
             return None
         if address.kind is Kind.TRACKS and sample.arrived - drone.view_at > VIEW_S:
-            self._on_word(
-                address.drone_id, drone, sample.arrived
-            )  # nobody looks at its pictures: thirty drones' tracks are dear to read
+            # Nobody looks at its pictures: thirty drones' tracks are dear to read.
+            self._on_word(address.drone_id, drone, sample.arrived)
             return None
         try:
             message = codec.decode(keys.MESSAGES[address.kind], sample.payload)
@@ -211,9 +210,8 @@ class MonitoredTeam:
 
     def _find_the_gone(self, now: float) -> None:
         for drone_id, drone in list(self._drones.items()):
-            if (
-                drone.gone_since is None and now - drone.heard > SILENT_S
-            ):  # a token outlives the radio by the lease
+            # A token outlives the radio by the lease.
+            if drone.gone_since is None and now - drone.heard > SILENT_S:
                 self._gone(drone_id, drone, drone.heard)
             elif drone.gone_since is not None and now - drone.gone_since > FORGOTTEN_S:
                 del self._drones[drone_id]
@@ -314,9 +312,8 @@ def troubles(health: HealthMessage | None) -> list[str]:
         if imu.got_hz == 0.0:
             found.insert(0, "lost its IMU")
         elif imu.got_hz < SLOW * imu.asked_hz:
-            found.append(
-                "gets too few IMU samples"
-            )  # how many is in the table: a line of events for each number would be too much
+            # How many is in the table: a line of events for each number would be too much.
+            found.append("gets too few IMU samples")
     detections = health.rates.get("detections")
     if detections is not None and detections.got_hz == 0.0 and "lost its camera" not in found:
         found.append("gets no frames")

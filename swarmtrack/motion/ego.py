@@ -14,9 +14,8 @@ from swarmtrack.messages import Array, EgoPose
 
 SPEED_SIGMA = 1.0  # m/s: how fast a drone may be moving where no pose says so
 RATE_SIGMA = 0.5  # rad/s, likewise
-HELD_POSITION_SIGMA = (
-    0.3  # m: of a drone that hovers where it was put, by an autopilot that knows no position
-)
+# m: of a drone that hovers where it was put, by an autopilot that knows no position
+HELD_POSITION_SIGMA = 0.3
 LEVEL_SIGMA = 0.05  # rad: how far a hovering drone tilts
 # An estimator that finds its heading, or finds it anew, jumps; a drone turns no faster than this.
 YAW_JUMP, FASTEST_YAW, YAW_STEP = 0.2, 4.0, 0.5  # rad, rad/s, s between two poses that are compared

@@ -160,9 +160,8 @@ class GyroHistory:
         turn[:, 1:] = (0.5 * dt)[:, None] * (rates[k] + 0.5 * fraction * (rates[k + 1] - rates[k]))
         start = np.array([orientation.quaternion for orientation in self._orientations[part]])[k]
         q = _of_pairs(start, turn) @ _PRODUCT
-        q /= np.sqrt(
-            (q * q).sum(axis=1, keepdims=True)
-        )  # makes (1, φ/2) the turn by φ: a step is a centiradian
+        # Makes (1, φ/2) the turn by φ: a step is a centiradian.
+        q /= np.sqrt((q * q).sum(axis=1, keepdims=True))
         matrices = (_of_pairs(q, q) @ _MATRIX).reshape(-1, 3, 3)
         # Third differences: of motion they leave next to nothing at such rates, of white noise 20 times its variance.
         left = rates[3:] - 3.0 * rates[2:-1] + 3.0 * rates[1:-2] - rates[:-3]

@@ -53,9 +53,8 @@ MAX_LAPSE = 0.5  # s without a detection: the target is followed anew
 MAX_TURN_VARIANCE = 3e-3**2  # rad²: a gap in the gyro's samples, and nothing is known across it
 MAX_TARGETS = 8
 MAX_DETECTIONS = 24  # of a scan that are looked at
-WAITS = (
-    0.05 + 2.0 * REACH
-)  # s: by then the gyro has passed whatever may be asked of it, early stamps included
+# s: by then the gyro has passed whatever may be asked of it, early stamps included
+WAITS = 0.05 + 2.0 * REACH
 MAX_WAITING = 64  # scans; more wait only where the stamps jump
 SURE = 3e-3  # s, one sigma: an offset that is known so well is used
 SLEW = 0.1  # s of correction for each second
@@ -106,9 +105,8 @@ class CameraClock:
             self._found = found = self._evidence.estimate
             if found and found.sigma_s < SURE and abs(found.offset_s - self._aim_s) > 2.0 * found.sigma_s:
                 self._aim_s = found.offset_s
-        most = SLEW * (
-            stamp - self._newest
-        )  # of the first scan without bound, but then nothing was found yet
+        # Unbounded for the first scan, but then nothing has been found yet.
+        most = SLEW * (stamp - self._newest)
         self.used_s += min(max(self._aim_s - self.used_s, -most), most)
         self._newest = stamp
         return stamp + self.used_s

@@ -87,9 +87,8 @@ class _File:
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        fcntl.flock(
-            self._descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB
-        )  # as long as we live: nobody shall repair it
+        # Held as long as we live, so that nobody repairs it.
+        fcntl.flock(self._descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
         self.size = 0
         self.sound = 0
         """Bytes up to the end of the last chunk."""

@@ -16,9 +16,8 @@ from typing import Any
 
 log = logging.getLogger(__name__)
 
-ENVIRONMENT = (
-    "SWARMTRACK_HEALTH"  # names the file where the config does not: an image knows where it may write
-)
+# Names the file where the config does not: an image knows where it may write.
+ENVIRONMENT = "SWARMTRACK_HEALTH"
 
 
 def health_path(configured: Path | None) -> Path | None:

@@ -24,9 +24,8 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.fields import MAX_JPEG, VERSION
 from swarmtrack.wire.video import VideoMessage, lens_message
 
-JITTER_S = (
-    0.01  # that a frame may come early and is still on time: or 10 frames a second would give 5 pictures
-)
+# How early a frame may come and still be on time. Without it 10 frames per second would give 5 pictures.
+JITTER_S = 0.01
 PICTURE_WIDTH = 480  # px, at most: a quarter of a laptop's screen
 # Tried in turn until the picture fits into a message: JPEG quality, and the share of the width.
 ATTEMPTS = ((70, 1.0), (45, 1.0), (45, 0.5), (25, 0.25))

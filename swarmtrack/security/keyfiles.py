@@ -24,9 +24,8 @@ CA_CERTIFICATE: Final = "ca.pem"
 ROSTER: Final = "roster.toml"
 ROSTER_SIGNATURE: Final = "roster.sig"
 
-_ROSTER_CONTEXT: Final = (
-    b"swarmtrack roster\0"  # what the CA signs here is never a certificate, and the other way round
-)
+# What the CA signs here is never a certificate, and the other way round.
+_ROSTER_CONTEXT: Final = b"swarmtrack roster\0"
 
 PrivateKey = ec.EllipticCurvePrivateKey | Ed25519PrivateKey
 

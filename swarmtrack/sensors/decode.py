@@ -8,9 +8,8 @@ import numpy as np
 from swarmtrack.messages import Image
 from swarmtrack.sensors.frame_slot import BadImage
 
-MAX_PIXELS = (
-    1 << 25
-)  # 33 megapixels: beyond any drone's camera; a JPEG of 2 kB may claim 65535 x 65535 and ask for 12 GB
+# 33 megapixels: beyond any drone's camera; a JPEG of 2 kB may claim 65535 x 65535 and ask for 12 GB
+MAX_PIXELS = 1 << 25
 
 # "As the sensor saw it": grey stays grey, 16 bits become 8, and the EXIF orientation, which would turn the image
 # under its calibration, is ignored.

@@ -85,9 +85,8 @@ class Backdrop:
             2.0 * np.arange(self._shape[0]) + 0.5, 2.0 * np.arange(self._shape[1]) + 0.5, indexing="ij"
         )
         rays = camera.bearing(np.column_stack([u.ravel(), v.ravel()]))
-        blind = ~np.isfinite(rays).all(
-            axis=1
-        )  # beyond the lens model's reach: dark, as outside a fisheye's circle
+        # Beyond the lens model's reach: dark, as outside a fisheye's circle.
+        blind = ~np.isfinite(rays).all(axis=1)
         rays[blind] = (0.0, 0.0, 1.0)
         self._blind = blind.reshape(self._shape)
         self._rays = np.ascontiguousarray(rays.T, dtype=np.float32)
@@ -244,9 +243,8 @@ class Scenery:
         distance = np.linalg.norm(away, axis=1)
         ahead = away @ world_from_camera.rotation[:2, 2]
         seen = np.flatnonzero((ahead > 0.3 * distance) & (distance > 5.0))
-        seen = seen[
-            np.argsort(-distance[seen], kind="stable")
-        ]  # equal distance: the parts of one figure, in order
+        # Equal distance: the parts of one figure, in order.
+        seen = seen[np.argsort(-distance[seen], kind="stable")]
         if not seen.size:
             return
         right = np.column_stack([-away[seen, 1], away[seen, 0]]) / distance[seen, None]

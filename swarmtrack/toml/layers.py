@@ -22,9 +22,8 @@ Key = tuple[str | int, ...]  # an int: which one of an array
 Table = dict[str, Any]
 
 MAX_BYTES = 256 * 1024  # a config is a page; a recording given by mistake is refused before it is parsed
-MAX_STATEMENT_LINES = (
-    200  # beyond, a value's end is not looked for: only the line in an error message is lost
-)
+# Beyond this a value's end is not looked for: only the line in an error message is lost.
+MAX_STATEMENT_LINES = 200
 
 
 class Problem(NamedTuple):

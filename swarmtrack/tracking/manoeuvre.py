@@ -30,9 +30,8 @@ ACCELERATION = slice(4, 6)
 ENTRY = np.full((6, 6), 9)
 for _axis in ((0, 1, 4), (2, 3, 5)):
     ENTRY[np.ix_(_axis, _axis)] = np.arange(9).reshape(3, 3)
-ADJUGATE = np.array(
-    [[1.0, -1.0], [-1.0, 1.0]]
-)  # signs: the inverse of a 2 × 2 is turned round, over its determinant
+# signs: the inverse of a 2 × 2 is turned round, over its determinant
+ADJUGATE = np.array([[1.0, -1.0], [-1.0, 1.0]])
 LEAST_MODE = 1e-12  # a mode's probability never underflows: nothing would bring it back, and 0 / 0 is next
 SHORT = 0.5  # share of an acceleration's time, up to which the process noise is integrated: its closed form cancels
 # Gauss-Legendre nodes and weights on 0…1: with five, exact to 2e-12 for such steps.
@@ -133,9 +132,8 @@ def predict(
     mean, cov, mode = _interact(mixture, dt, manoeuvres)
     F, Q = _transitions(dt, manoeuvres)
     mean = (F @ mean[:, :, :, None])[..., 0]
-    cov = (
-        F @ cov @ np.ascontiguousarray(F.swapaxes(1, 2)) + Q
-    )  # matmul takes twice as long for a transposed view
+    # `matmul` takes twice as long for a transposed view.
+    cov = F @ cov @ np.ascontiguousarray(F.swapaxes(1, 2)) + Q
     if rotation is not None:
         mean, cov = _turned(mean, cov, rotation, camera, turn)
     if rotation_variance > 0.0:
@@ -180,9 +178,8 @@ def _interact(mixture: ModeMixture, dt: float, manoeuvres: Manoeuvres) -> ModeMi
     """The modes' change within dt: what each begins with is a mix of what both ended with."""
     change = _mode_changes(dt, manoeuvres)  # (2, 2), from row to column
     mode = mixture.mode @ change
-    share = (
-        change.T * mixture.mode[:, None] / mode[:, :, None]
-    )  # (n, 2, 2): of the column's in the row's new one
+    # (n, 2, 2): share of the column's in the row's new one
+    share = change.T * mixture.mode[:, None] / mode[:, :, None]
     apart = mixture.mean[:, AGILE] - mixture.mean[:, CALM]
     spread = apart[:, :, None] * apart[:, None, :]
     cov = (share @ mixture.cov.reshape(-1, 2, 36)).reshape(-1, 2, 6, 6)

@@ -208,9 +208,8 @@ def _weights(log_ratio: Array, width: int) -> Weights:
     log_ratio = np.minimum(log_ratio, LARGEST_LOG_RATIO)
     rows, columns = most_likely_matching(log_ratio)
     profit, price = np.zeros(n), np.zeros(m)
-    for _ in range(
-        n
-    ):  # prices rise along paths of the matching, none of which has more rows (Bellman & Ford)
+    # Prices rise along paths of the matching, none of which has more rows (Bellman & Ford).
+    for _ in range(n):
         profit[rows] = log_ratio[rows, columns] - price[columns]
         price = np.maximum((log_ratio - profit[:, None]).max(axis=0), 0.0)
     profit[rows] = log_ratio[rows, columns] - price[columns]
@@ -308,16 +307,14 @@ def _swept(weights: Weights, order: list[int]) -> Array:
     last_use = {int(i): k for k, j in enumerate(order) for i in np.flatnonzero(ratio[:, j])}
     open_rows: list[int] = []
     forward = np.ones(1)
-    tape: list[
-        tuple[list[int], Array, list[int]]
-    ] = []  # open rows and F before each column, and rows left open
+    # Open rows and F before each column, and rows left open.
+    tape: list[tuple[list[int], Array, list[int]]] = []
     for k, j in enumerate(order):
         for i in np.flatnonzero(ratio[:, j]).tolist():
             if i not in open_rows:
                 open_rows.append(i)
-                forward = np.concatenate(
-                    (forward, np.zeros_like(forward))
-                )  # its bit is the highest, not used yet
+                # Its bit is the highest, not used yet.
+                forward = np.concatenate((forward, np.zeros_like(forward)))
         before, here = forward, list(open_rows)
         forward = free[j] * before
         for bit, i in enumerate(here):
@@ -381,6 +378,5 @@ def beliefs(log_ratio: Array, widest: int = 0) -> Array:
             break
     weighted = ratio * to_rows
     belief = weighted / (1.0 + weighted.sum(axis=1, keepdims=True))
-    return np.asarray(
-        belief / np.maximum(belief.sum(axis=0), 1.0)
-    )  # by columns only where it has not converged
+    # By columns only where it has not converged.
+    return np.asarray(belief / np.maximum(belief.sum(axis=0), 1.0))

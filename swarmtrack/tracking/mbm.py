@@ -456,9 +456,8 @@ class Mbm:
         existence = lifecycle.reweigh(before.existence, likelihood)
         confirmed = self.table.confirmed[owner]
         existence[confirmed] = np.maximum(existence[confirmed], lifecycle.MIN_CONFIRMED_EXISTENCE)
-        existence[hit[confirmed[hit]]] = (
-            lifecycle.MAX_EXISTENCE
-        )  # whether it made it, the hypotheses' weights tell
+        # The hypotheses' weights tell whether it made it.
+        existence[hit[confirmed[hit]]] = lifecycle.MAX_EXISTENCE
         return Leaves(owner, motion, existence, size), distance
 
     def _weigh_existence(self, shown: Association, weighed: Weighed, taken: Array) -> None:

@@ -19,9 +19,8 @@ UNKNOWN_BOX_SIGMAS = 6.0  # side of a box that no detector told, in sigmas of it
 SURELY_SEEN = 0.997  # existence, after a detection, that says the track was there: clutter keeps nobody alive
 DOUBT = 0.9  # of `max_coast_s`, that a doubtful detection is counted as older than it is
 ROUNDING_S = 1e-6  # of times that are sums of frame periods
-OUTLYING = (
-    4.0  # times the gate, in squared sigmas: where a track's own detection may yet be that seemed not its own
-)
+# times the gate, in squared sigmas: up to here a detection may be the track's own although it seemed not to be
+OUTLYING = 4.0
 FADED = 0.05  # share of its existence at birth, below which a tentative track ends
 
 

@@ -17,9 +17,8 @@ FloatImage = NDArray[np.float32]
 Vector = Sequence[float] | NDArray[np.float64]
 Rng = np.random.Generator
 
-CANVAS = (
-    128  # px: side of the square in which a sprite is drawn, before it is scaled to its size in the picture
-)
+# px: side of the square in which a sprite is drawn, before it is scaled to its size in the picture
+CANVAS = 128
 SUBPIXEL_BITS = 3  # OpenCV's fixed-point drawing: coordinates in eighths of a pixel
 
 

@@ -24,9 +24,8 @@ BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached whil
 _HANDFUL: Final = 32  # samples taken in one turn of the loop: at 0.2 ms for the dearest, 6 ms
 # Where only the newest counts:
 _REST_S: Final = 0.01  # between two handfuls: 3200 samples a second at most, whoever sends
-_ROUND_S: Final = (
-    0.05  # before what came meanwhile is looked at: of one key, its newest twenty times a second at most
-)
+# Before samples that came in between are looked at: of one key, the newest, at most twenty times per second.
+_ROUND_S: Final = 0.05
 
 
 class Bridge:

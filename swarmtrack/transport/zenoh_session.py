@@ -150,9 +150,8 @@ async def bounded(
 
     threading.Thread(target=run, name=f"zenoh {what}", daemon=True).start()
     try:
-        async with asyncio.timeout(
-            seconds
-        ):  # `wait_for` of Python 3.11 loses a cancellation that meets the answer
+        # `wait_for` of Python 3.11 loses a cancellation that meets the answer
+        async with asyncio.timeout(seconds):
             return await answer
     except zenoh.ZError as error:
         raise TransportError(f"network: cannot {what}: {plain(error)}") from None

@@ -231,9 +231,8 @@ def test_a_recorded_video_and_its_telemetry_do_as_well(tmp_path, capsys):
     code = main(["calibrate", "extrinsics", *arguments, "--json"])
     record = json.loads(capsys.readouterr().out)
     assert record["rpy_deg"] == pytest.approx(np.degrees((-0.1, 0.15, 0.3)), abs=0.5), record
-    assert record["time_offset_s"] == pytest.approx(
-        0.4, abs=0.006
-    )  # the first record lies some milliseconds in
+    # The first record lies some milliseconds in.
+    assert record["time_offset_s"] == pytest.approx(0.4, abs=0.006)
     assert record["turns"] > 200  # the reach is left out at both ends
     assert code == 0, record["doubts"]
 

@@ -26,9 +26,8 @@ def test_a_constant_rate_about_any_axis_is_integrated_exactly():
 
 
 def test_a_point_straight_ahead_moves_left_when_the_camera_yaws_right():
-    history = filled(
-        lambda t: (0.0, 1.0, 0.0)
-    )  # camera y is down: a positive rate turns the view to the right
+    # Camera y is down: a positive rate turns the view to the right.
+    history = filled(lambda t: (0.0, 1.0, 0.0))
     ahead = history.rotation(10.0, 10.5).matrix @ [0.0, 0.0, 1.0]
     assert ahead[0] == pytest.approx(-math.sin(0.5))
 

@@ -183,9 +183,8 @@ def test_the_health_file_says_how_long_ago_a_frame_was_tracked(tmp_path):
 
 def test_health_says_how_long_it_was_held_up_and_forgets_it(tmp_path):
     flight = SimulatedFlight(tmp_path)
-    flight.at(
-        5.3, lambda: flight.clock.set(BEGIN + 7.3)
-    )  # as SIGSTOP does: two seconds in which nothing runs
+    # As SIGSTOP does: two seconds in which nothing runs.
+    flight.at(5.3, lambda: flight.clock.set(BEGIN + 7.3))
     flight.fly(11.0)
     lags = [message.latencies["loop_lag"].max_s for _, message in flight.messages(HealthMessage, Kind.HEALTH)]
     assert max(lags[:5]) < 1e-6

@@ -359,9 +359,8 @@ async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_see
         for elsewhere in ((0.0, 100.0, 0.0), (-100.0, 0.0, 0.0), (1e7, 0.0, 0.0)):
             told.notices.on_peer(says_it_stands(2, clock.now(), elsewhere))
             told.fly(2.0)
-        told.notices.on_peer(
-            says_it_stands(2, clock.now(), (100.0, 0.0, 0.0), sigma=50.0)
-        )  # too vague to be wrong
+        # Too vague to be wrong.
+        told.notices.on_peer(says_it_stands(2, clock.now(), (100.0, 0.0, 0.0), sigma=50.0))
         told.fly(2.0)
         assert len(told.ground.of("ADSB_VEHICLE")) == silent
     assert not told.ground.of("STATUSTEXT")

@@ -456,9 +456,8 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
             await intruder.put(kind, *rest, payload=RANDOM)
     await counted(one, "announcements_malformed")
     await counted(one, "sightings_malformed")
-    assert (
-        one.counter("announcements_malformed") == one.counter("sightings_malformed") == 1
-    )  # on its own keys only
+    # On its own keys only.
+    assert one.counter("announcements_malformed") == one.counter("sightings_malformed") == 1
     await two.announce(2)
     await one.knows(two, sequence=2)
     assert of(one.told, 3) == []

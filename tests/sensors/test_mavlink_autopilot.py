@@ -84,9 +84,8 @@ async def test_a_denied_rate_is_lowered_until_granted_and_remembered_after_a_reb
             for message, interval in autopilot.commands
             if message == common.MAVLINK_MSG_ID_HIGHRES_IMU
         ]
-        np.testing.assert_allclose(
-            1e6 / np.array(imu), [500, 400, 320], rtol=1e-3
-        )  # 400 Hz is too fast as well
+        # 400 Hz is too fast as well
+        np.testing.assert_allclose(1e6 / np.array(imu), [500, 400, 320], rtol=1e-3)
         assert "IMU 500 Hz asked, 333 Hz got" in flight.text  # whole milliseconds: 3.125 became 3
         autopilot.commands.clear()
         autopilot.reboot(flight.clock.now())
@@ -421,9 +420,8 @@ async def test_a_recorded_ardupilot_is_read_without_loss_and_agrees_with_its_sim
         error_m.append(pose.position[:2] - row[7:9])
         gyro_error.append(listener.imu[k].gyro - row[4:7])
     assert np.percentile(tilt_deg, 95) < 0.5
-    assert (
-        np.percentile(error_deg, 95) < 2.5
-    )  # the estimator's heading is off by up to 2.4 degrees in this flight
+    # The estimator's heading is off by up to 2.4 degrees in this flight.
+    assert np.percentile(error_deg, 95) < 2.5
     assert np.percentile(np.linalg.norm(error_m, axis=1), 95) < 0.1
     assert np.abs(np.median(gyro_error, axis=0)).max() < 5e-3
     assert np.std(gyro_error, axis=0).max() < 0.01
@@ -443,9 +441,8 @@ async def test_by_gps_a_recorded_flight_is_where_its_local_position_was():
     assert distance[0] > 10.0
     # The grids of 11 and 10 mm, and 0.1 s of velocity in cm/s.
     assert np.percentile(np.abs(errors), 95) < 0.1
-    assert {p.position_sigma for p in by_gps.poses if p.position is not None} == {
-        0.3
-    }  # h_acc of the recording
+    # `h_acc` of the recording.
+    assert {p.position_sigma for p in by_gps.poses if p.position is not None} == {0.3}
     assert gps.status().ok
 
 

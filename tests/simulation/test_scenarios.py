@@ -241,9 +241,8 @@ def test_starts_are_announced_within_what_is_claimed_of_them():
             truth = scenario.initial_poses[drone_id]
             errors.append((start.position_m - truth.position) / start.position_sigma_m)
             assert start.yaw == pytest.approx(scenario.world.drones[drone_id].yaw(0.0))
-    assert np.std(errors) == pytest.approx(
-        1.0, rel=0.13
-    )  # 540 numbers know their sigma to 3 %: four times that
+    # 540 numbers know their sigma to 3 %: four times that
+    assert np.std(errors) == pytest.approx(1.0, rel=0.13)
 
 
 def test_a_drone_looks_where_it_sees_most_of_the_others():

@@ -427,9 +427,8 @@ def test_teammates_announce_where_they_start_within_what_they_claim():
     for announcement in announcements:
         truth = load_scenario("hover-triangle", seed=8).initial_poses[announcement.drone_id]
         error = announcement.position - truth.position
-        assert (
-            0.0 < error @ np.linalg.solve(announcement.position_cov, error) < 16.3
-        )  # chi-square, 3 DOF, 0.1 %
+        # Chi-square, 3 DOF, 0.1 %.
+        assert 0.0 < error @ np.linalg.solve(announcement.position_cov, error) < 16.3
         assert announcement.t == 1000.0
         assert len(announcement.boot) == 8
 

@@ -50,9 +50,8 @@ def yolo(root, names="[bird, drone]"):
 def test_both_say_the_same_of_the_same_boxes(tmp_path, form):
     first, second = load_frames(form(tmp_path))
     assert (first.name, second.name) == ("a.png", "b.png")
-    assert first.drones == pytest.approx(
-        np.array([[54.5, 24.5, 30.0, 10.0]])
-    )  # half a pixel before the edge's count
+    # Half a pixel before the edge's count.
+    assert first.drones == pytest.approx(np.array([[54.5, 24.5, 30.0, 10.0]]))
     assert first.distractors == pytest.approx(np.array([[123.5, 62.5, 8.0, 6.0]]))
     assert first.kinds == ("bird",)
     assert second.drones.shape == second.distractors.shape == (0, 4)

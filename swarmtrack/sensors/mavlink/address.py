@@ -13,9 +13,8 @@ from swarmtrack.errors import SourceError
 Scheme = Literal["udpin", "udpout", "tcp", "serial", "tlog", "none"]
 
 DEFAULT_BAUD = 115200  # USB ports ignore it; on a UART the wrong one is named within 3 s
-SLOWEST_BAUD = (
-    1200  # a smaller number after the last colon belongs to the name (/dev/serial/by-path/…-usb-0:1)
-)
+# A smaller number after the last colon belongs to the name (/dev/serial/by-path/…-usb-0:1).
+SLOWEST_BAUD = 1200
 
 # What people write, to what we call it. MAVSDK's and pymavlink's plain `udp` both listen.
 SCHEMES: dict[str, Scheme] = {

@@ -30,9 +30,8 @@ log = logging.getLogger(__name__)
 
 CONNECT_TIMEOUT = 2.5  # s: every failure names its reason within 3 s
 READ_SIZE = 4096  # bytes: a tenth of a second of the fastest serial link
-SEND_BUFFER = (
-    4096  # bytes waiting to be sent; beyond it new frames are dropped, all of ours are soon repeated
-)
+# bytes waiting to be sent; beyond it new frames are dropped, all of ours are soon repeated
+SEND_BUFFER = 4096
 RECORDS_PER_TURN = 200  # of a recording as fast as it goes, before others on the event loop get their turn
 
 
