@@ -12,9 +12,9 @@ from contextlib import AsyncExitStack
 import cv2
 import numpy as np
 import pytest
-from live.test_doctor import SMALL, Server, TurnedAutopilot, camera_at, free_port, written
 from pymavlink.dialects.v20 import common
 
+from support.drone_on_the_bench import SMALL, Server, TurnedAutopilot, camera_at, free_port, written
 from support.fake_autopilot import serve_udp
 from swarmtrack.agents.main import main
 from swarmtrack.benchmarks import calibration as bench

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 from aiohttp.test_utils import TestServer
-from live.test_swarm_command import pair
 
+from support.pair_scenario import pair
 from support.places import ROOT
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents import simulator

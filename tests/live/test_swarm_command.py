@@ -15,7 +15,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from support.pair_scenario import PAIR
+from support.pair_scenario import PAIR, pair
 from support.places import ROOT
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
@@ -28,15 +28,6 @@ from swarmtrack.scenario_file import load_scenario
 
 PATIENCE = 120.0  # s: far beyond what it takes, for a machine that is busy
 SMALL = ("--detector", "oracle", "--seconds", "4")
-
-
-def pair(folder: Path, **expected: float) -> tuple[str, str]:
-    """A scenario file of two drones, as arguments of the command; expected: of its limits others than stated."""
-    path = folder / "pair.toml"
-    lines = [line for line in PAIR.splitlines() if line.partition(" =")[0] not in expected]
-    lines += [f"{name} = {value}" for name, value in expected.items()]
-    path.write_text("\n".join(lines), encoding="utf-8")
-    return "--scenario", str(path)
 
 
 def environment(folder: Path) -> dict[str, str]:

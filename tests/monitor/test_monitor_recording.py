@@ -19,8 +19,8 @@ import pytest
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from live.test_monitor import PATIENCE, ROOT, browser_page, needs_chromium, until_said
-
+from support.browser import PATIENCE, browser_page, needs_chromium, until_said
+from support.places import ROOT
 from support.recorded_flight import fly
 from support.recorded_swarm import TEAM, UTC, record_swarm
 from swarmtrack.agents import main as swarmtrack

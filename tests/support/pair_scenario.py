@@ -1,5 +1,7 @@
 """Two drones that look at each other, and what no busy machine can spoil."""
 
+from pathlib import Path
+
 PAIR = """
 about = "two drones look at each other"
 seconds = 4.0
@@ -17,3 +19,12 @@ first_tracks_s = 60.0
 correct = 0.5
 rate = 0.1
 """
+
+
+def pair(folder: Path, **expected: float) -> tuple[str, str]:
+    """A scenario file of two drones, as arguments of the command; expected: of its limits others than stated."""
+    path = folder / "pair.toml"
+    lines = [line for line in PAIR.splitlines() if line.partition(" =")[0] not in expected]
+    lines += [f"{name} = {value}" for name, value in expected.items()]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return "--scenario", str(path)
