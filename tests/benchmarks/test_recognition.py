@@ -1,36 +1,44 @@
 """Whole swarms in one process: every drone's real `Onboard`, from synthetic detections to names."""
 
+import functools
+
 import pytest
 
-from swarmtrack.benchmarks.identity.recognition import fly
+from swarmtrack.benchmarks.identity import recognition
+
+
+@functools.cache
+def fly(scenario, drones, seconds, seed):
+    return recognition.fly(scenario, drones, seconds, "kalman", seed)
 
 
 @pytest.mark.parametrize(
-    ("scenario", "drones"), [("hover-triangle", 3), ("crossing", 4), ("fast-yaw", 4), ("late-joiner", 3)]
+    ("scenario", "drones", "seconds"),
+    [("hover-triangle", 3, 6.0), ("crossing", 4, 8.0), ("fast-yaw", 4, 8.0), ("late-joiner", 3, 11.0)],
 )
-def test_everybody_is_known_and_nobody_taken_for_another(scenario, drones):
-    score = fly(scenario, drones, 11.0, "kalman", 1).score
+def test_everybody_is_known_and_nobody_taken_for_another(scenario, drones, seconds):
+    score = fly(scenario, drones, seconds, 1).score
     assert score.wrong == 0.0
     assert score.correct > 0.97
     assert score.agreement == 1.0
 
 
 def test_who_hides_behind_another_keeps_its_name():
-    score = fly("occlusion", 4, 16.0, "kalman", 3).score
+    score = fly("occlusion", 4, 12.0, 3).score
     assert score.wrong <= 0.001
     assert score.correct > 0.95
 
 
 def test_an_intruder_is_nobody_of_the_team():
-    score = fly("intruder", 3, 15.0, "kalman", 1).score
+    score = fly("intruder", 3, 10.0, 1).score
     assert score.wrong == 0.0
     assert score.correct > 0.97
 
 
 def test_a_team_that_can_be_seen_apart_announces_itself_once():
-    assert fly("hover-triangle", 3, 10.0, "kalman", 2).announcements_per_drone == 1.0
+    assert fly("hover-triangle", 3, 6.0, 1).announcements_per_drone == 1.0
 
 
 def test_the_same_seed_flies_the_same_flight():
-    one, other = (fly("crossing", 4, 6.0, "kalman", 5) for _ in range(2))
+    one, other = (recognition.fly("crossing", 4, 2.0, "kalman", 5) for _ in range(2))
     assert one == other

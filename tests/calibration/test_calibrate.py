@@ -134,7 +134,8 @@ def test_too_few_turns_say_nothing():
 
 @pytest.mark.parametrize("seed", [101, 102])
 def test_a_turn_by_hand_gives_rotation_and_offset(seed):
-    minute = bench.hand_turned(seed, seconds=15.5)
+    # A quarter of the benchmark's pixels: the claims of `swarmtrack bench calibration` hold with them too.
+    minute = bench.hand_turned(seed, seconds=15.5, camera=bench.EYE.scaled(160, 120))
     assert math.degrees(minute.rotation_error) < 0.5
     assert abs(minute.offset_error) < 3e-3
     assert minute.believed
@@ -158,6 +159,7 @@ def test_frames_far_apart_are_not_compared():
     assert motion.see(1.05, image) is None  # the clock went back
 
 
+@pytest.mark.live
 async def test_the_command_measures_a_live_drone_and_writes_its_config(tmp_path, capsys):
     """A real HTTP camera, a real UDP autopilot, the real command; its clock is 20 ms off and its camera looks up."""
     hand = HandTurned(np.random.default_rng(8), amplitude=(0.5, 0.5, 0.6), sway_m=0.0)
@@ -192,8 +194,8 @@ async def test_the_command_measures_a_live_drone_and_writes_its_config(tmp_path,
         )
     record = json.loads(capsys.readouterr().out)
     assert record["rpy_deg"] == pytest.approx(np.degrees((0.05, 0.2, -0.1)), abs=0.7), record
-    # The autopilot's clock is known to some milliseconds, on a busy machine.
-    assert record["time_offset_s"] == pytest.approx(-0.02, abs=0.008)
+    # A busy machine knows the autopilot's clock to some milliseconds; the offset of the other sign is 40 off.
+    assert record["time_offset_s"] == pytest.approx(-0.02, abs=0.015)
     assert (code == 0) == (not record["doubts"])
     if code == 0:
         assert mount_camera(load_config(path).camera).time_offset_s == pytest.approx(
@@ -311,7 +313,7 @@ def test_a_drawn_board_is_found_where_its_corners_are(kind):
     ("kind", "model"), [("charuco", "radtan"), ("aprilgrid", "radtan"), ("charuco", "equidistant")]
 )
 def test_a_camera_is_found_by_the_boards_it_was_shown(kind, model):
-    shown = bench.board_shown(5, kind, model, views=24)
+    shown = bench.board_shown(5, kind, model, views=12)
     truth = bench.LENSES[model]
     assert shown.focal_error < 0.005
     assert shown.ray_error_px < 0.5
@@ -417,7 +419,7 @@ def test_a_folder_of_images_becomes_a_calibration(tmp_path, capsys):
     rng = np.random.default_rng(3)
     folder = tmp_path / "views"
     folder.mkdir()
-    for i, pose in enumerate(board_poses(rng, truth, board.size_m, 16)):
+    for i, pose in enumerate(board_poses(rng, truth, board.size_m, 10)):
         cv2.imwrite(str(folder / f"{i:02}.png"), scene.image(pose, rng))
     out = tmp_path / "cam.yaml"
     code = main(["calibrate", "intrinsics", f"images://{folder}", "--out", str(out), "--json"])

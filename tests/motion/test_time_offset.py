@@ -113,20 +113,21 @@ def test_without_noise_the_offset_is_found_to_a_third_of_a_millisecond(offset):
 
 def test_errors_are_as_large_as_the_sigma_says():
     found = []
-    for seed in range(30):
+    for seed in range(15):
         offset = (-0.08, 0.08, 0.02)[seed % 3]
-        clock, _ = play(Turning(np.random.default_rng(seed)), offset, 15.0, seed=seed)
+        clock, _ = play(Turning(np.random.default_rng(seed)), offset, 12.0, seed=seed)
         found.append((clock.found.offset_s - offset, clock.found.sigma_s))
     error, sigma = np.array(found).T
     assert math.sqrt(np.mean(error**2)) < 2e-3
-    assert 0.4 < np.mean((error / sigma) ** 2) < 2.0
+    # The mean of 15 squares of unit normals lies within this in 99.8 % of all cases.
+    assert 0.23 < np.mean((error / sigma) ** 2) < 2.5
     assert np.median(sigma) < SURE
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4])
 def test_a_camera_that_stands_still_or_turns_steadily_claims_nothing(rate):
-    for seed in range(5):
-        clock, _ = play(Steady(rate), 0.04, 30.0, seed=seed, around=True)
+    for seed in range(3):
+        clock, _ = play(Steady(rate), 0.04, 20.0, seed=seed, around=True)
         assert clock.found is None or clock.found.sigma_s > 10 * SURE
         assert clock.used_s == 0.0
 
@@ -192,7 +193,7 @@ def test_gaps_repeated_stamps_and_a_gyro_that_starts_anew_are_survived():
 
 
 @given(st.lists(st.tuples(st.floats(-1e3, 1e3), st.floats(-1e300, 1e300), st.floats(-1e9, 1e9)), max_size=30))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50)
 def test_no_stamp_pixel_or_variance_is_more_than_it_can_bear(scans):
     motion, clock, gyro = Turning(np.random.default_rng(9)), CameraClock(0.0), GyroHistory()
     feed(clock, gyro, motion, 1.0 + np.arange(30) / FPS, 0.0)

@@ -128,7 +128,7 @@ def test_a_hovering_triangle_or_rhombus_shows_as_many_pairs_as_its_cameras_can(d
         assert sum(len(seen_by(scenario, member, t)) for member in scenario.members) == pairs
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_in_crossing_drones_change_sides_in_the_image_of_two_observers_or_more(seed):
     scenario = load_scenario("crossing", seed=seed)
     times = np.arange(5.0, scenario.seconds, 0.1)
@@ -145,11 +145,11 @@ def test_in_crossing_drones_change_sides_in_the_image_of_two_observers_or_more(s
     assert observers >= 2
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("drones", [4, 6])
 def test_in_occlusion_drones_vanish_behind_others_for_half_a_second_to_two(seed, drones):
     scenario = load_scenario("occlusion", seed=seed, drones=drones)
-    period = 0.05
+    period = 0.1
     times = np.arange(8.0, scenario.seconds, period)
     instants = [Instant(scenario.world, float(t)) for t in times]
     hidden_s = []
