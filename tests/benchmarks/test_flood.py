@@ -22,7 +22,8 @@ async def test_a_flood_by_a_member_stops_neither_the_loop_nor_the_others(sort: S
     outcome = await measure(sort, SECONDS)
     print(f"\n  {outcome}", end="")
     assert outcome.sent_hz > 100, "no flood: the test would show nothing"
-    assert outcome.lag_p95_ms < 50.0
+    # A loop that a flood holds up lags as long as the flood lasts; a busy machine makes it late, but not so late.
+    assert outcome.lag_p95_ms < 1e3 * SECONDS / 4
     assert outcome.rss_after_mb - outcome.rss_before_mb < 30.0
     assert outcome.friend_heard >= outcome.friend_announced / 2
     told = outcome.events_hz - outcome.friend_heard / SECONDS

@@ -1,4 +1,4 @@
-"""Random and hostile scans leave every number sound: a hundred by default, 2000 in the long form, a million in `bench soak`."""
+"""Random and hostile scans leave every number sound: a hundred, 2000 in the long form, a million in `bench soak`."""
 
 import numpy as np
 import pytest

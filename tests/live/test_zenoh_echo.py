@@ -26,7 +26,7 @@ from swarmtrack.transport.zenoh_transport import ZenohTransport
 from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import tracks_message
 
-PATIENCE = 15.0  # s
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 PROGRAM = (
     "import argparse, sys; from swarmtrack.agents import echo; p = argparse.ArgumentParser();"
     "echo.add_arguments(p); sys.exit(echo.run(p.parse_args()))"

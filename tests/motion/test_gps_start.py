@@ -29,7 +29,7 @@ from swarmtrack.simulation.world import World
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
 ORIGIN = Geodetic.from_degrees(47.3977, 8.5456, 488.0)
-PATIENCE = 60.0  # s: a hang, not a speed
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 GLOBAL = {common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, common.MAVLINK_MSG_ID_GPS_RAW_INT}
 LOCAL = {common.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 

@@ -24,7 +24,7 @@ from swarmtrack.agents import bench, main, vehicle
 from swarmtrack.config import load_config, load_team_config
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PATIENCE = 60.0  # s
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 PROGRAMS = ("swarmtrack", "swarmtrack-agent")
 BEFORE = ("sudo", "nohup", "exec", "nice", "-u", "-n")  # with the options of sudo and nice that take a word
 # Of these all actions are over in a moment and touch nothing but the folder they are told.

@@ -56,7 +56,7 @@ def test_the_replay_plays_a_video_and_a_log_that_lie_beside_it(tmp_path):
         env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
         capture_output=True,
         text=True,
-        timeout=60.0,
+        timeout=180.0,
         check=False,
     )
     assert result.returncode == 0, result.stderr

@@ -14,7 +14,7 @@ from swarmtrack.config import load_config
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BENCHMARKS_PAGE = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
-PATIENCE = 60.0  # s
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 def block(mark):

@@ -42,7 +42,7 @@ from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_value, status_text
 from swarmtrack.wire.health import link_health
 
-TIMEOUT = 60.0  # s: a hang, not a speed
+TIMEOUT = 180.0  # s: ends a hang, and says nothing of speed
 CONFIG = """
 drone.id = 1
 network.transport = "memory"

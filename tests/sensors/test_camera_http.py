@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from support.streams import Send, StreamServer, first, sending, stream_server
+from support.streams import PATIENCE, Send, StreamServer, first, sending, stream_server
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.sensors.base import Camera
@@ -46,7 +46,7 @@ async def take(camera: Camera, count: int) -> list[Frame]:
 
 
 async def status_with(camera: Camera, words: str) -> str:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE):
         while words not in camera.status().text:  # noqa: ASYNC110
             await asyncio.sleep(0.02)
     return camera.status().text
@@ -58,13 +58,13 @@ def counters(camera: Camera) -> dict[str, float]:
 
 @pytest.mark.parametrize("length", [True, False])
 async def test_images_arrive_with_and_without_their_length_told(server: StreamServer, length: bool) -> None:
-    server.script = sending(*(part(jpeg(level), length=length) for level in (20, 90, 160)))
     camera = open_camera(server.url, clock=SystemClock(), size=(64, 48))
+    server.script = sending(*(part(jpeg(level), length=length) for level in (20, 90, 160)), source=camera)
     frames = await take(camera, 3)  # the last too, though no delimiter follows it
     assert [round(frame.image.mean()) for frame in frames] == pytest.approx([20, 90, 160], abs=2)
     assert {frame.stamp for frame in frames} == {StampKind.ARRIVAL}
     assert frames[0].t_sigma == pytest.approx(0.05)
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE):
         await camera.close()
 
 
@@ -74,8 +74,8 @@ async def test_a_stamp_is_taken_as_exposure_on_our_clock_or_in_utc_and_else_not_
     clock = SystemClock()
     now, utc = clock.now(), clock.utc()
     stamps = [now - 0.3, utc - 0.3, now - 3600, now + 30, "yesterday", "nan"]
-    server.script = sending(*(part(jpeg(9), f"X-Timestamp: {stamp}") for stamp in stamps))
     camera = open_camera(server.url + "?latency_ms=40", clock=clock)
+    server.script = sending(*(part(jpeg(9), f"X-Timestamp: {stamp}") for stamp in stamps), source=camera)
     frames = await take(camera, len(stamps))
     after = clock.now()
     assert frames[0].t == pytest.approx(now - 0.3, abs=1e-6)
@@ -91,8 +91,8 @@ async def test_damaged_images_are_counted_and_the_stream_goes_on(server: StreamS
     at = whole.index(b"\xff\xc0")
     bomb = whole[: at + 5] + b"\xff\xff\xff\xff" + whole[at + 9 :]  # claims 65535 x 65535
     bad = [b"no jpeg", whole[: len(whole) // 2], bomb]
-    server.script = sending(*(part(body) for body in (*bad, jpeg(200))))
     camera = open_camera(server.url, clock=SystemClock())
+    server.script = sending(*(part(body) for body in (*bad, jpeg(200))), source=camera)
     assert round((await take(camera, 1))[0].image.mean()) == pytest.approx(200, abs=2)
     assert counters(camera)["corrupt"] == 3
     await camera.close()
@@ -121,7 +121,7 @@ async def test_a_slow_consumer_gets_the_newest(server: StreamServer) -> None:
     server.script = script
     camera = open_camera(server.url, clock=SystemClock())
     frames = camera.frames()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE):
         await anext(frames)
         first_taken.set()
         while counters(camera)["dropped"] < 18:  # noqa: ASYNC110
@@ -171,7 +171,7 @@ async def test_nobody_there_and_somebody_silent_are_told_apart(server: StreamSer
         camera = open_camera(url, clock=SystemClock())
         taking = asyncio.create_task(take(camera, 1))
         await status_with(camera, sentence)
-        async with asyncio.timeout(1):
+        async with asyncio.timeout(PATIENCE):
             await camera.close()
         assert await taking == []
 

@@ -15,7 +15,7 @@ from swarmtrack.messages import Frame, StampKind
 from swarmtrack.sensors.base import Camera
 from swarmtrack.sensors.cameras import open_camera
 
-PATIENCE = 15.0  # s
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 PERIOD = 1 / 30
 
 
@@ -140,7 +140,7 @@ async def test_a_stream_gives_its_pictures_with_the_time_of_arrival(server: Serv
     assert levels == sorted(levels)
     assert levels[0] < levels[-1]
     assert {(frame.stamp, frame.t_sigma) for frame in frames} == {(StampKind.ARRIVAL, 0.03)}
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE):
         await camera.close()
 
 
@@ -173,7 +173,7 @@ async def test_a_stream_that_falls_silent_is_said_within_its_timeout_and_can_be_
             server.silent = False
             while server.plays < 2:
                 await anext(frames)
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE):
         await camera.close()
 
 
@@ -195,7 +195,7 @@ async def test_nobody_there_and_no_stream_there_are_told_apart_and_close_at_once
         draining = asyncio.create_task(drain(camera))
         await status_with(camera, sentence)
         assert not camera.status().ok
-        async with asyncio.timeout(1):
+        async with asyncio.timeout(PATIENCE):
             await camera.close()
         assert await draining == 0
     mute.close()

@@ -59,8 +59,9 @@ def counters(source: DetectionSource) -> dict[str, float]:
 
 
 async def test_a_line_is_a_scan_and_an_empty_one_says_that_nobody_was_seen(server: StreamServer) -> None:
-    server.script = sending(line(None, 7, BOX), line(None, 8), b"\n", line(None, 10, BOX, BOX))
     source = open_stream(server.url)
+    lines = (line(None, 7, BOX), line(None, 8) + b"\n", line(None, 10, BOX, BOX))
+    server.script = sending(*lines, source=source)
     first, empty, last = await take(source, 3)
     np.testing.assert_array_equal(first.centre, [[320.5, 240.0]])
     np.testing.assert_array_equal(first.size, [[31.0, 18.5]])
@@ -78,8 +79,8 @@ async def test_a_stamp_is_exposure_on_our_clock_or_in_utc_and_else_the_arrival_c
     clock = SystemClock()
     now, utc = clock.now(), clock.utc()
     stamps = [now - 0.3, utc - 0.3, None, now - 3600.0, now + 30.0]
-    server.script = sending(*(line(stamp) for stamp in stamps))
     source = open_stream(server.url + "?latency_ms=40")
+    server.script = sending(*(line(stamp) for stamp in stamps), source=source)
     taken = await take(source, len(stamps))
     assert taken[0].t == pytest.approx(now - 0.3, abs=1e-6)
     assert taken[1].t == pytest.approx(now - 0.3, abs=1e-2)

@@ -30,7 +30,7 @@ from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.links import records
 
 SHARED = SHARED / "mavlink"
-TIMEOUT = 20.0  # s: a hang, not a speed
+TIMEOUT = 180.0  # s: ends a hang, and says nothing of speed
 KEY = bytes(range(32))
 
 

@@ -21,7 +21,7 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
-PATIENCE = 20.0  # s: far beyond what any of this takes
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 CLOCK = SystemClock()
 

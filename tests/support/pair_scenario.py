@@ -1,4 +1,4 @@
-"""Two drones that look at each other, and what no busy machine can spoil."""
+"""Two drones that look at each other, and what a busy machine may spoil of their verdict."""
 
 from pathlib import Path
 
@@ -28,3 +28,16 @@ def pair(folder: Path, **expected: float) -> tuple[str, str]:
     lines += [f"{name} = {value}" for name, value in expected.items()]
     path.write_text("\n".join(lines), encoding="utf-8")
     return "--scenario", str(path)
+
+
+def is_fair(code: int, said: str) -> bool:
+    """Whether a flight passed, or fell short of nothing but what a busy machine spoils: rates, delays, shares.
+
+    Wrong names and announcements that are too long are no machine's fault.
+    """
+    if code == 0:
+        return said.rstrip().endswith("PASSED")
+    found = said.rpartition("FAILED")[2]
+    return (
+        code == 1 and "FAILED" in said and "identity.wrong" not in found and "announcement_bytes" not in found
+    )

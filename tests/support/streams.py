@@ -9,7 +9,9 @@ from typing import TypeVar
 
 from aiohttp import web
 
-PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
+from swarmtrack.sensors.base import Camera, DetectionSource
+
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 Send = Callable[[bytes], Awaitable[None]]
 Script = Callable[[Send], Awaitable[None]]
@@ -55,15 +57,25 @@ async def hang_up(send: Send) -> None:
     """The connection ends with its script."""
 
 
-def sending(*messages: bytes, then: Script = keep_silent) -> Script:
+def sending(
+    *messages: bytes, then: Script = keep_silent, source: Camera | DetectionSource | None = None
+) -> Script:
+    """source: each message waits until it has dealt with the one before; newest-only would drop what comes together."""
+
     async def script(send: Send) -> None:
-        for message in messages:
+        for sent, message in enumerate(messages, start=1):
             await send(message)
-            # Apart, as from a camera: newest-only would drop what comes together.
-            await asyncio.sleep(0.02)
+            while source is not None and dealt_with(source) < sent:  # noqa: ASYNC110
+                await asyncio.sleep(0.002)
         await then(send)
 
     return script
+
+
+def dealt_with(source: Camera | DetectionSource) -> float:
+    """How many frames were taken or refused."""
+    counters = dict(source.status().counters)
+    return sum(counters[name] for name in ("frames", "corrupt", "wrong_size"))
 
 
 async def first(count: int, stream: AsyncIterator[T]) -> list[T]:

@@ -41,7 +41,7 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import TracksMessage
 
-PATIENCE = 60.0  # s: far beyond every promise, for a machine that is busy
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 MAX_FRAME_AGE_S = 1.0  # where processes wait for each other, a late frame is better than none
 SEED = 1
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -37,7 +37,7 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message
 from swarmtrack.wire.sightings import SightingsMessage, sightings_message
 
-PATIENCE = 10.0  # s: far beyond what any of this takes; only a broken promise waits it out
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 def announcement(drone_id: int, boot: str, sequence: int = 0, t: float = 0.0) -> Announcement:

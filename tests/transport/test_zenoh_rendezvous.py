@@ -26,7 +26,7 @@ from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import bounded, close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
-PATIENCE = 10.0  # s
+PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 def free_ports(n: int) -> range:
