@@ -16,7 +16,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from support.pair_scenario import PAIR, is_fair, pair
+from support.pair_scenario import PAIR, is_fair, is_judged, pair
 from support.places import ROOT
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
@@ -28,7 +28,7 @@ from swarmtrack.localswarm.processes import Children
 from swarmtrack.scenario_file import load_scenario
 
 PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
-SMALL = ("--detector", "oracle", "--seconds", "4")
+LENGTHS = ("4", "16", "64")  # s: the next one where the machine is so busy that the flight was over too soon
 
 
 def environment(folder: Path) -> dict[str, str]:
@@ -158,12 +158,15 @@ def test_a_module_runs_on_a_clock_that_is_wrong(tmp_path):
 
 def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     out = tmp_path / "out.json"
-    code, said, complained = finish(start(tmp_path, *pair(tmp_path), *SMALL, "--json", str(out)))
+    for seconds in LENGTHS:
+        options = ("--detector", "oracle", "--seconds", seconds, "--json", str(out))
+        code, said, complained = finish(start(tmp_path, *pair(tmp_path), *options))
+        if is_judged(said):
+            break
     assert complained == ""
     assert is_fair(code, said), said
     result = json.loads(out.read_text())
-    # Nothing was judged (None) where the machine let no agent speak in time.
-    assert result["identity"]["wrong"] in (0.0, None)
+    assert result["identity"]["wrong"] == 0.0
     agent_keys = {
         "id", "track_rate_hz", "imu_rate_hz", "detection_rate_hz", "latency_ms", "cpu_percent", "rss_mb",
         "announcement_bytes",
@@ -171,7 +174,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     assert list(result) == [
         "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "agents", "passed",
     ]  # fmt: skip
-    assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, 4.0)
+    assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, float(seconds))
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
     assert list(result["identity"]) == ["time_to_identify_s", "correct", "wrong", "unknown", "agreement"]
     assert set(result["identity"]["time_to_identify_s"]) <= {"1", "2"}
@@ -201,9 +204,16 @@ class Watched(NamedTuple):
 
 @pytest.fixture(scope="module")
 def watched(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("watched")
-    options = (*pair(folder, announcement_bytes=10), *SMALL, "--json", str(folder / "out.json"))
-    flight = start(folder, *options, "--monitor", "--keep")
+    for seconds in LENGTHS:
+        flown = watch(tmp_path_factory.mktemp("watched"), seconds)
+        if is_judged(flown.said):
+            break
+    return flown
+
+
+def watch(folder: Path, seconds: str) -> Watched:
+    options = ("--detector", "oracle", "--seconds", seconds, "--json", str(folder / "out.json"))
+    flight = start(folder, *pair(folder, announcement_bytes=10), *options, "--monitor", "--keep")
     lines, found = [], None
     while found is None:
         lines.append(flight.stdout.readline())
@@ -219,8 +229,8 @@ def test_a_number_that_is_not_as_expected_fails_the_flight_and_is_named(watched)
     assert watched.code == 1
     assert json.loads((watched.folder / "out.json").read_text())["passed"] is False
     verdict = watched.said[watched.said.index("FAILED") :].splitlines()
-    (line,) = [line for line in verdict if "announcement_bytes of 2 drones, worst of drone" in line]
-    assert ", expected 10 at most" in line
+    named = [line for line in verdict if "announcement_bytes of " in line and ", expected 10 at most" in line]
+    assert len(named) == 1, watched.said
 
 
 def test_the_monitor_serves_the_flights_page_and_ends_with_it(watched):

@@ -30,6 +30,12 @@ def pair(folder: Path, **expected: float) -> tuple[str, str]:
     return "--scenario", str(path)
 
 
+def is_judged(said: str) -> bool:
+    """Whether every drone was heard; where the machine is busy, a flight may be over before its agents speak."""
+    unheard = ("nothing to judge", "no tracks were ever heard", "never announced")
+    return not any(words in said.rpartition("FAILED")[2] for words in unheard)
+
+
 def is_fair(code: int, said: str) -> bool:
     """Whether a flight passed, or fell short of nothing but what a busy machine spoils: rates, delays, shares.
 
