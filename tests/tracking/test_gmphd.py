@@ -178,12 +178,13 @@ def simulated(
     return np.array(found)[scans // 3 :]
 
 
+@pytest.mark.parametrize(("seeds", "within"), [(10, 0.05), pytest.param(30, 0.03, marks=pytest.mark.long)])
 @pytest.mark.parametrize("one_to_one", [True, False])
-def test_the_weights_sum_to_the_number_of_targets(one_to_one):
-    runs = np.array([simulated(seed, one_to_one=one_to_one) for seed in range(30)])
+def test_the_weights_sum_to_the_number_of_targets(one_to_one, seeds, within):
+    runs = np.array([simulated(seed, one_to_one=one_to_one) for seed in range(seeds)])
     expected, true = runs[:, :, 0], runs[:, :, 1]
     assert true.mean() > 2.0  # half a target is born, and one in ten dies, each second
-    assert abs((expected - true).mean()) < 0.03 * true.mean()
+    assert abs((expected - true).mean()) < within * true.mean()
     assert np.corrcoef(expected.ravel(), true.ravel())[0, 1] > 0.9
 
 
@@ -344,13 +345,16 @@ def crossed(name, seed, speed=30.0, **parameters):
     )
 
 
+@pytest.mark.parametrize(("runs", "kept"), [(20, 19), pytest.param(60, 58, marks=pytest.mark.long)])
 @pytest.mark.parametrize("speed", [30.0, 15.0])
-def test_labels_stay_with_their_targets_through_a_crossing(speed):
-    assert sum(crossed("gmphd", seed, speed) for seed in range(60)) >= 58
+def test_labels_stay_with_their_targets_through_a_crossing(speed, runs, kept):
+    """One of 20 lost is up to 22 % (95 %); two of 60, up to 10 %."""
+    assert sum(crossed("gmphd", seed, speed) for seed in range(runs)) >= kept
 
 
-def test_without_one_to_one_a_slow_crossing_shares_the_labels_out():
-    assert sum(crossed("gmphd", seed, 15.0, one_to_one=False) for seed in range(30)) < 20
+@pytest.mark.parametrize("runs", [12, pytest.param(30, marks=pytest.mark.long)])
+def test_without_one_to_one_a_slow_crossing_shares_the_labels_out(runs):
+    assert sum(crossed("gmphd", seed, 15.0, one_to_one=False) for seed in range(runs)) < 2 * runs / 3
 
 
 @pytest.mark.parametrize(

@@ -108,17 +108,18 @@ def kept_their_names(seed, *, hypotheses, angle_deg, merge_px, scans, hz=8.0):
     return all(np.linalg.norm(at.get(i, gone) - p) < 15.0 for i, p in zip(ids, truth[-1], strict=True)), doubt
 
 
-def test_who_is_who_at_a_crossing_is_in_doubt_for_a_while_and_then_right():
-    """Half a dozen scans of one detection for two, a hundred times."""
+@pytest.mark.parametrize("runs", [30, pytest.param(100, marks=pytest.mark.long)])
+def test_who_is_who_at_a_crossing_is_in_doubt_for_a_while_and_then_right(runs):
+    """Half a dozen scans of one detection for two. Of 30, one lost is up to 16 % (95 %); of 100, up to 5.4 %."""
     kept, doubt = zip(
         *(
             kept_their_names(seed, hypotheses=20, angle_deg=20.0, merge_px=8.0, scans=24)
-            for seed in range(100)
+            for seed in range(runs)
         ),
         strict=True,
     )
     assert np.median(doubt) > 0.3
-    assert sum(kept) >= 99
+    assert sum(kept) >= runs - 1
 
 
 def test_who_decides_at_once_is_wrong_more_often():
@@ -414,8 +415,11 @@ def wander(tracker, seed, scans, check=lambda tracker: None):
     return tracker
 
 
-@pytest.mark.parametrize(("hypotheses", "scans"), [(20, 1200), (3, 800)])
-def test_after_two_thousand_scans_of_everything_it_hangs_together(hypotheses, scans):
+@pytest.mark.parametrize(
+    ("hypotheses", "scans"),
+    [(20, 300), (3, 200), *(pytest.param(*of, marks=pytest.mark.long) for of in [(20, 1200), (3, 800)])],
+)
+def test_after_hundreds_of_scans_of_everything_it_hangs_together(hypotheses, scans):
     clustered, confirmed, ended = [], [], set()
 
     def check(tracker):
@@ -430,7 +434,7 @@ def test_after_two_thousand_scans_of_everything_it_hangs_together(hypotheses, sc
     # the world was as wild as it should be
     assert np.mean(clustered) > 0.5
     assert np.mean(confirmed) > 2.0
-    assert len(ended) > 50
+    assert len(ended) > scans / 16
     assert max(ended) < 6 * scans
 
 
