@@ -125,7 +125,7 @@ class _File:
 
 
 @dataclass(slots=True)
-class Counters:
+class WriterCounters:
     """What became of the messages."""
 
     written: int = 0
@@ -152,7 +152,7 @@ class RecordingWriter:
     def __init__(self, folder: Path, preface: Preface, bounds: Bounds) -> None:
         """Raises RecordingError where nothing can be written."""
         self.folder = folder
-        self.counters = Counters()
+        self.counters = WriterCounters()
         self.trouble: str | None = None
         """Why nothing is being written; None: all is well."""
         self._preface = preface

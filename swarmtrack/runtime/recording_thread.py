@@ -16,7 +16,7 @@ from pathlib import Path
 
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
-from swarmtrack.recording.writer import Bounds, Counters, Preface, RecordingWriter, Topic
+from swarmtrack.recording.writer import Bounds, Preface, RecordingWriter, Topic, WriterCounters
 
 log = logging.getLogger(__name__)
 
@@ -70,9 +70,9 @@ class RecordingThread:
         return None if self._writer is None else self._writer.folder
 
     @property
-    def counters(self) -> Counters:
+    def counters(self) -> WriterCounters:
         """What became of the messages; `lost` is the writer's part of `lost` below."""
-        return self._writer.counters if self._writer else Counters()
+        return self._writer.counters if self._writer else WriterCounters()
 
     @property
     def lost(self) -> int:
