@@ -338,7 +338,9 @@ def test_models_that_do_not_load_and_providers_that_are_not_here(tmp_path):
     }
     for i, (fault, section) in enumerate(sections.items()):
         config = load_config(written(tmp_path / str(i), detector=section))
-        assert faults(check_detector(examination._detector(config, None, None, None))) == {fault}
+        assert faults(check_detector(examination._detector(config, SystemClock(), None, None, None))) == {
+            fault
+        }
 
 
 @pytest.mark.parametrize(
