@@ -31,7 +31,7 @@ LATENCY_S = 0.08  # s from exposure to detections
 LEAD_S = 1.0  # s that the sensors run before world time 0
 
 
-class Look(NamedTuple):
+class ObservedScan(NamedTuple):
     """What `observer` tracked in the scan exposed at t [s, world time]."""
 
     observer: int
@@ -87,7 +87,7 @@ class VirtualSwarm:
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
         return _Drone(onboard, imu, announce_at=max(scenario.starts_s.get(drone_id, 0.0) - 0.5, -0.5))
 
-    def fly(self, seconds: float) -> Iterator[Look]:
+    def fly(self, seconds: float) -> Iterator[ObservedScan]:
         """From world time −LEAD_S to `seconds`."""
         scenario = self.scenario
         rates = {"imu": scenario.imu_rate_hz, "pose": self._ego.rate_hz, "scan": scenario.fps}
@@ -112,7 +112,7 @@ class VirtualSwarm:
                 self._scan(drone_id, index)
             for event in drone.onboard.events():
                 if isinstance(event, ScanReport):
-                    yield Look(drone_id, event.tracks.t, event.tracks)
+                    yield ObservedScan(drone_id, event.tracks.t, event.tracks)
                 elif isinstance(event, PoseWanted):
                     drone.wanted.append(event.drone_id)
             rate = rates[what]

@@ -19,10 +19,14 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 
-MARGIN = 1.5  # times a box: its surroundings belong to what a net knows drones by
-UNKNOWN_SIZE = 24.0  # px, of a box not known yet
-CUT = 2.0  # px: a box nearer to a window's edge, where the image goes on, is that of half a drone
-FOVEA_STEP = 32  # px: sides of a window's input are multiples of this, so that few different ones occur
+# Times a box: its surroundings belong to what a net knows drones by.
+MARGIN = 1.5
+# px, of a box not known yet.
+UNKNOWN_SIZE = 24.0
+# px: a box nearer to a window's edge, where the image goes on, is that of half a drone.
+CUT = 2.0
+# px: sides of a window's input are multiples of this, so that few different ones occur.
+FOVEA_STEP = 32
 
 
 class Window(NamedTuple):

@@ -23,8 +23,10 @@ from swarmtrack.messages import Array, Detections, Frame, LinkStatus
 
 NOTHING_DECLARED = Declared()
 USUAL_ATTENTION = AttentionParameters()
-LATENCY_FRAMES = 256  # frames over which latency is reported: about ten seconds of video
-SMALLEST, LARGEST = 8, 8192  # px: sides of an image that make sense
+# Frames over which latency is reported: about ten seconds of video.
+LATENCY_FRAMES = 256
+# px: sides of an image that make sense.
+SMALLEST, LARGEST = 8, 8192
 
 
 class Percentiles(NamedTuple):

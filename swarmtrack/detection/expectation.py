@@ -12,7 +12,8 @@ from swarmtrack.messages import Array
 from swarmtrack.motion.gyro import rotation_between
 from swarmtrack.perceived import Perceived
 
-BLURRED_PX = 3.0  # by which two pictures may miss each other and still be compared
+# By which two pictures may miss each other and still be compared.
+BLURRED_PX = 3.0
 
 PixelMapping = Callable[[Array], Array]
 """Pixels (n, 2) of a frame → where the same directions lie in an earlier one; NaN where the lens does not reach."""

@@ -28,19 +28,31 @@ from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.detection.heads import Candidates
 from swarmtrack.messages import Array, Frame, Image
 
-APART_S = 0.09  # between the frames: long enough for a drone to move, short enough for the gyro
-LONGEST_S = 0.5  # after which the light, the clouds and our own place are others
-LEAST = 0.15  # score from which on a candidate is looked at
-SURE = 0.5  # score that motion must have made of one which the net alone would not have shown
-STILL = 2.0  # ratio up to which nothing has moved
-GREY = 2.0  # grey levels: of change that is none
-SIDES = (8, 60)  # px: half of what is looked at around a candidate, at least and at most
-RIM = 2.0  # px around a box that belong neither to it nor to what is around it
-BLUR = 1.0  # px
+# Between the frames: long enough for a drone to move, short enough for the gyro.
+APART_S = 0.09
+# After which the light, the clouds and our own place are others.
+LONGEST_S = 0.5
+# Score from which on a candidate is looked at.
+LEAST = 0.15
+# Score that motion must have made of one which the net alone would not have shown.
+SURE = 0.5
+# Ratio up to which nothing has moved.
+STILL = 2.0
+# Grey levels: of change that is none.
+GREY = 2.0
+# px: half of what is looked at around a candidate, at least and at most.
+SIDES = (8, 60)
+# px around a box that belong neither to it nor to what is around it.
+RIM = 2.0
+# px.
+BLUR = 1.0
 MESH_PX = 32.0
-NOWHERE = -1e4  # px: outside of any image
-STANDS_PX = 0.05  # a turn that moves no pixel further is none
-MOST_KEPT = 64  # frames: a camera of up to 700 Hz still finds one that is old enough
+# px: outside of any image.
+NOWHERE = -1e4
+# A turn that moves no pixel further is none.
+STANDS_PX = 0.05
+# Frames: a camera of up to 700 Hz still finds one that is old enough.
+MOST_KEPT = 64
 
 
 class Comparison(NamedTuple):

@@ -43,5 +43,7 @@ class PoseRequests:
 
     def take(self) -> tuple[int, ...]:
         """The drones to ask, each once."""
+        if not self._waiting:
+            return ()
         waiting, self._waiting = tuple(sorted(self._waiting)), set()
         return waiting
