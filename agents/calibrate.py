@@ -147,14 +147,14 @@ async def _tell(watch: SensorWatch, seconds: float | None) -> None:
             )
             turns = len(watch.motion.found) if watch.motion else 0
             of = f" of {seconds:.0f}" if seconds else ""
-            live.update(f"{tick / 2:5.1f}{of} s   {axes}   {turns} frames understood")
+            live.update(f"{tick / 2:5.1f}{of} s   {axes}   {turns} frames used")
             await asyncio.sleep(0.5)
 
 
 def _nothing(watched: Any, frames: int) -> int:
     from swarmtrack.diagnosis.sources import check_autopilot, check_camera
 
-    print("calibrate extrinsics: too little to say anything:", file=sys.stderr)
+    print("calibrate extrinsics: too little data for a result:", file=sys.stderr)
     for finding in check_camera(watched.camera) + check_autopilot(watched.autopilot):
         print(
             f"  {finding.check}: {finding.found}{' -> ' if finding.remedy else ''}{finding.remedy}",
@@ -212,12 +212,12 @@ def _say(found: Any, problems: list[str], lines: list[str], mounted: MountedCame
     print(f"gyro       bias [{bias}]°/s")
     rates = ", ".join(f"{rate:.2f}" for rate in found.rates)
     print(
-        f"evidence   {found.turns} turns at [{rates}] rad/s about x, y, z; {found.outliers:.0%} let go, "
+        f"evidence   {found.turns} turns at [{rates}] rad/s about x, y, z; {found.outliers:.0%} rejected, "
         f"residual {np.degrees(found.residual):.3f}°"
     )
     print()
     if problems:
-        print("Do not believe it:")
+        print("Not reliable:")
         for problem in problems:
             print(f"  {problem}")
         return

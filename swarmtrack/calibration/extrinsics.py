@@ -53,17 +53,17 @@ def doubts(found: HandEye, agreement: Agreement | None, *, seconds: float, reach
     if weak:
         lines.append(f"hardly turned in {' and '.join(weak)}: turn about all three axes")
     elif found.excitation[0] < LEAST_RATE:
-        lines.append("all turns were about two axes or fewer: turn about each axis by itself, too")
+        lines.append("all turns were about two axes or fewer: also turn about each axis on its own")
     sigma = math.degrees(float(found.rotation_sigma.max()))
     if sigma > SURE_DEG:
-        lines.append(f"the rotation is known to ± {sigma:.2f}° only: turn longer, and about all axes")
+        lines.append(f"the rotation is known only to ± {sigma:.2f}°: turn longer, and about all axes")
     if found.time_offset_sigma_s > SURE_S:
         lines.append(
-            f"the offset is known to ± {1e3 * found.time_offset_sigma_s:.1f} ms only: turn to and fro, brisker"
+            f"the offset is known only to ± {1e3 * found.time_offset_sigma_s:.1f} ms: turn to and fro, faster"
         )
     if found.outliers > MOST_OUTLIERS:
         lines.append(
-            f"{found.outliers:.0%} of the frames do not fit: keep people and near things out of view, and have light"
+            f"{found.outliers:.0%} of the frames do not fit: keep people and near things out of view, in good light"
         )
     return lines
 

@@ -96,18 +96,20 @@ def doubts(found: Fit) -> list[str]:
     lines = []
     if found.rms > GOOD_RMS_PX:
         lines.append(
-            f"corners miss by {found.rms:.2f} px, expected {GOOD_RMS_PX} at most: a flatter board, light, stillness; "
-            + ("a wide lens wants --model equidistant" if found.model == "radtan" else "or --model radtan")
+            f"corners miss by {found.rms:.2f} px, expected at most {GOOD_RMS_PX}: use a flatter board and more "
+            "light, and hold it still; "
+            + ("a wide lens needs --model equidistant" if found.model == "radtan" else "or --model radtan")
         )
     relative = float((found.sigma[:2] / (found.camera.fx, found.camera.fy)).max())
     if relative > GOOD_SIGMA:
         lines.append(
-            f"the focal length is known to {100 * relative:.1f} % only, expected {100 * GOOD_SIGMA:g} %: "
+            f"the focal length is known only to {100 * relative:.1f} %, expected {100 * GOOD_SIGMA:g} %: "
             "tilt the board more"
         )
     if found.coverage < ENOUGH_CELLS:
         lines.append(
-            f"corners in {found.coverage:.0%} of the picture, expected {ENOUGH_CELLS:.0%}: its corners, too"
+            f"corners in {found.coverage:.0%} of the image, expected {ENOUGH_CELLS:.0%}: also "
+            "show the board in its corners"
         )
     if len(found.views) < GOOD_VIEWS:
         lines.append(f"{len(found.views)} views that fit, expected {GOOD_VIEWS}: show more")

@@ -139,7 +139,7 @@ def _camera_in_words(facts: CameraFacts, got_hz: float, age_ms: float) -> str:
         StampKind.MEDIA: "stamped by the recording",
     }
     words = [f"{facts.size[0]}x{facts.size[1]}"] if facts.size else []
-    words.append(f"{got_hz:.1f} frames a second")
+    words.append(f"{got_hz:.1f} frames per second")
     words += [kinds[kind] for kind in sorted(facts.stamps, key=str) if kind in kinds]
     if facts.live and age_ms > 0.0:
         words.append(f"{age_ms:.0f} ms old when they arrive")
@@ -200,7 +200,7 @@ def check_imu(facts: ImuFacts) -> list[Finding]:
         findings += _bias(facts)
     words = f"gravity is down ({from_level:.0f}° from level, {norm:.1f} m/s²)"
     if not still:
-        words += "; the drone moves, so no more was looked at"
+        words += "; the drone moves, so the rest was not checked"
     return findings or [ok("imu", words)]
 
 

@@ -180,7 +180,7 @@ def check_heat(facts: HeatFacts) -> list[Finding]:
     if findings:
         return findings
     if not where:
-        return [skipped("heat", "this machine tells no temperatures")]
+        return [skipped("heat", "this machine reports no temperatures")]
     return [ok("heat", f"{facts.celsius[where]:.0f} °C at {where}")]
 
 

@@ -37,14 +37,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tell("--id", metavar="N", help="the drone's ID, 1 … 65535, unique in the team")
     tell("--team", metavar="NAME", help="the team's name (default: that of team.toml, or swarm)")
     tell("--camera", metavar="SOURCE", help="usb, or an address: v4l2:///dev/video2, rtsp://… (default: usb)")
-    tell("--size", metavar="WxH", help=f"of the images, where there is no calibration (default: {SMALL})")
-    tell("--calibration", metavar="FILE", help="Kalibr, ROS camera_info, OpenCV or EuRoC; is copied to DIR")
-    tell("--fov", metavar="DEG", help="angle from left to right, where there is no calibration")
+    tell("--size", metavar="WxH", help=f"size of the images, if there is no calibration (default: {SMALL})")
+    tell(
+        "--calibration",
+        metavar="FILE",
+        help="file of Kalibr, ROS camera_info, OpenCV or EuRoC; copied to DIR",
+    )
+    tell("--fov", metavar="DEG", help="angle from left to right, if there is no calibration")
     tell("--autopilot", metavar="KIND", help=f"{kinds}, or a link's address (default: px4-uart)")
     tell("--start", nargs="+", metavar="S", help="NORTH EAST DOWN YAW in m and degrees; or gps, or local")
-    tell("--origin", nargs=3, type=float, metavar=("LAT", "LON", "ALT"), help="of the team, for --start gps")
-    tell("--peer", action="append", metavar="ID=HOST", help="one for each drone of the team, this one too")
-    tell("--keys", metavar="DIR", help="folder of keys; {id} in it is drone.id")
+    tell(
+        "--origin",
+        nargs=3,
+        type=float,
+        metavar=("LAT", "LON", "ALT"),
+        help="the team's origin, for --start gps",
+    )
+    tell("--peer", action="append", metavar="ID=HOST", help="one per drone of the team, including this one")
+    tell("--keys", metavar="DIR", help="folder of keys; {id} stands for drone.id")
     tell("--insecure", action="store_true", help="speak beyond this machine without keys")
     tell("--out", type=Path, default=Path(), metavar="DIR", help="where the files go (default: here)")
     tell("--force", action="store_true", help="overwrite what is there")

@@ -243,7 +243,7 @@ def test_without_camera_or_autopilot_it_says_what_is_missing(tmp_path, capsys):
     path = written(tmp_path, autopilot=f'link = "udpin:127.0.0.1:{free_port()}"')
     assert main(["calibrate", "extrinsics", "--config", str(path), "--seconds", "0.5"]) == 1
     said = capsys.readouterr().err
-    assert "too little to say anything" in said
+    assert "too little data for a result" in said
     assert "no data from the autopilot" in said
 
 
