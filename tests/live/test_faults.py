@@ -2,7 +2,7 @@
 
 Real agents in network namespaces, hence root only. The partition of 30 s and the loss of 40 s, whose figures
 docs/swarm.md publishes, are long forms (`-m long`); the default run has shorter ones. Each test prints what it
-measured (`pytest -s -m "long or not long" tests/live/test_faults.py`). Asserted are generous bounds, for a machine
+measured (`pytest -n 0 -s -m '' tests/live/test_faults.py`). Asserted are generous bounds, for a machine
 that is busy.
 """
 

@@ -24,6 +24,11 @@ print(json.dumps(sorted(sys.modules)))
 """
 
 
+@pytest.fixture(scope="module")
+def without_images(tmp_path_factory) -> set[str]:
+    return loaded(tmp_path_factory.mktemp("agent"), "detections://127.0.0.1:8091/1")
+
+
 def loaded(folder: Path, source: str) -> set[str]:
     """The modules of an agent with this camera, made but not started."""
     config = folder / "drone.toml"
@@ -47,10 +52,9 @@ def loaded(folder: Path, source: str) -> set[str]:
     "module",
     ["scipy", "cv2", "onnxruntime", "rich", "matplotlib", "yaml", "cryptography", "pymavlink.mavutil"],
 )
-def test_an_agent_whose_camera_detects_by_itself_does_without(tmp_path, module):
-    modules = loaded(tmp_path, "detections://127.0.0.1:8091/1")
-    assert {"numpy", "zenoh", "swarmtrack.runtime.agent"} <= modules
-    assert module not in modules
+def test_an_agent_whose_camera_detects_by_itself_does_without(without_images, module):
+    assert {"numpy", "zenoh", "swarmtrack.runtime.agent"} <= without_images
+    assert module not in without_images
 
 
 def test_an_agent_with_a_detector_does_without_scipy(tmp_path):

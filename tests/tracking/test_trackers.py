@@ -48,8 +48,9 @@ def crossing(t):
 
 
 @every_tracker
-def test_targets_are_found_without_being_told_and_kept(name):
-    for seed in range(10):
+@pytest.mark.parametrize("seeds", [4, pytest.param(10, marks=pytest.mark.long)])
+def test_targets_are_found_without_being_told_and_kept(name, seeds):
+    for seed in range(seeds):
         tracker = create_tracker(name, camera=CAMERA, clutter_per_scan=2.0, measurement_sigma=1.5)
         for t, points, tracks in play(tracker, crossing, np.random.default_rng(seed)):
             if t > 1.0:
@@ -58,15 +59,17 @@ def test_targets_are_found_without_being_told_and_kept(name):
 
 
 @every_tracker
-def test_clutter_alone_confirms_next_to_nothing(name):
+@pytest.mark.parametrize(("seeds", "most"), [(6, 1), pytest.param(20, 2, marks=pytest.mark.long)])
+def test_clutter_alone_confirms_next_to_nothing(name, seeds, most):
+    """In six seconds for each seed."""
     ids = set()
-    for seed in range(20):
+    for seed in range(seeds):
         tracker = create_tracker(name, camera=CAMERA, clutter_per_scan=5.0)
         for _, _, tracks in play(
             tracker, lambda t: np.empty((0, 2)), np.random.default_rng(seed), clutter=5.0
         ):
             ids |= {(seed, track.id) for track in confirmed(tracks)}
-    assert len(ids) <= 2  # in two minutes
+    assert len(ids) <= most
 
 
 @every_tracker
