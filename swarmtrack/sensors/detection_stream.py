@@ -77,7 +77,7 @@ class DetectionStream:
     async def detections(self) -> AsyncIterator[Detections]:
         self._stream.start(self._read)
         while (timed := await self._slot.take()) is not None:
-            self._slot.given(timed.detections.t, timed.t_sigma)
+            self._slot.source.given(timed.detections.t, timed.t_sigma)
             yield timed.detections
 
     def status(self) -> LinkStatus:
@@ -102,20 +102,20 @@ class DetectionStream:
         try:
             sent = parse_line(line)
         except BadLine as error:
-            self._slot.counts.corrupt += 1
-            self._slot.refuse(f"line not understood: {error}")
+            self._slot.source.counts.corrupt += 1
+            self._slot.source.refuse(f"line not understood: {error}")
             return
         self._stream.received += 1
         sequence = self._stream.received if sent.sequence is None else sent.sequence
         self._count_lost(sequence)
         _, t, t_sigma = self._stream.exposure(sent.t_s, arrived)
-        self._slot.say(True, "streaming")
+        self._slot.source.say(True, "streaming")
         self._slot.put(TimedDetections(_as_detections(sent, t, sequence), t_sigma))
 
     def _count_lost(self, sequence: int) -> None:
         last, self._last_sequence = self._last_sequence, sequence
         if last is not None and sequence > last:  # back: the source was started anew
-            self._slot.counts.lost += sequence - last - 1
+            self._slot.source.counts.lost += sequence - last - 1
 
 
 class LineReader:

@@ -64,16 +64,16 @@ class FrameSlot(NewestSlot[RawFrame]):
             try:
                 image = await asyncio.to_thread(self._develop, raw)
             except BadImage as error:
-                self.counts.corrupt += 1
-                log.debug("camera %s: frame %d dropped: %s", self.name, raw.sequence, error)
+                self.source.counts.corrupt += 1
+                log.debug("camera %s: frame %d dropped: %s", self.source.name, raw.sequence, error)
                 continue
             except WrongSize as error:
-                self.counts.wrong_size += 1
-                self.refuse(str(error))
+                self.source.counts.wrong_size += 1
+                self.source.refuse(str(error))
                 continue
             finally:
                 raw.release()
-            self.given(raw.t, raw.t_sigma)
+            self.source.given(raw.t, raw.t_sigma)
             yield Frame(raw.t, raw.t_sigma, raw.sequence, image, raw.stamp)
 
     def _develop(self, raw: RawFrame) -> Image:

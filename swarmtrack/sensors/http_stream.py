@@ -86,7 +86,7 @@ class HttpStream:
         await stop(self._task, self._slot)
 
     def status(self) -> LinkStatus:
-        status = self._slot.status()
+        status = self._slot.source.status()
         return replace(status, counters=(*status.counters, ("bad_stamps", self.bad_stamps)))
 
     async def _run(self, read: Read) -> None:
@@ -106,7 +106,7 @@ class HttpStream:
                         if response.status != 200:
                             hint = HINTS.get(response.status, "")
                             raise StreamEnded(f"HTTP {response.status} {response.reason}{hint}")
-                        self._slot.counts.reconnects += received > 0
+                        self._slot.source.counts.reconnects += received > 0
                         await read(response)
                     reason = "the server ended the stream"
                 except StreamEnded as ended:
@@ -118,7 +118,7 @@ class HttpStream:
                     reason = f"cannot connect to {error.host} port {error.port}: {why}"
                 except aiohttp.ClientError as error:
                     reason = f"lost: {error}"
-                self._slot.say(False, f"{reason}; trying again")
+                self._slot.source.say(False, f"{reason}; trying again")
                 if self.received > received:
                     backoff = BACKOFF_FIRST
                 await asyncio.sleep(backoff)

@@ -52,7 +52,7 @@ class MjpegCamera:
         async for data in response.content.iter_any():
             for part in reader.feed(data, self._clock.now()):
                 self._receive(part)
-            self._slot.counts.corrupt += reader.oversized - oversized
+            self._slot.source.counts.corrupt += reader.oversized - oversized
             oversized = reader.oversized
             if reader.ended:
                 break
@@ -60,13 +60,13 @@ class MjpegCamera:
     def _receive(self, part: Part) -> None:
         if not part.body:
             return
-        self._slot.say(True, "streaming")
+        self._slot.source.say(True, "streaming")
         self._stream.received += 1
         sequence = self._stream.received
         text = part.headers.get("x-timestamp")
         stamp, t, t_sigma = self._stream.exposure(None if text is None else _number(text), part.arrived)
         if stamp is StampKind.EXPOSURE and self._freshness.is_stale(t, sequence, part.arrived):
-            self._slot.counts.stale += 1
+            self._slot.source.counts.stale += 1
             return
         self._slot.put(RawFrame(t, t_sigma, sequence, stamp, decode=lambda: decode_jpeg(part.body)))
 

@@ -60,7 +60,7 @@ class RtspCamera(ThreadCamera):
         while not self._stop.is_set():
             capture, problem = self._open()
             if capture is None:
-                tell(self._slot.say, False, f"{problem}; trying again")
+                tell(self._slot.source.say, False, f"{problem}; trying again")
             else:
                 if sequence:
                     tell(self._count_reconnect)
@@ -96,12 +96,16 @@ class RtspCamera(ThreadCamera):
             while not self._stop.is_set():
                 found, image = capture.read()
                 if not found:
-                    tell(self._slot.say, False, f"lost, or nothing for {options.timeout_s:g} s; trying again")
+                    tell(
+                        self._slot.source.say,
+                        False,
+                        f"lost, or nothing for {options.timeout_s:g} s; trying again",
+                    )
                     break
                 t = self._clock.now() - 1e-3 * options.latency_ms
                 decode = already(np.asarray(image, np.uint8))
                 raw = RawFrame(t, 1e-3 * options.sigma_ms, sequence, StampKind.ARRIVAL, decode)
-                tell(self._slot.say, True, "streaming")
+                tell(self._slot.source.say, True, "streaming")
                 tell(self._slot.put, raw)
                 sequence += 1
         finally:
@@ -109,4 +113,4 @@ class RtspCamera(ThreadCamera):
         return sequence
 
     def _count_reconnect(self) -> None:
-        self._slot.counts.reconnects += 1
+        self._slot.source.counts.reconnects += 1

@@ -33,7 +33,7 @@ class ThreadCamera:
         return self._slot.frames()
 
     def status(self) -> LinkStatus:
-        return self._slot.status()
+        return self._slot.source.status()
 
     async def close(self) -> None:
         self._stop.set()

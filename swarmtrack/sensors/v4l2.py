@@ -110,7 +110,7 @@ class V4l2Camera:
         return self._slot.frames()
 
     def status(self) -> LinkStatus:
-        return self._slot.status()
+        return self._slot.source.status()
 
     async def close(self) -> None:
         await stop(self._task, self._slot)
@@ -123,12 +123,12 @@ class V4l2Camera:
             try:
                 capture = await self._open()
             except CameraUnavailable as away:
-                self._slot.say(False, str(away))
+                self._slot.source.say(False, str(away))
             else:
-                self._slot.counts.reconnects += opened_before
+                self._slot.source.counts.reconnects += opened_before
                 opened_before = True
                 stream = CaptureSession(capture, self._slot, self._clock, self._options, sequence)
-                self._slot.say(False, await stream.run())
+                self._slot.source.say(False, await stream.run())
                 sequence = stream.sequence
                 if stream.received:
                     backoff = BACKOFF_FIRST
@@ -172,7 +172,7 @@ class CaptureSession:
     async def run(self) -> str:
         """Feed the slot until the device fails; closes it and returns the reason."""
         loop = asyncio.get_running_loop()
-        self._slot.say(False, f"{self._capture.description}; waiting for the first frame")
+        self._slot.source.say(False, f"{self._capture.description}; waiting for the first frame")
         loop.add_reader(self._capture.fd, self._on_readable)
         try:
             return await self._watch()
@@ -196,7 +196,9 @@ class CaptureSession:
                 return f"no frame for {silent_for:.1f} s; opening it again"
             if silent_for and self._flowing:
                 self._flowing = False
-                self._slot.say(False, f"no frame for {silent_for:.1f} s (cable, power, USB bandwidth?)")
+                self._slot.source.say(
+                    False, f"no frame for {silent_for:.1f} s (cable, power, USB bandwidth?)"
+                )
 
     def _on_readable(self) -> None:
         newest: RawFrame | None = None
@@ -234,13 +236,13 @@ class CaptureSession:
         self._count(buffer.sequence)
         if not self._flowing:
             self._flowing = True
-            self._slot.say(True, self._capture.description)
+            self._slot.source.say(True, self._capture.description)
         if buffer.flags & abi.BUF_FLAG_ERROR or buffer.bytesused == 0:
-            self._slot.counts.corrupt += 1
+            self._slot.source.counts.corrupt += 1
             return None
         stamp, t, t_sigma = exposure_time(buffer, now, self._capture.period, self._options.exposure_us)
         if stamp is not StampKind.ARRIVAL and self._freshness.is_stale(t, self.sequence, now):
-            self._slot.counts.stale += 1
+            self._slot.source.counts.stale += 1
             return None
         index, used, grey = buffer.index, buffer.bytesused, self._options.grey
         return RawFrame(
@@ -259,7 +261,7 @@ class CaptureSession:
             if not 1 <= step < 1 << 31:  # a driver that does not count, or starts again
                 step = 1
         self._camera_sequence = camera_sequence
-        self._slot.counts.lost += step - 1
+        self._slot.source.counts.lost += step - 1
         self.sequence += step
         self.received += 1
 

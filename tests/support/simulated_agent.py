@@ -82,7 +82,7 @@ class ScriptedCamera:
     async def frames(self):
         exposing = asyncio.create_task(self._expose())
         while (frame := await self._slot.take()) is not None:
-            self._slot.given(frame.t, frame.t_sigma)
+            self._slot.source.given(frame.t, frame.t_sigma)
             yield frame
         await exposing
 
@@ -91,13 +91,13 @@ class ScriptedCamera:
         while not self._slot.ended:
             k += 1
             await asyncio.sleep(start + k * self._period - self._clock.now())
-            self._slot.say(not self.away, "unplugged; waiting for it" if self.away else "open")
+            self._slot.source.say(not self.away, "unplugged; waiting for it" if self.away else "open")
             if not self.away:
                 t = self._clock.now() - self.age_s
                 self._slot.put(Frame(t, 1e-4, k, IMAGE, StampKind.EXPOSURE))
 
     def status(self) -> LinkStatus:
-        return self._slot.status()
+        return self._slot.source.status()
 
     async def close(self) -> None:
         self._slot.end()

@@ -1,0 +1,106 @@
+"""How a source is: one line for people, counters for the health message, rates and ages of what it gave."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmtrack.clock import Clock
+from swarmtrack.messages import LinkStatus
+
+log = logging.getLogger(__name__)
+
+RATE_WINDOW = 2.0  # s over which rates are counted
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of all frames since the start."""
+
+    frames: int = 0  # given to the consumer
+    dropped: int = 0  # gave way to a newer one, because the consumer was busy
+    lost: int = 0  # never reached us: gaps of the camera's own sequence
+    stale: int = 0  # waited in the camera's buffers until they were worthless
+    corrupt: int = 0
+    wrong_size: int = 0
+    reconnects: int = 0
+
+
+class SourceStatus:
+    """Told by a source what becomes of its frames; all on the event loop."""
+
+    def __init__(self, name: str, clock: Clock) -> None:
+        self.counts = Counts()
+        self.name = name
+        self._clock = clock
+        self._ok, self._text = False, "not opened yet"
+        self._trouble = ""
+        self._came: deque[float] = deque(maxlen=512)
+        # (now, age) of what was given to the consumer
+        self._given: deque[tuple[float, float]] = deque(maxlen=256)
+        self._t_sigma = 0.0
+
+    def came(self) -> None:
+        """A frame is here."""
+        self._came.append(self._clock.now())
+
+    def say(self, ok: bool, text: str) -> None:
+        """Set the one line about this source; logged when it changes, not when it is said again."""
+        if (ok, text) != (self._ok, self._text):
+            log.log(logging.INFO if ok else logging.WARNING, "camera %s: %s", self.name, text)
+        self._ok, self._text = ok, text
+
+    def given(self, t: float, t_sigma: float) -> None:
+        """What was taken was of use, and goes to the consumer. t: its exposure, t_sigma: that time's uncertainty."""
+        now = self._clock.now()
+        self._given.append((now, now - t))
+        self._t_sigma = t_sigma
+        self.counts.frames += 1
+        self._trouble = ""
+
+    def refuse(self, text: str) -> None:
+        """What was taken is of no use, and why; said until something is."""
+        if text != self._trouble:
+            log.warning("camera %s: %s", self.name, text)
+        self._trouble = text
+
+    def status(self) -> LinkStatus:
+        now = self._clock.now()
+        fps = _rate(self._came, now)
+        text = self._trouble or self._text
+        if self._ok and self._came:
+            text += f"; {fps:.1f} fps"
+        ages: tuple[tuple[str, float], ...] = ()
+        if self._given:
+            p50, p95 = (float(age) for age in np.percentile([1e3 * age for _, age in self._given], (50, 95)))
+            ages = (("age_p50_ms", p50), ("age_p95_ms", p95), ("t_sigma_ms", 1e3 * self._t_sigma))
+            if self._ok and p50 >= 0.0:  # below: the frames of a recording set the clock, and have no age
+                text += f", age {p50:.0f} ms"
+        counts = self.counts
+        numbers = (
+            ("fps", fps),
+            ("used_fps", _rate(deque(now for now, _ in self._given), now)),
+            ("frames", counts.frames),
+            ("dropped", counts.dropped),
+            ("lost", counts.lost),
+            ("stale", counts.stale),
+            ("corrupt", counts.corrupt),
+            ("wrong_size", counts.wrong_size),
+            ("reconnects", counts.reconnects),
+            *ages,
+        )
+        return LinkStatus(name=self.name, ok=self._ok and not self._trouble, text=text, counters=numbers)
+
+
+def _rate(times: deque[float], now: float) -> float:
+    """Events a second over the last RATE_WINDOW; before it has passed, over the time since the first event."""
+    recent = [t for t in times if t > now - RATE_WINDOW]
+    if len(recent) < 2:
+        return 0.0
+    if len(recent) == len(times):
+        span = recent[-1] - recent[0]
+        return (len(recent) - 1) / span if span > 0 else 0.0
+    return len(recent) / RATE_WINDOW
