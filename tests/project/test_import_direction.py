@@ -1,6 +1,7 @@
 """Imports go one way, and the core touches nothing outside itself (STYLE.md, "One direction of imports")."""
 
 import ast
+import re
 import sys
 from collections.abc import Set
 from functools import cache
@@ -118,6 +119,14 @@ def test_every_module_has_its_layer():
 def test_nothing_imports_from_a_layer_above(name):
     above = {other for other in ours(imports(name)) if layer(other) > layer(name)}
     assert not above, f"{name} imports {', '.join(sorted(above))}, which stand above it"
+
+
+def test_the_page_on_rooms_lists_every_room_from_the_bottom_up():
+    page = (ROOT / "docs" / "decisions" / "0015-rooms.md").read_text(encoding="utf-8")
+    rows = [row for row in page.splitlines() if row.startswith("| ") and "`" in row]
+    rooms = re.findall(r"`(\w+)`", "\n".join(rows))
+    assert sorted(rooms) == sorted(LAYER)
+    assert [LAYER[room] for room in rooms] == sorted(LAYER.values())
 
 
 def test_no_module_imports_itself_in_a_circle():
