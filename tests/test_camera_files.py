@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from support.places import writer
 from swarmtrack.camera_files import load_calibration
 from swarmtrack.errors import CalibrationError
 from swarmtrack.geometry.camera import Equidistant, RadTan
@@ -121,12 +122,7 @@ FILES = {
 
 @pytest.fixture
 def write(tmp_path):
-    def write(text, name="cam.yaml"):
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return write
+    return writer(tmp_path, "cam.yaml")
 
 
 @pytest.mark.parametrize("name", FILES)

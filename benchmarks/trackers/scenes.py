@@ -9,6 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -393,26 +394,21 @@ def _crossings() -> list[Scene]:
 
 
 def _crowds() -> list[Scene]:
+    swaying = partial(Scene, family="crowd", start_speed_px_s=20.0, rate_hz=15.0)
     return [
-        Scene(
+        swaying(
             name="ball",
-            start_speed_px_s=20.0,
-            family="crowd",
             about="eight drones in a ball of some 60 px; clutter 2, σ 1 px, P_D 0.95, 15 Hz",
             motion=_swaying(_ball, 30.0, 0.05, 0.25),
             sensor=Sensor(sigma_px=1.0, p_detection=0.95, clutter=2.0, fixed_clutter=False),
-            rate_hz=15.0,
             scans=225,
         ),
-        Scene(
+        swaying(
             name="flock",
-            start_speed_px_s=20.0,
-            family="crowd",
             about="thirty drones, 70 to 80 px apart, each swaying by up to 30 px; clutter 5, σ 1.5 px, P_D 0.9, 15 Hz",
             motion=_swaying(_flock, 30.0, 0.05, 0.25),
             sensor=replace(_HARD, fixed_clutter=False),
             camera=CAMERA,
-            rate_hz=15.0,
             scans=150,
         ),
         Scene(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,59 +23,49 @@ if TYPE_CHECKING:
 TRUTH_HZ = 10.0
 
 
+@dataclass(slots=True, eq=False)
 class FlightRecording:
-    """Does nothing where no recording is asked for."""
+    """Does nothing where no recording is asked for. epoch: of world time, on `clock`; seconds: of the flight."""
 
-    def __init__(
-        self,
-        folder: Path | None,
-        scenario: Scenario,
-        clock: Clock,
-        *,
-        team: str,
-        epoch: float,
-        seconds: float,
-    ) -> None:
-        """epoch: of world time, on `clock`."""
-        self._folder = folder
-        self._scenario = scenario
-        self._team = team
-        self._epoch = epoch
-        self._seconds = seconds
-        self._clock = clock
-        self._recorder: SwarmRecorder | None = None
-        self.hearing = HeldClock()
-        """When the sample was heard that was handed over last."""
+    folder: Path | None
+    scenario: Scenario
+    clock: Clock
+    team: str
+    epoch: float
+    seconds: float
+    hearing: HeldClock = field(default_factory=HeldClock)
+    """When the sample was heard that was handed over last."""
+    _recorder: SwarmRecorder | None = None
 
     def begin(self, source: str, drones: int | None, tracker: str, detector: str) -> None:
         """source: name or file of the scenario; drones: how many were asked for."""
-        if self._folder is None:
+        if self.folder is None:
             return
         from swarmtrack.recording.writer import Attachment
         from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 
         plan = {
-            "scenario": self._scenario.name,
+            "scenario": self.scenario.name,
             "files": read_scenario(source).table,
-            "seed": self._scenario.seed,
+            "seed": self.scenario.seed,
             "drones": drones,
-            "seconds": self._seconds,
-            "epoch_s": self._epoch,
+            "seconds": self.seconds,
+            "epoch_s": self.epoch,
             "tracker": tracker,
             "detector": detector,
         }
-        self._recorder = SwarmRecorder(self._clock, self._team)
+        self._recorder = SwarmRecorder(self.clock, self.team)
         self._recorder.open(
-            self._folder,
+            self.folder,
             bounds={"max_bytes": 10**12},  # a flight of minutes
-            metadata={"scenario": self._scenario.name},
+            metadata={"scenario": self.scenario.name},
             attachments=[Attachment(FLIGHT_PLAN, "application/json", json.dumps(plan, default=str).encode())],
         )
 
     async def heard(self, samples: AsyncIterator[Sample]) -> AsyncIterator[Sample]:
         """The same samples, each recorded before it is looked at."""
         async for sample in samples:
-            now, utc = self._clock.now(), self._clock.utc()
+            now, utc = self.clock.now(), self.clock.utc()
             self.hearing.set(now, utc)
             if self._recorder is not None:
                 self._recorder.heard(sample, now, utc)
@@ -92,11 +83,11 @@ class FlightRecording:
         from swarmtrack.runtime.swarm_recorder import TruePose
 
         self._recorder.landed()
-        world = self._scenario.world
-        for k in range(int(self._seconds * TRUTH_HZ) + 1):
+        world = self.scenario.world
+        for k in range(int(self.seconds * TRUTH_HZ) + 1):
             for drone_id in world.drones:
                 t = k / TRUTH_HZ
-                self._recorder.truth(self._epoch, TruePose(t, drone_id, world.pose(drone_id, t)))
+                self._recorder.truth(self.epoch, TruePose(t, drone_id, world.pose(drone_id, t)))
         self._recorder.verdict(report.as_record())
         self._recorder.close()
 

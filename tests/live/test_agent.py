@@ -54,6 +54,21 @@ def write(folder, text, name="drone.toml"):
     return path
 
 
+def drone_config(folder, source, *, autopilot="none", camera="", more=""):
+    """Of a drone with this camera that speaks to nobody."""
+    text = f"""
+        drone.id = 1
+        network.transport = "memory"
+        autopilot.link = "{autopilot}"
+        [camera]
+        source = "{source}"
+        {LENS}
+        {camera}
+        {more}
+        """
+    return write(folder, text)
+
+
 @contextmanager
 def timed(what):
     """Prints how long it took (pytest -s); no test asserts it."""
@@ -96,14 +111,10 @@ class Flying:
 
 @needs_clip
 def test_a_real_clip_becomes_a_line_and_a_picture_for_every_frame(tmp_path, clip):
-    config = write(
+    config = drone_config(
         tmp_path,
-        f"""
-        drone.id = 1
-        network.transport = "memory"
-        [camera]
-        source = "file://{clip}?pace=fast"
-        {LENS}
+        f"file://{clip}?pace=fast",
+        more=f"""
         [output]
         jsonl = "{tmp_path}/tracks.jsonl"
         video = "{tmp_path}/annotated.mp4"
@@ -128,18 +139,11 @@ def test_a_real_clip_becomes_a_line_and_a_picture_for_every_frame(tmp_path, clip
 @pytest.mark.skipif(not TLOG.exists(), reason="../shared/data is not here: no real recording")
 @pytest.mark.parametrize("pace", ["fast", "realtime"])
 def test_a_recorded_gyro_keeps_step_with_frames_at_pace_fast(tmp_path, clip, pace):
-    config = write(
+    config = drone_config(
         tmp_path,
-        f"""
-        drone.id = 1
-        network.transport = "memory"
-        autopilot.link = "tlog:{TLOG}?pace={pace}"
-        [camera]
-        source = "file://{clip}?pace=fast"
-        {LENS}
-        [output]
-        jsonl = "{tmp_path}/tracks.jsonl"
-        """,
+        f"file://{clip}?pace=fast",
+        autopilot=f"tlog:{TLOG}?pace={pace}",
+        more=f'[output]\njsonl = "{tmp_path}/tracks.jsonl"',
     )
     result = run(config)
     assert result.returncode == 0, result.stderr
@@ -324,17 +328,7 @@ def test_a_video_of_another_size_than_its_calibration_is_refused(tmp_path):
 
 
 def test_a_missing_camera_and_a_missing_autopilot_are_said_and_waited_for(tmp_path):
-    config = write(
-        tmp_path,
-        f"""
-        drone.id = 1
-        network.transport = "memory"
-        autopilot.link = "serial:/dev/ttyNOTHERE:57600"
-        [camera]
-        source = "v4l2:///dev/video97"
-        {LENS}
-        """,
-    )
+    config = drone_config(tmp_path, "v4l2:///dev/video97", autopilot="serial:/dev/ttyNOTHERE:57600")
     with Flying(config) as agent:
         agent.said("/dev/video97")
         agent.said("/dev/ttyNOTHERE")
@@ -344,19 +338,12 @@ def test_a_missing_camera_and_a_missing_autopilot_are_said_and_waited_for(tmp_pa
 
 
 def test_its_health_can_be_sent_before_the_autopilot_was_ever_heard(tmp_path):
-    config = write(
+    config = drone_config(
         tmp_path,
-        f"""
-        drone.id = 1
-        network.transport = "memory"
-        autopilot.link = "udpin:127.0.0.1:14999"
-        [camera]
-        source = "v4l2:///dev/video97"
-        time_offset_s = 0.012
-        {LENS}
-        [motion]
-        gyro_bias_rad_s = [0.01, 0.0, -0.02]
-        """,
+        "v4l2:///dev/video97",
+        autopilot="udpin:127.0.0.1:14999",
+        camera="time_offset_s = 0.012",
+        more="[motion]\ngyro_bias_rad_s = [0.01, 0.0, -0.02]",
     )
     health = make_health(assemble(load_config(config), SystemClock()))
     sent = codec.decode(HealthMessage, codec.encode(health.message()))

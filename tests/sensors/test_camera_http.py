@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from support.streams import PATIENCE, Send, StreamServer, first, sending, stream_server
+from support.streams import PATIENCE, Send, StreamServer, counters, first, sending, stream_server
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.sensors.base import Camera
@@ -50,10 +50,6 @@ async def status_with(camera: Camera, words: str) -> str:
         while words not in camera.status().text:  # noqa: ASYNC110
             await asyncio.sleep(0.02)
     return camera.status().text
-
-
-def counters(camera: Camera) -> dict[str, float]:
-    return dict(camera.status().counters)
 
 
 @pytest.mark.parametrize("length", [True, False])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,7 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.places import ROOT
-from support.streams import PATIENCE, Send, StreamServer, first, hang_up, sending, stream_server
+from support.streams import (
+    PATIENCE,
+    Script,
+    Send,
+    StreamServer,
+    counters,
+    first,
+    hang_up,
+    sending,
+    stream_server,
+)
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError, SourceError
@@ -52,10 +62,6 @@ def open_stream(address: str) -> DetectionStream:
 
 async def take(source: DetectionSource, count: int) -> list[Detections]:
     return await first(count, source.detections())
-
-
-def counters(source: DetectionSource) -> dict[str, float]:
-    return dict(source.status().counters)
 
 
 async def test_a_line_is_a_scan_and_an_empty_one_says_that_nobody_was_seen(server: StreamServer) -> None:
@@ -289,17 +295,22 @@ async def fly(path: Path, *options: str) -> tuple[str, str]:
     return out.decode(), err.decode()
 
 
-async def test_an_agent_tracks_what_the_camera_detected_without_opencv_and_onnx_runtime(
-    server: StreamServer, tmp_path: Path
-) -> None:
+def at_20_hz(age_s: float, box: Callable[[int], list[float]]) -> Script:
+    """A line each 50 ms, sent so long after its exposure; box(k): what is in frame k."""
+
     async def script(send: Send) -> None:
         clock = SystemClock()
         for sequence in range(100_000):
-            u = 300.0 + 0.5 * sequence
-            await send(line(clock.now() - 0.02, sequence, [u % 600.0, 240.0, 30.0, 20.0, 0.9]))
+            await send(line(clock.now() - age_s, sequence, box(sequence)))
             await asyncio.sleep(0.05)
 
-    server.script = script
+    return script
+
+
+async def test_an_agent_tracks_what_the_camera_detected_without_opencv_and_onnx_runtime(
+    server: StreamServer, tmp_path: Path
+) -> None:
+    server.script = at_20_hz(0.02, lambda k: [(300.0 + 0.5 * k) % 600.0, 240.0, 30.0, 20.0, 0.9])
     path = config(tmp_path, server.url, f'[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
     out, _ = await fly(path, "--seconds", "4")
     assert "loaded: []" in out
@@ -312,13 +323,7 @@ async def test_an_agent_tracks_what_the_camera_detected_without_opencv_and_onnx_
 async def test_detections_too_old_to_be_used_are_skipped_and_it_is_said_once(
     server: StreamServer, tmp_path: Path
 ) -> None:
-    async def script(send: Send) -> None:
-        clock = SystemClock()
-        for sequence in range(100_000):
-            await send(line(clock.now() - 0.4, sequence, BOX))
-            await asyncio.sleep(0.05)
-
-    server.script = script
+    server.script = at_20_hz(0.4, lambda k: BOX)
     path = config(tmp_path, server.url, f'max_age_s = 0.3\n[output]\njsonl = "{tmp_path}/tracks.jsonl"\n')
     _, log = await fly(path, "--seconds", "3")
     assert (tmp_path / "tracks.jsonl").read_text() == ""

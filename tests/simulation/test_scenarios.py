@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from support.places import ROOT
+from support.places import ROOT, writer
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import ConfigError
 from swarmtrack.scenario_file import load_scenario, scenario_names
@@ -260,12 +260,7 @@ def test_a_drone_looks_where_it_sees_most_of_the_others():
 
 @pytest.fixture
 def write(tmp_path):
-    def write(text, name="flight.toml"):
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return write
+    return writer(tmp_path, "flight.toml")
 
 
 def problems_of(path, **wanted):

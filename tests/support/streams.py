@@ -74,8 +74,8 @@ def sending(
 
 def dealt_with(source: Camera | DetectionSource) -> float:
     """How many frames were taken or refused."""
-    counters = dict(source.status().counters)
-    return sum(counters[name] for name in ("frames", "corrupt", "wrong_size"))
+    count = counters(source)
+    return sum(count[name] for name in ("frames", "corrupt", "wrong_size"))
 
 
 async def first(count: int, stream: AsyncIterator[T]) -> list[T]:
@@ -87,3 +87,7 @@ async def first(count: int, stream: AsyncIterator[T]) -> list[T]:
             if len(taken) == count:
                 break
     return taken
+
+
+def counters(source: Camera | DetectionSource) -> dict[str, float]:
+    return dict(source.status().counters)

@@ -253,15 +253,17 @@ async def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+def team_file(folder: Path, team: Team, network: str) -> Path:
+    path = folder / "team.toml"
+    path.write_text(f'[network]\nteam = "red"\nkeys = "{team.folder}/drone-{{id}}"\n{network}\n')
+    return path
+
+
 async def test_echo_hears_a_team_with_keys_by_the_certificate_of_a_monitor(
     team: Team, tmp_path: Path
 ) -> None:
     addresses = free_addresses(2)
-    path = tmp_path / "team.toml"
-    path.write_text(
-        f'[network]\nteam = "red"\nkeys = "{team.folder}/drone-{{id}}"\n'
-        f'peers = {{ 1 = "{addresses[0]}", 2 = "{addresses[1]}" }}\n'
-    )
+    path = team_file(tmp_path, team, f'peers = {{ 1 = "{addresses[0]}", 2 = "{addresses[1]}" }}')
     section = load_team_config(path).network
     drones = [await Drone(topology.of_drone(section, i, team.credentials(str(i))), i).start() for i in (1, 2)]
     hear = ("echo", "pose/2", "--config", str(path), "--count", "1", "--seconds", str(PATIENCE))
@@ -294,11 +296,8 @@ async def test_without_keys_a_router_relays_on_loopback() -> None:
 
 async def test_two_router_processes_join_drones_and_one_may_die(team: Team, tmp_path: Path) -> None:
     addresses = free_addresses(2)
-    path = tmp_path / "team.toml"
-    path.write_text(
-        f'[network]\nteam = "red"\nkeys = "{team.folder}/drone-{{id}}"\n'
-        f'topology = "routers"\nrouters = ["{addresses[0]}", "{addresses[1]}"]\n'
-    )
+    routers = f'topology = "routers"\nrouters = ["{addresses[0]}", "{addresses[1]}"]'
+    path = team_file(tmp_path, team, routers)
     section = load_team_config(path).network
 
     a, b = (
