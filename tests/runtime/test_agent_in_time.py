@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 
 import numpy as np
 import pytest
 
 from support.simulated_agent import BEGIN, SimulatedFlight
 from swarmtrack.agents.healthy import find_troubles
+from swarmtrack.messages import Announcement
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.tracks import TracksMessage
@@ -104,6 +106,17 @@ def test_a_picture_is_sent_ten_times_a_second_while_somebody_listens(tmp_path):
     assert all(message.jpeg for _, message in flight.messages(VideoMessage, Kind.VIDEO))
 
 
+def test_who_is_seen_as_whom_is_told_once_a_second_and_at_once_when_it_changed(tmp_path):
+    flight = SimulatedFlight(tmp_path)
+    somewhere = Announcement(2, "0000000b", 1, BEGIN, 0.01, np.array([9.0, 0.0, 0.0]), np.eye(3), np.eye(3))
+    flight.at(5.45, flight.parts.door.tell, somewhere)
+    flight.fly(9.0)
+    times = np.array(flight.times(Kind.IDENTITIES))
+    assert np.diff(times[times < 5.4]) == pytest.approx(1.05, abs=0.06)
+    assert times[times > 5.45][0] == pytest.approx(5.5, abs=0.06)
+    assert np.diff(times[times > 5.45]) == pytest.approx(1.05, abs=0.06)
+
+
 def test_while_the_detector_warms_up_the_team_hears_of_us_and_no_frame_is_looked_at(tmp_path):
     flight = SimulatedFlight(tmp_path)
     flight.loop.in_thread_s = 20.0
@@ -146,6 +159,16 @@ def test_a_camera_that_goes_and_comes_back_is_said_and_starves_nobody(tmp_path):
     statuses = [text for _, text in flight.supervisor.said if text.startswith("STATUS=")]
     assert [text == "STATUS=ready" for text in statuses] == [True] * 3 + [False] * 5 + [True] * 4
     assert "unplugged" in statuses[3]
+
+
+def test_a_camera_that_is_open_and_sends_nothing_is_no_camera(tmp_path):
+    flight = SimulatedFlight(tmp_path)
+    flight.camera.silent = True
+    flight.at(4.05, setattr, flight.camera, "silent", False)
+    flight.fly(5.5)
+    statuses = [text for _, text in flight.supervisor.said if text.startswith("STATUS=")]
+    assert [re.findall(r"in (\d) s", text) for text in statuses] == [["1"], ["2"], ["3"], ["4"], []]
+    assert statuses[-1] == "STATUS=ready"
 
 
 def test_an_agent_is_ready_from_its_first_frame(tmp_path):

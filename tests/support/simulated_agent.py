@@ -72,10 +72,10 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
 
 
 class ScriptedCamera:
-    """Exposes `fps` times a second and delivers `age_s` later, unless it is `away`. Keeps the newest frame only."""
+    """Exposes `fps` times a second and delivers `age_s` later, unless it is `away` or `silent`. The newest waits."""
 
     def __init__(self, clock: ManualClock, fps: float = 10.0) -> None:
-        self.away, self.age_s = False, 0.02
+        self.away, self.silent, self.age_s = False, False, 0.02
         self._clock, self._period = clock, 1.0 / fps
         self._slot: NewestSlot[Frame] = NewestSlot("camera", clock)
 
@@ -92,7 +92,7 @@ class ScriptedCamera:
             k += 1
             await asyncio.sleep(start + k * self._period - self._clock.now())
             self._slot.source.say(not self.away, "unplugged; waiting for it" if self.away else "open")
-            if not self.away:
+            if not self.away and not self.silent:
                 t = self._clock.now() - self.age_s
                 self._slot.put(Frame(t, 1e-4, k, IMAGE, StampKind.EXPOSURE))
 
