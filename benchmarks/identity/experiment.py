@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -84,8 +83,7 @@ class Layout(NamedTuple):
     truth: Columns
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class Outcome(NamedTuple):
     """One method on some layouts: counts (layouts,)."""
 
     wrong: Array
@@ -93,8 +91,7 @@ class Outcome:
     duplicate: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chunk:
+class Chunk(NamedTuple):
     """Some layouts of a cell: counts (layouts,) of tracks, those of the team, and whether pairs had to be left out
     of the sweep; what came of each method, and what the posterior stated."""
 

@@ -79,13 +79,13 @@ class Replayed:
     begin: float = 0.0
     seconds: float = 0.0
     """Of flight."""
+    scans: list[ScanReport] = field(default_factory=list)
+    recorded_scans: list[ScanReport] = field(default_factory=list)
     inputs: int = 0
     asked: int = 0
     """Of the inputs: how often somebody asked for the tracks."""
     inputs_lost: int = 0
     """Missing in the recording, by their running numbers: from there on nothing need be the same."""
-    scans: list[ScanReport] = field(default_factory=list)
-    recorded_scans: list[ScanReport] = field(default_factory=list)
     scans_compared: Stream = NOTHING
     answers_compared: Stream = NOTHING
     digest: str = ""

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from support.streams import PATIENCE, Send, StreamServer, counters, first, sending, stream_server
 from swarmtrack.clock import SystemClock
-from swarmtrack.messages import Frame, StampKind
+from swarmtrack.messages import StampKind
 from swarmtrack.sensors.base import Camera
 from swarmtrack.sensors.cameras import open_camera
 from swarmtrack.sensors.decode import decode_jpeg
@@ -41,10 +41,6 @@ async def server() -> AsyncIterator[StreamServer]:
         yield server
 
 
-async def take(camera: Camera, count: int) -> list[Frame]:
-    return await first(count, camera.frames())
-
-
 async def status_with(camera: Camera, words: str) -> str:
     async with asyncio.timeout(PATIENCE):
         while words not in camera.status().text:  # noqa: ASYNC110
@@ -56,7 +52,7 @@ async def status_with(camera: Camera, words: str) -> str:
 async def test_images_arrive_with_and_without_their_length_told(server: StreamServer, length: bool) -> None:
     camera = open_camera(server.url, clock=SystemClock(), size=(64, 48))
     server.script = sending(*(part(jpeg(level), length=length) for level in (20, 90, 160)), source=camera)
-    frames = await take(camera, 3)  # the last too, though no delimiter follows it
+    frames = await first(3, camera.frames())  # the last too, though no delimiter follows it
     assert [round(frame.image.mean()) for frame in frames] == pytest.approx([20, 90, 160], abs=2)
     assert {frame.stamp for frame in frames} == {StampKind.ARRIVAL}
     assert frames[0].t_sigma == pytest.approx(0.05)
@@ -72,7 +68,7 @@ async def test_a_stamp_is_taken_as_exposure_on_our_clock_or_in_utc_and_else_not_
     stamps = [now - 0.3, utc - 0.3, now - 3600, now + 30, "yesterday", "nan"]
     camera = open_camera(server.url + "?latency_ms=40", clock=clock)
     server.script = sending(*(part(jpeg(9), f"X-Timestamp: {stamp}") for stamp in stamps), source=camera)
-    frames = await take(camera, len(stamps))
+    frames = await first(len(stamps), camera.frames())
     after = clock.now()
     assert frames[0].t == pytest.approx(now - 0.3, abs=1e-6)
     assert frames[1].t == pytest.approx(now - 0.3, abs=1e-2)
@@ -89,7 +85,7 @@ async def test_damaged_images_are_counted_and_the_stream_goes_on(server: StreamS
     bad = [b"no jpeg", whole[: len(whole) // 2], bomb]
     camera = open_camera(server.url, clock=SystemClock())
     server.script = sending(*(part(body) for body in (*bad, jpeg(200))), source=camera)
-    assert round((await take(camera, 1))[0].image.mean()) == pytest.approx(200, abs=2)
+    assert round((await first(1, camera.frames()))[0].image.mean()) == pytest.approx(200, abs=2)
     assert counters(camera)["corrupt"] == 3
     await camera.close()
 
@@ -97,7 +93,7 @@ async def test_damaged_images_are_counted_and_the_stream_goes_on(server: StreamS
 async def test_a_frame_of_another_size_is_counted_and_said(server: StreamServer) -> None:
     server.script = sending(part(jpeg(9, 32, 32)), part(jpeg(9, 32, 32)))
     camera = open_camera(server.url, clock=SystemClock(), size=(64, 48))
-    taking = asyncio.create_task(take(camera, 1))
+    taking = asyncio.create_task(first(1, camera.frames()))
     await status_with(camera, "frames are 32x32, the calibration is for 64x48")
     assert not camera.status().ok
     await camera.close()
@@ -132,7 +128,7 @@ async def test_a_server_that_hangs_up_is_said_and_asked_again(server: StreamServ
 
     server.script = sending(part(jpeg(9)), then=hang_up)
     camera = open_camera(server.url, clock=SystemClock())
-    frames = await take(camera, 2)
+    frames = await first(2, camera.frames())
     assert server.connections == 2
     assert frames[1].sequence > frames[0].sequence
     assert counters(camera)["reconnects"] == 1
@@ -153,7 +149,7 @@ async def test_what_is_no_stream_is_said(
 ) -> None:
     server.status, server.content_type = status, content_type
     camera = open_camera(server.url, clock=SystemClock())
-    taking = asyncio.create_task(take(camera, 1))
+    taking = asyncio.create_task(first(1, camera.frames()))
     await status_with(camera, sentence)
     await camera.close()
     assert await taking == []
@@ -165,7 +161,7 @@ async def test_nobody_there_and_somebody_silent_are_told_apart(server: StreamSer
         (server.url + "?timeout_s=0.5", "nothing for 0.5 s"),
     ):
         camera = open_camera(url, clock=SystemClock())
-        taking = asyncio.create_task(take(camera, 1))
+        taking = asyncio.create_task(first(1, camera.frames()))
         await status_with(camera, sentence)
         async with asyncio.timeout(PATIENCE):
             await camera.close()

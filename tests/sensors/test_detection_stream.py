@@ -29,7 +29,6 @@ from support.streams import (
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError, SourceError
-from swarmtrack.messages import Detections
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.sensors.base import DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
@@ -60,20 +59,16 @@ def open_stream(address: str) -> DetectionStream:
     return DetectionStream(parse_address(address), clock=SystemClock())
 
 
-async def take(source: DetectionSource, count: int) -> list[Detections]:
-    return await first(count, source.detections())
-
-
 async def test_a_line_is_a_scan_and_an_empty_one_says_that_nobody_was_seen(server: StreamServer) -> None:
     source = open_stream(server.url)
     lines = (line(None, 7, BOX), line(None, 8) + b"\n", line(None, 10, BOX, BOX))
     server.script = sending(*lines, source=source)
-    first, empty, last = await take(source, 3)
-    np.testing.assert_array_equal(first.centre, [[320.5, 240.0]])
-    np.testing.assert_array_equal(first.size, [[31.0, 18.5]])
-    np.testing.assert_array_equal(first.score, [0.87])
+    seen, empty, last = await first(3, source.detections())
+    np.testing.assert_array_equal(seen.centre, [[320.5, 240.0]])
+    np.testing.assert_array_equal(seen.size, [[31.0, 18.5]])
+    np.testing.assert_array_equal(seen.score, [0.87])
     assert (len(empty), len(last)) == (0, 2)
-    assert [first.sequence, empty.sequence, last.sequence] == [7, 8, 10]
+    assert [seen.sequence, empty.sequence, last.sequence] == [7, 8, 10]
     assert counters(source)["lost"] == 1
     assert source.status().ok
     await source.close()
@@ -87,7 +82,7 @@ async def test_a_stamp_is_exposure_on_our_clock_or_in_utc_and_else_the_arrival_c
     stamps = [now - 0.3, utc - 0.3, None, now - 3600.0, now + 30.0]
     source = open_stream(server.url + "?latency_ms=40")
     server.script = sending(*(line(stamp) for stamp in stamps), source=source)
-    taken = await take(source, len(stamps))
+    taken = await first(len(stamps), source.detections())
     assert taken[0].t == pytest.approx(now - 0.3, abs=1e-6)
     assert taken[1].t == pytest.approx(now - 0.3, abs=1e-2)
     assert all(now - 0.04 < detections.t < clock.now() - 0.04 for detections in taken[2:])
@@ -116,7 +111,7 @@ BAD_LINES = [
 async def test_bad_lines_are_counted_and_named_and_the_next_good_one_is_used(server: StreamServer) -> None:
     server.script = sending(*(bad + b"\n" for bad in BAD_LINES), line(None, 1, BOX))
     source = open_stream(server.url)
-    assert len((await take(source, 1))[0]) == 1
+    assert len((await first(1, source.detections()))[0]) == 1
     assert counters(source)["corrupt"] == len(BAD_LINES)
     assert source.status().ok
     await source.close()
@@ -127,7 +122,7 @@ async def test_a_source_that_sends_only_garbage_says_what_was_found_and_expected
 ) -> None:
     server.script = sending(b'{"detections": [[1, 2, -3, 4, 0.5]]}\n')
     source = open_stream(server.url)
-    taking = asyncio.create_task(take(source, 1))
+    taking = asyncio.create_task(first(1, source.detections()))
     async with asyncio.timeout(PATIENCE):
         while "expected u, v, w >= 0" not in source.status().text:  # noqa: ASYNC110
             await asyncio.sleep(0.02)
@@ -140,7 +135,7 @@ async def test_of_too_many_detections_the_best_are_kept(server: StreamServer) ->
     scores = np.linspace(0.0, 1.0, 3 * MAX_DETECTIONS)
     server.script = sending(line(None, 1, *([1.0, 2.0, 3.0, 4.0, float(score)] for score in scores)))
     source = open_stream(server.url)
-    (detections,) = await take(source, 1)
+    (detections,) = await first(1, source.detections())
     np.testing.assert_allclose(np.sort(detections.score), scores[-MAX_DETECTIONS:])
     await source.close()
 
@@ -172,8 +167,8 @@ async def test_a_source_that_hangs_up_is_asked_again_and_may_count_from_the_star
 ) -> None:
     server.script = sending(line(None, 5), then=hang_up)
     source = open_stream(server.url)
-    first, second = await take(source, 2)
-    assert (first.sequence, second.sequence) == (5, 5)
+    one, other = await first(2, source.detections())
+    assert (one.sequence, other.sequence) == (5, 5)
     assert server.connections == 2
     assert (counters(source)["reconnects"], counters(source)["lost"]) == (1, 0)
     await source.close()
@@ -191,7 +186,7 @@ async def test_what_is_no_such_stream_is_said(
 ) -> None:
     server.status, server.content_type = status, content_type
     source = open_stream(server.url)
-    taking = asyncio.create_task(take(source, 1))
+    taking = asyncio.create_task(first(1, source.detections()))
     async with asyncio.timeout(PATIENCE):
         while sentence not in source.status().text:  # noqa: ASYNC110
             await asyncio.sleep(0.02)
