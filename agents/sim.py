@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds, port, seed
+from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds, add_seed, port
 from swarmtrack.errors import SourceError
 from swarmtrack.localswarm.machine_load import BUSY, MachineLoad
 
@@ -53,13 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drones", type=_drones, metavar="N", help="size of the team (default: the scenario's)"
     )
     add_seconds(parser, "--seconds", "length of the flight (default: the scenario's)")
-    parser.add_argument(
-        "--seed",
-        type=seed,
-        default=1,
-        metavar="K",
-        help="seed of everything random (default: %(default)s)",
-    )
+    add_seed(parser, "seed of everything random (default: %(default)s)", default=1)
     parser.add_argument(
         "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
     )

@@ -25,7 +25,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import seed
+from swarmtrack.arguments import add_seed
 from swarmtrack.errors import SwarmtrackError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME|FILE",
         help="one of configs/scenarios, or a file (default: hover-triangle)",
     )
-    parser.add_argument("--seed", type=seed, default=1, metavar="K", help="seed of everything random")
+    add_seed(parser, "seed of everything random", default=1)
     parser.add_argument(
         "--drones", type=int, metavar="N", help="how many drones, where the scenario leaves it open"
     )

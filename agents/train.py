@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_flag, add_folder, add_list, count, positive, seed
+from swarmtrack.arguments import add_file, add_flag, add_folder, add_list, add_seed, count, positive
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
 
@@ -57,7 +57,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="(default: %(default)s)"
     )
-    parser.add_argument("--seed", type=seed, default=0, metavar="K", help="(default: %(default)s)")
+    add_seed(parser, "(default: %(default)s)", default=0)
     parser.add_argument("--batch", type=count, default=32, metavar="N", help="(default: %(default)s)")
     parser.add_argument(
         "--crop",

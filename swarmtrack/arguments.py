@@ -65,6 +65,11 @@ def add_seconds(parser: argparse.ArgumentParser, name: str, help: str, default: 
     parser.add_argument(name, type=positive_seconds, default=default, metavar="S", help=help)
 
 
+def add_seed(parser: argparse.ArgumentParser, help: str, default: int) -> None:
+    """--seed K: of what is left to chance."""
+    parser.add_argument("--seed", type=seed, default=default, metavar="K", help=help)
+
+
 def positive_seconds(text: str) -> float:
     """For `type=`: a number of seconds above 0."""
     return positive(text, "number of seconds")
