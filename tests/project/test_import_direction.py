@@ -204,3 +204,12 @@ def test_what_counts_as_pure_is_in_the_standard_library():
         "subprocess",
         "sys",
     }
+
+
+def test_tests_take_what_they_share_from_support():
+    rooms = {path.name for path in (ROOT / "tests").iterdir() if path.is_dir()} - {"support"}
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            taken = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            taken += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            assert not {name.split(".")[0] for name in taken} & rooms, f"{path.relative_to(ROOT)}: {taken}"
