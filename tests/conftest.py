@@ -10,34 +10,41 @@ from __future__ import annotations
 
 import functools
 import os
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
-from xdist.scheduler import LoadGroupScheduling
+from xdist.scheduler import LoadScopeScheduling
 
 # A busy machine may take any time over an example.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
-TESTS = Path(__file__).parent
 NICENESS = 10
 
-# Whole swarms: they never compete with each other.
+# Where node IDs below tests/ begin. Whole swarms: they never compete with each other.
 TEAM = (
-    "benchmarks/test_endurance.py",
+    "benchmarks/test_endurance.py::test_a_real_flight",
     "benchmarks/test_hundred_clients.py",
     "live/test_faults.py",
     "live/test_judge.py",
     "live/test_swarm_command.py",
+    "project/test_docs.py::test_a_flight",
+    "project/test_readme.py::test_the_main_command",
+    "replay/test_replay.py::test_the_verdict",
 )
-# Files and folders; a single test elsewhere bears the marker itself.
-LIVE = (
-    *TEAM,
+# Whatever else starts processes, opens sockets or waits in real time.
+ALONE = (
+    "benchmarks/test_benchmarks.py::test_an_agent",
     "benchmarks/test_flood.py",
-    "live",
-    "localswarm",
+    "calibration/test_calibrate.py::test_the_command_measures_a_live_drone",
+    "live/",
+    "localswarm/",
+    "monitor/test_monitor_recording.py",
+    "replay/test_replay.py::test_an_agent",
+    "replay/test_replay.py::test_kill_9",
+    "replay/test_replay.py::test_on_a_full_disk",
+    "replay/test_replay.py::test_record_hears",
     "runtime/test_healthy.py",
     "runtime/test_live_video.py",
     "runtime/test_pilot_notices.py",
@@ -47,35 +54,25 @@ LIVE = (
     "sensors/test_camera_v4l2.py",
     "sensors/test_detection_stream.py",
     "sensors/test_mavlink_links.py",
-    "transport",
+    "transport/",
 )
 
 
-def lies_in(item: pytest.Item, places: tuple[str, ...]) -> bool:
-    return any(item.path.is_relative_to(TESTS / place) for place in places)
-
-
-def group_of(item: pytest.Item) -> str:
-    """The worker's queue that a live test is in: the one it names, or that of its file."""
-    named = item.get_closest_marker("xdist_group")
-    if named is not None:
-        return str(named.args[0])
-    return "team" if lies_in(item, TEAM) else "live"
+def queue_of(nodeid: str) -> str:
+    """The worker's queue that a test is in: "team" or "live"; for one that computes, its file."""
+    below = nodeid.removeprefix("tests/")
+    if below.startswith(TEAM):
+        return "team"
+    return "live" if below.startswith(ALONE) else below.partition("::")[0]
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    order = {"team": 0, "live": 1}
-    places: dict[str, int] = {}
+    places = {"team": 0, "live": 1}
     for item in items:
-        places[item.nodeid] = len(order)
-        if lies_in(item, LIVE):
+        if queue_of(item.nodeid) in places:
             item.add_marker("live")
-        if item.get_closest_marker("live") is not None:
-            group = group_of(item)
-            item.add_marker(pytest.mark.xdist_group(group))
-            places[item.nodeid] = order[group]
-    items.sort(key=lambda item: places[item.nodeid])
+    items.sort(key=lambda item: places.get(queue_of(item.nodeid), len(places)))
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
@@ -86,15 +83,15 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return len(os.sched_getaffinity(0)) + 1
 
 
-class Scheduling(LoadGroupScheduling):
-    """Tests of no group go by files, so that a fixture of a module is made once."""
+class Scheduling(LoadScopeScheduling):
+    """By queues. `loadgroup` and its marker would do if xdist 3.8 could rename the nodes of pytest 9.2."""
 
     def _split_scope(self, nodeid: str) -> str:
-        return super()._split_scope(nodeid).partition("::")[0]
+        return queue_of(nodeid)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling | None:
-    return Scheduling(config, log) if config.getvalue("dist") == "loadgroup" else None
+    return Scheduling(config, log) if config.getvalue("dist") == "loadscope" else None
 
 
 @functools.cache

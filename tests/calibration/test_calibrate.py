@@ -159,7 +159,6 @@ def test_frames_far_apart_are_not_compared():
     assert motion.see(1.05, image) is None  # the clock went back
 
 
-@pytest.mark.live
 async def test_the_command_measures_a_live_drone_and_writes_its_config(tmp_path, capsys):
     """A real HTTP camera, a real UDP autopilot, the real command; its clock is 20 ms off and its camera looks up."""
     hand = HandTurned(np.random.default_rng(8), amplitude=(0.5, 0.5, 0.6), sway_m=0.0)
