@@ -41,6 +41,7 @@ ALONE = (
     "live/",
     "localswarm/",
     "monitor/test_monitor_recording.py",
+    "motion/test_gps_start.py::test_agents_announce",
     "replay/test_replay.py::test_an_agent",
     "replay/test_replay.py::test_kill_9",
     "replay/test_replay.py::test_on_a_full_disk",
