@@ -1,9 +1,9 @@
 """Who runs where: `pytest` takes all cores, and tests that wait run next to tests that compute.
 
 Two kinds. `live` tests start processes, open sockets or wait in real time; the rest compute. Teams of agents fly one
-after another in one worker ("team"), the other live tests in a second ("live"), and both begin at once. Every other
-worker takes computing tests, file by file, and is niced, so an agent that must answer in time is not starved by
-arithmetic. `-s` and a single file run without workers.
+after another in one worker; the other live tests have two queues more, and all begin at once. A worker whose queue is
+done takes computing tests, file by file, and is niced from then on, so an agent that must answer in time is not starved
+by arithmetic. `-s` and a single file run without workers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ settings.load_profile("patient")
 
 NICENESS = 10
 
-# Where node IDs below tests/ begin. Whole swarms: they never compete with each other.
+# The beginnings of node IDs below tests/, by queue. Whole swarms: they never compete with each other.
 TEAM = (
     "benchmarks/test_endurance.py::test_a_real_flight",
     "benchmarks/test_hundred_clients.py",
@@ -33,13 +33,12 @@ TEAM = (
     "project/test_readme.py::test_the_main_command",
     "replay/test_replay.py::test_the_verdict",
 )
-# Whatever else starts processes, opens sockets or waits in real time.
+# Whatever else starts processes or waits in real time; what opens sockets within its own process.
 ALONE = (
     "benchmarks/test_benchmarks.py::test_an_agent",
     "benchmarks/test_flood.py",
     "calibration/test_calibrate.py::test_the_command_measures_a_live_drone",
     "live/",
-    "localswarm/",
     "monitor/test_monitor_recording.py",
     "motion/test_gps_start.py::test_agents_announce",
     "replay/test_replay.py::test_an_agent",
@@ -49,35 +48,44 @@ ALONE = (
     "runtime/test_healthy.py",
     "runtime/test_live_video.py",
     "runtime/test_pilot_notices.py",
+)
+SOCKETS = (
+    "localswarm/",
     "security/test_security.py",
     "sensors/test_camera_http.py",
     "sensors/test_camera_rtsp.py",
     "sensors/test_camera_v4l2.py",
     "sensors/test_detection_stream.py",
+    "sensors/test_mavlink_autopilot.py",
     "sensors/test_mavlink_links.py",
     "transport/",
 )
 
 
+QUEUES = {"team": TEAM, "alone": ALONE, "sockets": SOCKETS}  # in the order in which they begin
+
+
 def queue_of(nodeid: str) -> str:
-    """The worker's queue that a test is in: "team" or "live"; for one that computes, its file."""
+    """The queue of a live test; of one that computes, its file."""
     below = nodeid.removeprefix("tests/")
-    if below.startswith(TEAM):
-        return "team"
-    return "live" if below.startswith(ALONE) else below.partition("::")[0]
+    return next(
+        (name for name, places in QUEUES.items() if below.startswith(places)), below.partition("::")[0]
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    places = {"team": 0, "live": 1}
+    order = list(QUEUES)
     for item in items:
-        if queue_of(item.nodeid) in places:
+        if queue_of(item.nodeid) in QUEUES:
             item.add_marker("live")
-    items.sort(key=lambda item: places.get(queue_of(item.nodeid), len(places)))
+    items.sort(
+        key=lambda item: order.index(queue) if (queue := queue_of(item.nodeid)) in order else len(order)
+    )
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One more than there are cores, for the two that mostly wait; none where workers only cost time or hide prints."""
+    """One more than there are cores, as some mostly wait; none where workers only cost time or hide prints."""
     one_file = len(config.args) == 1 and ".py" in config.args[0]
     if one_file or config.option.capture == "no":
         return 0
