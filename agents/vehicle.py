@@ -8,6 +8,7 @@ import gc
 import io
 import logging
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -58,7 +59,9 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="swarmtrack-agent",
         description="Track the drones in this drone's camera, and learn who is who.",
-        epilog="A first look, without any hardware: swarmtrack-agent --config configs/sim.toml --seconds 20",
+        epilog="a first look, without any hardware:\n"
+        f"  swarmtrack-agent --config {shlex.quote(shipped('sim.toml'))} --seconds 20",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
@@ -73,6 +76,12 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
     return parser
+
+
+def shipped(config: str) -> str:
+    """The path of a config that comes with the program, in a checkout or installed, as short as can be typed here."""
+    file = Path(__file__).parents[1] / "configs" / config
+    return os.path.relpath(file) if file.is_relative_to(Path.cwd()) else str(file)
 
 
 def _check(config: Path) -> int:

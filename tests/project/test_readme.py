@@ -1,11 +1,14 @@
 """What the README promises, held to it."""
 
 import json
+import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 
@@ -75,6 +78,21 @@ def test_help_answers(module):
         check=True,
     )
     assert "usage: swarmtrack" in result.stdout
+
+
+def test_the_agents_first_hint_is_a_config_that_is_there_wherever_it_is_asked_for(tmp_path):
+    result = subprocess.run(
+        [sys.executable, "-m", "swarmtrack.agents.vehicle", "--help"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=True,
+    )
+    hint = shlex.split(result.stdout.splitlines()[-1])
+    assert hint[:2] == ["swarmtrack-agent", "--config"]
+    assert load_config(Path(hint[2])).drone.id == 1
 
 
 def test_every_path_it_links_to_exists():
