@@ -85,11 +85,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One more than there are cores, as some mostly wait; none where workers only cost time or hide prints."""
+    """Two more than there are cores: three queues mostly wait, and next to them computing begins at once.
+
+    None where workers only cost time or hide prints.
+    """
     one_file = len(config.args) == 1 and ".py" in config.args[0]
     if one_file or config.option.capture == "no":
         return 0
-    return len(os.sched_getaffinity(0)) + 1
+    return len(os.sched_getaffinity(0)) + 2
 
 
 class Scheduling(LoadScopeScheduling):
