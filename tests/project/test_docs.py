@@ -162,6 +162,7 @@ def run(command: Command, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 def test_a_flight_is_recorded_and_replayed_as_the_docs_say(tmp_path):
     pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
     fly, *look = (command for command in ALL if command.flown and command.page.name == "recording.md")
