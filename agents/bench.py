@@ -31,6 +31,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.endurance.benchmark",
         "half an hour of a swarm: what grows, falls behind, is lost",
     ),
+    "errand": (
+        "swarmtrack.benchmarks.errands.benchmark",
+        "take-off, go-tos and turns: the camera's clock, names among ghosts",
+    ),
     "fixed-lag": (
         "swarmtrack.benchmarks.trackers.fixed_lag",
         "what a delay of some scans is worth to a tracker's estimates",

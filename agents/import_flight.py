@@ -1,4 +1,4 @@
-"""`swarmtrack import`: turn the telemetry log and the video of a past flight into a recording.
+"""`swarmtrack import`: turn the log and the video of a past flight into a recording.
 
 Both go through the agent's own parts: the log is read as from a link, every frame is seen by the detector. Nothing is
 live, so nothing is dropped and nothing depends on how fast this machine is: what the autopilot said and what was
@@ -22,7 +22,7 @@ from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
     from swarmtrack.clock import ManualClock
-    from swarmtrack.messages import EgoPose, ImuSample, Input
+    from swarmtrack.messages import EgoPose, FlightState, ImuSample, Input
     from swarmtrack.runtime.assembly import Parts
 
 BEGIN_S = 1000.0  # of our clock, at the log's first record
@@ -30,7 +30,9 @@ DETECTOR_S = 0.03  # s from an exposure to its detections, as they would have co
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_file(parser, "--tlog", "the telemetry log of a ground station", required=True)
+    log = parser.add_mutually_exclusive_group(required=True)
+    log.add_argument("--tlog", type=Path, metavar="FILE", help="the telemetry log of a ground station")
+    log.add_argument("--ulog", type=Path, metavar="FILE", help="PX4's own log (.ulg)")
     add_file(parser, "--video", "what the camera saw", required=True)
     add_file(parser, "--config", "the drone's config: camera, mount, tracker, detector", required=True)
     add_folder(parser, "--out", "where to; a folder is made below it", required=True)
@@ -58,6 +60,9 @@ class _Log:
     def on_pose(self, pose: EgoPose) -> None:
         self.said.append((pose.t, pose))
 
+    def on_flight_state(self, state: FlightState) -> None:
+        self.said.append((state.t, state))
+
     def on_autopilot_reboot(self) -> None:
         from swarmtrack.messages import AutopilotRebooted
 
@@ -75,17 +80,18 @@ def run(args: argparse.Namespace) -> int:
 
     if not -1e6 < args.offset < 1e6:
         raise SourceError(f"--offset {args.offset:g}: expected seconds")
-    for name, path in (("--tlog", args.tlog), ("--video", args.video)):
+    scheme, log = ("tlog", args.tlog) if args.ulog is None else ("ulog", args.ulog)
+    for name, path in ((f"--{scheme}", log), ("--video", args.video)):
         if not path.is_file():
             raise SourceError(f"{name} {path}: there is no such file")
     asked = {
         "camera": {"source": f"file://{quote(str(args.video.absolute()))}?pace=fast"},
-        "autopilot": {"link": f"tlog:{args.tlog.absolute()}?speed=0"},
+        "autopilot": {"link": f"{scheme}:{log.absolute()}?speed=0"},
         "network": {"transport": "memory"},
         "recording": {"dir": str(args.out), "frames": "jpeg" if args.frames else "none"},
     }
     config = load_config(args.config, Layer(Path("swarmtrack import"), "", asked))
-    clock = ManualClock(BEGIN_S, _first_stamp(args.tlog))
+    clock = ManualClock(BEGIN_S, _first_stamp(log) if scheme == "tlog" else _first_utc(log))
     parts = assemble(config, SystemClock(), clock)
     return asyncio.run(import_flight(parts, clock, args.offset))
 
@@ -98,6 +104,21 @@ def _first_stamp(tlog: Path) -> float:
         for stamp, _ in records(file.read(1 << 20)):
             return stamp
     raise SourceError(f"--tlog {tlog}: holds no record, is it a telemetry log (.tlog)?")
+
+
+def _first_utc(ulog: Path) -> float:
+    """UTC [s] of the first record: by the log's GPS, else as if the file had been written with its last record."""
+    from swarmtrack.sensors.mavlink.ulog import read_ulog
+
+    flight = read_ulog(ulog)
+    first, last = flight.records[0][0], flight.records[-1][0]
+    if flight.utc_offset is not None:
+        return first + flight.utc_offset
+    print(
+        f"swarmtrack import: --ulog {ulog}: no GPS told the time of day; the recording is dated by the file",
+        file=sys.stderr,
+    )
+    return ulog.stat().st_mtime - (last - first)
 
 
 async def import_flight(parts: Parts, clock: ManualClock, offset: float) -> int:

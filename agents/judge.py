@@ -101,6 +101,7 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
     from swarmtrack.clock import SystemClock
     from swarmtrack.localswarm.watch import Watch
     from swarmtrack.scenario_file import load_limits, load_scenario
+    from swarmtrack.simulation.scenarios import as_told
 
     task = asyncio.current_task()
     assert task is not None
@@ -110,7 +111,12 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
     deadline = clock.now() + args.patience
     spectator.note(f"asking {args.simulator} what is flown …")
     flown = await ask_simulator(args.simulator, args.patience)
-    scenario = load_scenario(flown.scenario, seed=flown.seed, drones=flown.drones)
+    scenario, followed = as_told(load_scenario(flown.scenario, seed=flown.seed, drones=flown.drones))
+    if followed:
+        raise NotThere(
+            f"{args.simulator}: its drones {', '.join(map(str, followed))} are flown by a ground station, expected a "
+            f"scenario by plan; swarmtrack sim judges guided ones"
+        )
     watch = Watch(scenario, clock, clock, epoch=flown.epoch, seconds=0.0)
     try:
         async with _heard(network, watch, clock):
@@ -147,6 +153,11 @@ async def ask_simulator(url: str, patience_s: float) -> FlownScenario:
             try:
                 async with session.get(url, raise_for_status=True) as response:
                     told = await response.json()
+                if "world" in told:
+                    raise NotThere(
+                        f"{url}: draws drones that others fly, expected a scenario by plan; swarmtrack sim --world "
+                        "judges the others"
+                    )
                 return _understood(told, (asked + clock.now()) / 2.0)
             except (aiohttp.ClientError, TimeoutError) as error:
                 trouble = str(error) or "no answer"

@@ -44,16 +44,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument(
         "--scenario",
-        default=DEFAULT_SCENARIO,
         metavar="NAME|FILE",
-        help="who flies where, and what goes wrong (default: %(default)s)",
+        help=f"who flies where, and what goes wrong (default: {DEFAULT_SCENARIO})",
+    )
+    add_file(
+        parser,
+        "--world",
+        "instead of a scenario: drones that others fly, in ArduPilot's or PX4's own simulator (docs/rehearse.md)",
     )
     parser.add_argument("--list", nargs=0, action=_ListScenarios, help="list the scenarios, then exit")
     parser.add_argument(
         "--drones", type=_drones, metavar="N", help="size of the team (default: the scenario's)"
     )
     add_seconds(parser, "--seconds", "length of the flight (default: the scenario's)")
-    add_seed(parser, "seed of everything random (default: %(default)s)", default=1)
+    add_seed(parser, "seed of everything random (default: 1, or the world file's)", default=None)
     parser.add_argument(
         "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
     )
@@ -87,15 +91,19 @@ def run(args: argparse.Namespace) -> int:
 
     from swarmtrack.errors import TransportError
     from swarmtrack.localswarm.flight import FlightPlan
+    from swarmtrack.localswarm.outside import NoTruth
     from swarmtrack.localswarm.processes import ProcessDied
     from swarmtrack.localswarm.radio import RadioError
     from swarmtrack.localswarm.recording import check_empty
+    from swarmtrack.localswarm.world_file import check_alone
 
+    if args.world is not None:
+        check_alone(args.world, scenario=args.scenario, drones=args.drones)
     if args.json is not None:
         check_writable(args.json)
     monitor_port = args.monitor_port if args.monitor_port is not None else 0 if args.monitor else None
     plan = FlightPlan(
-        args.scenario,
+        args.scenario or DEFAULT_SCENARIO,
         args.drones,
         args.seconds,
         args.seed,
@@ -104,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
         args.keep,
         args.record,
         monitor_port,
+        args.world,
     )
     if plan.record is not None:
         check_empty(plan.record)
@@ -112,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
     load = MachineLoad()
     try:
         report = asyncio.run(_fly(plan, spectator))
-    except (RadioError, ProcessDied, TransportError) as error:
+    except (NoTruth, RadioError, ProcessDied, TransportError) as error:
         spectator.close()
         print(f"swarmtrack sim: {error}", file=sys.stderr)
         print("FAILED")
@@ -152,7 +161,7 @@ def check_writable(path: Path) -> None:
 def _spectator(plan: FlightPlan, console: Console) -> Spectator:
     from swarmtrack.localswarm.table import LiveTable, PlainLines
 
-    scenario = plan.load()
+    scenario = plan.load().scenario
     title = f"{scenario.name}: {scenario.about} ({len(scenario.members)} drones, detector {plan.detector})"
     if console.is_terminal:
         return LiveTable(console, title)

@@ -1,13 +1,27 @@
 """`python -m swarmtrack.agents.simulator`: the cameras and autopilots of a simulated swarm, on real sockets.
 
 For each drone that has an agent, a camera over HTTP (JPEGs, or with `--detector oracle` lines of detections) and an
-autopilot that speaks MAVLink over UDP. World time 0 is `--epoch` on this machine's monotonic clock; before it all
-drones hover. When everything listens, one line of JSON says where:
+autopilot that speaks MAVLink on three UDP ports: one for the agent, one for a ground station beside it, and one for who
+asks for the truth. World time 0 is `--epoch` on this machine's monotonic clock; before it all drones hover. When
+everything listens, one line of JSON says where, where on the Earth the world's origin lies, and when world time 0 is:
 
-    {"ready": true, "drones": {"1": {"camera": "http://127.0.0.1:40001/1", "autopilot": "udpout:127.0.0.1:50001"}, …}}
+    {"ready": true, "origin": {"lat_deg": 47.397742, "lon_deg": 8.545594, "alt_m": 488.0}, "epoch_s": 4711.5, "drones":
+    {"1": {"camera": "http://127.0.0.1:40001/1", "autopilot": "udpout:127.0.0.1:50001", "ground":
+    "udpout:127.0.0.1:50002", "truth": "udpout:127.0.0.1:50003"}, …}}
 
-With `--port P` the cameras are at TCP port P, and the autopilot of drone N at UDP port P + N, for configs that were
-written before. At `/` the same server says what is flown and how late it is in that world, for `swarmtrack judge`.
+Whoever asks an autopilot for SIM_STATE by SET_MESSAGE_INTERVAL, at any port, is told the truth about its drone. Each
+port answers whoever spoke to it last.
+
+With `--world FILE` it simulates cameras only, of drones that others fly (docs/rehearse.md). It is then ready when the
+truth about every drone is told, passes the truth on at `/truth`, a line of JSON per sample, and its line says where:
+
+    {"ready": true, "origin": …, "epoch_s": …, "truth": "http://127.0.0.1:40001/truth", "drones": {"1": {"camera": …
+
+or, where nobody tells, `{"ready": false, "error": "drone 1: truth link tcp:127.0.0.1:5763 is silent: …"}`.
+
+With `--port P`, for configs that were written before, the cameras are at TCP port P, and the autopilot of drone N at
+UDP ports P + N, for the ground station P + 1000 + N, and for the truth P + 2000 + N. At `/` the same server says what
+is flown and how late it is in that world, for `swarmtrack judge`.
 
 Then it is quiet, and ends on SIGTERM, on SIGINT, or when the pipe at its standard input closes: its parent has died.
 """
@@ -25,15 +39,21 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_seed
-from swarmtrack.errors import SwarmtrackError
+from swarmtrack.arguments import add_file, add_seconds, add_seed
+from swarmtrack.errors import SourceError, SwarmtrackError
 
 if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+    from swarmtrack.clock import Clock
+    from swarmtrack.geometry.geodesy import Geodetic
+    from swarmtrack.localswarm.world_file import OutsideWorld
     from swarmtrack.simulation.scenarios import Scenario
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 NICENESS = -10  # a camera does not wait until the agents have computed; without root, it has to
-LEAD = 2.0  # s from the start of the program to world time 0, where nobody gives an epoch
+LEAD = 2.0  # s until world time 0, where nobody says when it is
+DEFAULT_SCENARIO, DEFAULT_SEED = "hover-triangle", 1
 
 
 def watch_parent(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
@@ -58,16 +78,19 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m swarmtrack.agents.simulator",
         description="The cameras and autopilots of a simulated swarm, on real sockets.",
         epilog="Example: python -m swarmtrack.agents.simulator --scenario crossing --drones 4 --detector oracle; "
-        "then take camera.source and autopilot.link of a drone's config from the line that it prints.",
+        "then take camera.source and autopilot.link of a drone's config from the line that it prints. A ground station "
+        "connects to the address `ground`.",
         allow_abbrev=False,
     )
     parser.add_argument(
         "--scenario",
-        default="hover-triangle",
         metavar="NAME|FILE",
-        help="one of configs/scenarios, or a file (default: hover-triangle)",
+        help=f"one of configs/scenarios, or a file (default: {DEFAULT_SCENARIO})",
     )
-    add_seed(parser, "seed of everything random", default=1)
+    add_file(parser, "--world", "a world file: cameras of drones that others fly, instead of a scenario")
+    add_seed(
+        parser, f"seed of everything random (default: {DEFAULT_SEED}, or the world file's)", default=None
+    )
     parser.add_argument(
         "--drones", type=int, metavar="N", help="how many drones, where the scenario leaves it open"
     )
@@ -75,7 +98,10 @@ def parser() -> argparse.ArgumentParser:
         "--epoch",
         type=_finite,
         metavar="T",
-        help=f"world time 0 in seconds of CLOCK_MONOTONIC (default: in {LEAD:g} s)",
+        help="world time 0 in seconds of CLOCK_MONOTONIC, instead of --lead",
+    )
+    add_seconds(
+        parser, "--lead", f"time until world time 0, once all is there (default: {LEAD:g})", default=LEAD
     )
     parser.add_argument(
         "--detector",
@@ -91,7 +117,8 @@ def parser() -> argparse.ArgumentParser:
         type=_port,
         default=0,
         metavar="P",
-        help="port of the cameras; drone N's autopilot is at UDP port P + N (default: free ports)",
+        help="port of the cameras; drone N's autopilot is at UDP ports P + N, for its agent, P + 1000 + N, for a "
+        "ground station, and P + 2000 + N, for the truth (default: free ports)",
     )
     return parser
 
@@ -119,21 +146,19 @@ def main(argv: list[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
-    from swarmtrack.scenario_file import load_scenario
+    from swarmtrack.localswarm.outside import NoTruth
 
     try:
-        scenario = load_scenario(arguments.scenario, seed=arguments.seed, drones=arguments.drones)
+        flown = _load(arguments)
     except SwarmtrackError as error:
         print(error, file=sys.stderr)
         return WRONG_USAGE
-    if arguments.port + max(scenario.members) > 65535:
-        print(
-            f"--port {arguments.port}: leaves no port above it for drone {max(scenario.members)}",
-            file=sys.stderr,
-        )
-        return WRONG_USAGE
     try:
-        asyncio.run(fly(scenario, arguments))
+        asyncio.run(fly(flown, arguments))
+    except NoTruth as error:
+        print(json.dumps({"ready": False, "error": str(error)}), flush=True)
+        print(error, file=sys.stderr)
+        return FAILED
     except OSError as error:
         where = f"--host {arguments.host}" + (f" --port {arguments.port}" if arguments.port else "")
         print(f"{where}: {error.strerror or error}", file=sys.stderr)
@@ -141,32 +166,38 @@ def main(argv: list[str] | None = None) -> int:
     return DONE
 
 
-async def fly(scenario: Scenario, arguments: argparse.Namespace) -> None:
-    """Simulate until told to stop."""
+def _load(arguments: argparse.Namespace) -> Scenario | OutsideWorld:
+    """Raises SwarmtrackError for what cannot be flown as asked for."""
+    from swarmtrack.localswarm.hardware import AUTOPILOT_PORTS
+    from swarmtrack.localswarm.world_file import check_alone, load_world
+    from swarmtrack.scenario_file import load_scenario
+
+    if arguments.world is not None:
+        check_alone(arguments.world, scenario=arguments.scenario, drones=arguments.drones)
+        if arguments.epoch is not None:
+            raise SourceError("--epoch with --world, expected --lead: it begins when the truth is told")
+        return load_world(arguments.world, seed=arguments.seed)
+    arguments.scenario = arguments.scenario or DEFAULT_SCENARIO
+    arguments.seed = DEFAULT_SEED if arguments.seed is None else arguments.seed
+    scenario = load_scenario(arguments.scenario, seed=arguments.seed, drones=arguments.drones)
+    highest = max(scenario.members) + max(AUTOPILOT_PORTS.values())
+    if arguments.port and arguments.port + highest > 65535:
+        raise SourceError(
+            f"--port {arguments.port}: leaves no ports above it for drone {max(scenario.members)}, expected "
+            f"{65535 - highest} at most"
+        )
+    return scenario
+
+
+async def fly(flown: Scenario | OutsideWorld, arguments: argparse.Namespace) -> None:
+    """Simulate until told to stop. Raises NoTruth."""
     from swarmtrack.clock import SystemClock
-    from swarmtrack.localswarm.hardware import simulate
 
     clock, loop, stop = SystemClock(), asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     watch_parent(loop, stop)
-    flight = asyncio.create_task(
-        simulate(
-            scenario,
-            oracle=arguments.detector == "oracle",
-            epoch=clock.now() + LEAD if arguments.epoch is None else arguments.epoch,
-            host=arguments.host,
-            port=arguments.port,
-            flown={
-                "scenario": arguments.scenario,
-                "seed": arguments.seed,
-                "drones": arguments.drones,
-                "detector": arguments.detector,
-            },
-            clock=clock,
-            on_ready=lambda drones: print(json.dumps({"ready": True, "drones": drones}), flush=True),
-        )
-    )
+    flight = asyncio.create_task(_simulation(flown, arguments, clock))
     stopping = asyncio.create_task(stop.wait())
     await asyncio.wait({flight, stopping}, return_when=asyncio.FIRST_COMPLETED)
     stopping.cancel()
@@ -174,6 +205,55 @@ async def fly(scenario: Scenario, arguments: argparse.Namespace) -> None:
         flight.cancel()
     with suppress(asyncio.CancelledError):
         await flight
+
+
+def _simulation(
+    flown: Scenario | OutsideWorld, arguments: argparse.Namespace, clock: Clock
+) -> Coroutine[None, None, None]:
+    from swarmtrack.localswarm.hardware import simulate
+    from swarmtrack.localswarm.outside import simulate_outside
+    from swarmtrack.localswarm.world_file import OutsideWorld
+
+    oracle = arguments.detector == "oracle"
+    told = {"seed": arguments.seed, "detector": arguments.detector}
+    if isinstance(flown, OutsideWorld):
+        origin = flown.scenario.origin
+        return simulate_outside(
+            flown,
+            oracle=oracle,
+            lead=arguments.lead,
+            host=arguments.host,
+            port=arguments.port,
+            flown={"world": str(arguments.world), **told},
+            clock=clock,
+            on_ready=lambda epoch, drones, truth: _say_ready(origin, epoch, drones, {"truth": truth}),
+        )
+    epoch = clock.now() + arguments.lead if arguments.epoch is None else arguments.epoch
+    origin = flown.origin
+    return simulate(
+        flown,
+        oracle=oracle,
+        epoch=epoch,
+        host=arguments.host,
+        port=arguments.port,
+        flown={"scenario": arguments.scenario, "drones": arguments.drones, **told},
+        clock=clock,
+        on_ready=lambda drones, truth: _say_ready(origin, epoch, drones, {"truth": truth} if truth else {}),
+    )
+
+
+def _say_ready(
+    origin: Geodetic, epoch: float, drones: dict[int, dict[str, str]], more: dict[str, str]
+) -> None:
+    latitude, longitude, height = origin
+    place = {
+        "lat_deg": round(math.degrees(latitude), 9),
+        "lon_deg": round(math.degrees(longitude), 9),
+        "alt_m": height,
+    }
+    print(
+        json.dumps({"ready": True, "origin": place, "epoch_s": epoch, **more, "drones": drones}), flush=True
+    )
 
 
 if __name__ == "__main__":

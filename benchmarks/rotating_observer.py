@@ -136,6 +136,7 @@ def fly(experiment: Experiment, seed: int, tracker: str, parameters: dict[str, A
 
 def _without_yaw(world: World) -> World:
     observer = world.drones[OBSERVER]
+    assert isinstance(observer, Trajectory)
     return replace(
         world, drones={**world.drones, OBSERVER: Trajectory(observer.path, SteadyYaw(observer.yaw(0.0)))}
     )

@@ -35,7 +35,7 @@ from swarmtrack.motion.gyro_bias import GyroBias
 from swarmtrack.motion.time_offset import SURE, CameraClock
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
+from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters, detect, visible
 from swarmtrack.simulation.trajectory import Hover, SteadyYaw, Trajectory, YawProfile
 from swarmtrack.simulation.world import World
 
@@ -146,7 +146,9 @@ def _sense(condition: Condition, seed: int, seconds: float) -> Sensed:
     # The yawing observer is the first; elsewhere every place of the formation has its turn.
     observer = 1 if condition.scenario == "yawing-observer" else list(world.drones)[seed % len(world.drones)]
     if condition.observer is not None:
-        changed = condition.observer(world, world.drones[observer])
+        planned = world.drones[observer]
+        assert isinstance(planned, Trajectory)
+        changed = condition.observer(world, planned)
         world = replace(world, drones={**world.drones, observer: changed})
     imu, begins, ends = (
         Imu(world, observer, ImuParameters(rate_hz=IMU_HZ)),
@@ -156,14 +158,10 @@ def _sense(condition: Condition, seed: int, seconds: float) -> Sensed:
     times = np.arange(int(begins * IMU_HZ), int((ends + 0.5) * IMU_HZ)) / IMU_HZ
     # All noise from one generator: one for each sample, as `Imu.sample` has it, takes longer than the rest of it.
     white = world.chance("imu", observer).standard_normal((len(times), 2, 3))
-    samples = [
-        ImuSample(t, *imu.measure(world.drones[observer].motion(t), w))
-        for t, w in zip(times.tolist(), white, strict=True)
-    ]
-    ego = EgoParameters(rate_hz=ATTITUDES_HZ)
-    poses = [
-        ego_pose(world, observer, k, ego) for k in range(int(begins * ego.rate_hz), int(ends * ego.rate_hz))
-    ]
+    delay = imu.parameters.delay_s
+    samples = [ImuSample(t - delay, *imu.measure(t, w)) for t, w in zip(times.tolist(), white, strict=True)]
+    ego = Ego(world, observer, EgoParameters(rate_hz=ATTITUDES_HZ))
+    poses = [ego.pose(k) for k in range(int(begins * ATTITUDES_HZ), int(ends * ATTITUDES_HZ))]
     scans, information = [], 0.0
     for k in range(int(BEGINS_S * scenario.fps), int(ends * scenario.fps)):
         t = k / scenario.fps

@@ -9,40 +9,59 @@ from __future__ import annotations
 
 import dataclasses
 import heapq
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Announcement, EgoPose, PeerArrived, PoseWanted, ScanReport, TrackList
+from swarmtrack.messages import (
+    Announcement,
+    Array,
+    Detections,
+    HeadingNews,
+    PeerArrived,
+    PoseWanted,
+    ScanReport,
+    TrackList,
+)
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
+from swarmtrack.simulation.oracle import OracleDetector
 from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
-from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
+from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters
+from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracker
 
 RADIO_S = 0.05  # s from a question to the announcement it asked for
-REPORT_S = 1.0  # s between two reports of sightings
+REPORT_S, SOONEST_REPORT_S = 1.0, 0.1  # s between two reports of sightings, of the same and of others
 CLOCK_SIGMA = 0.01  # s: what a drone knows of its teammates' clocks
 LATENCY_S = 0.08  # s from exposure to detections
 LEAD_S = 1.0  # s that the sensors run before world time 0
 
 
+# Of the frame number `index` of a drone, exposed and stamped at world time t: (drone, index, t).
+Eyes = Callable[[int, int, float], Detections]
+
+
 class ObservedScan(NamedTuple):
-    """What `observer` tracked in the scan exposed at t [s, world time]."""
+    """What `observer` tracked in the scan exposed at t [s, world time, by its own belief].
+
+    centres (m, 2) px: what its detector had found there.
+    """
 
     observer: int
     t: float
     tracks: TrackList
+    centres: Array
 
 
 @dataclasses.dataclass(slots=True)
 class _Drone:
     onboard: Onboard
     imu: Imu
+    ego: Ego
     announced: int = 0
     announce_at: float = np.inf
     reports: int = 0
@@ -50,10 +69,16 @@ class _Drone:
     reported: frozenset[int] = frozenset()
     wanted: list[int] = dataclasses.field(default_factory=list)
     """Whose pose it wants and has not asked for yet."""
+    found: dict[int, Array] = dataclasses.field(default_factory=dict)
+    """Centres (m, 2) px in the frames that are not tracked yet, by their number."""
 
 
 class VirtualSwarm:
-    """`fly` yields every scan of every drone, in the order of their exposure."""
+    """`fly` yields every scan of every drone, in the order of their exposure.
+
+    eyes: what finds drones in its frames, the scenario's oracle by default. camera_clocks_told: every drone knows by
+    how much its camera's stamps are late, and does not estimate it.
+    """
 
     def __init__(
         self,
@@ -61,6 +86,8 @@ class VirtualSwarm:
         *,
         tracker: str = DEFAULT_TRACKER,
         identity: IdentityParameters | None = None,
+        eyes: Eyes | None = None,
+        camera_clocks_told: bool = False,
     ) -> None:
         self.scenario = scenario
         self.announcements = 0
@@ -68,7 +95,8 @@ class VirtualSwarm:
         """World time of each drone's first announcement [s]."""
         self._identity = identity or IdentityParameters()
         self._tracker = tracker
-        self._ego = EgoParameters()
+        self._eyes = eyes or OracleDetector(scenario).detections
+        self._camera_clocks_told = camera_clocks_told
         self._drones = {drone_id: self._make(drone_id) for drone_id in scenario.members}
 
     def _make(self, drone_id: int) -> _Drone:
@@ -78,19 +106,31 @@ class VirtualSwarm:
         onboard = Onboard(
             drone_id,
             camera=scenario.camera,
-            mounting=Mounting(scenario.body_from_camera),
-            tracker=create_tracker(self._tracker, camera=scenario.camera),
+            mounting=Mounting(
+                scenario.body_from_camera,
+                time_offset_s=-self.stamps_late(drone_id) if self._camera_clocks_told else 0.0,
+                estimate_time_offset=not self._camera_clocks_told,
+            ),
+            tracker=create_tracker(self._tracker, camera=scenario.camera, **AGENT_PARAMETERS),
             gyro=GyroHistory(),
             ego=EgoHistory(origin=start.position_m),
             identity=self._identity,
         )
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
-        return _Drone(onboard, imu, announce_at=max(scenario.starts_s.get(drone_id, 0.0) - 0.5, -0.5))
+        ego = Ego(scenario.world, drone_id)
+        return _Drone(onboard, imu, ego, announce_at=max(scenario.starts_s.get(drone_id, 0.0) - 0.5, -0.5))
+
+    def stamps_late(self, drone_id: int) -> float:
+        """By how much the stamps of its camera are late, s."""
+        return self.scenario.camera_offset_s.get(drone_id, 0.0)
+
+    def onboard(self, drone_id: int) -> Onboard:
+        return self._drones[drone_id].onboard
 
     def fly(self, seconds: float) -> Iterator[ObservedScan]:
         """From world time −LEAD_S to `seconds`."""
         scenario = self.scenario
-        rates = {"imu": scenario.imu_rate_hz, "pose": self._ego.rate_hz, "scan": scenario.fps}
+        rates = {"imu": scenario.imu_rate_hz, "pose": EgoParameters().rate_hz, "scan": scenario.fps}
         queue: list[tuple[float, int, str, int]] = []
         for drone_id in self._drones:
             begin = max(scenario.starts_s.get(drone_id, 0.0) - LEAD_S, -LEAD_S)
@@ -103,30 +143,31 @@ class VirtualSwarm:
             if now >= seconds + LATENCY_S:
                 return
             drone = self._drones[drone_id]
-            self._say(now)
             if what == "imu":
                 drone.onboard.tell(drone.imu.sample(index))
             elif what == "pose":
-                drone.onboard.tell(self._pose(drone_id, index))
+                self._say(now)
+                if index % int(rates["pose"]) == 0:
+                    drone.onboard.tell(drone.ego.flight_state(index / rates["pose"]))
+                drone.onboard.tell(drone.ego.pose(index))
             else:
                 self._scan(drone_id, index)
             for event in drone.onboard.events():
                 if isinstance(event, ScanReport):
-                    yield ObservedScan(drone_id, event.tracks.t, event.tracks)
+                    centres = drone.found.pop(event.sequence)
+                    yield ObservedScan(drone_id, event.tracks.t, event.tracks, centres)
                 elif isinstance(event, PoseWanted):
                     drone.wanted.append(event.drone_id)
+                elif isinstance(event, HeadingNews) and drone.announced:
+                    drone.announce_at = min(drone.announce_at, now)
             rate = rates[what]
             heapq.heappush(queue, (_due(what, index + 1, rate), drone_id, what, index + 1))
 
-    def _pose(self, drone_id: int, index: int) -> EgoPose:
-        return ego_pose(self.scenario.world, drone_id, index, self._ego)
-
     def _scan(self, drone_id: int, index: int) -> None:
-        scenario, t = self.scenario, index / self.scenario.fps
-        boxes = visible(scenario.world, drone_id, scenario.camera, scenario.body_from_camera, t)
-        rng = scenario.world.chance("detector", drone_id, index & 0xFFFFFFFF)
-        detections = detect(boxes, scenario.camera, scenario.detector, rng, t=t, sequence=index)
-        self._drones[drone_id].onboard.tell(detections)
+        found = self._eyes(drone_id, index, index / self.scenario.fps)
+        drone = self._drones[drone_id]
+        drone.found[index] = found.centre
+        drone.onboard.tell(dataclasses.replace(found, t=found.t + self.stamps_late(drone_id)))
 
     def _say(self, now: float) -> None:
         for drone_id, drone in self._drones.items():
@@ -159,7 +200,7 @@ class VirtualSwarm:
             t_sigma=0.05,
             position=pose.position,
             world_from_body=pose.world_from_body,
-            position_cov=(start_sigma**2 + pose.position_sigma**2) * np.eye(3),
+            position_cov=start_sigma**2 * np.eye(3) + pose.position_cov,
         )
         for other_id, other in self._drones.items():
             if other_id != drone_id:
@@ -171,11 +212,13 @@ class VirtualSwarm:
                     drone.onboard.tell(earlier)
 
     def _report(self, drone_id: int, drone: _Drone, now: float) -> None:
+        if now - drone.reported_t < SOONEST_REPORT_S:
+            return
         report = drone.onboard.sighting_report(f"{drone_id:08x}", drone.reports)
         if report is None:
             return
         seen = frozenset(sighting.drone_id for sighting in report.sightings)
-        if now - drone.reported_t < (REPORT_S if seen == drone.reported else 0.1):
+        if seen == drone.reported and now - drone.reported_t < REPORT_S:
             return
         drone.reported_t, drone.reported = now, seen
         drone.reports += 1

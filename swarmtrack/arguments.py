@@ -65,7 +65,7 @@ def add_seconds(parser: argparse.ArgumentParser, name: str, help: str, default: 
     parser.add_argument(name, type=positive_seconds, default=default, metavar="S", help=help)
 
 
-def add_seed(parser: argparse.ArgumentParser, help: str, default: int) -> None:
+def add_seed(parser: argparse.ArgumentParser, help: str, default: int | None) -> None:
     """--seed K: of what is left to chance."""
     parser.add_argument("--seed", type=seed, default=default, metavar="K", help=help)
 

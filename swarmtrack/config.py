@@ -6,11 +6,12 @@ start at the folder of the file that names them; those of what is written (`[out
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from urllib.parse import quote
 
 import numpy as np
@@ -30,6 +31,7 @@ from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, R
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.motion.heading import HeadingSigma
 from swarmtrack.toml.layers import Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml.sections import (
     Count,
@@ -50,6 +52,7 @@ from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
 DISTORTIONS: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
 ORIGIN: Vector = (0.0, 0.0, 0.0)
+Angle = Annotated[Positive, Field(le=180.0)]
 FRD_FROM = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
 
 
@@ -242,17 +245,38 @@ class CameraSection(Section):
         return self.source.strip().lower().startswith("detections:")
 
 
+class HeadingSigmas(Section):
+    """How well an autopilot knows its heading."""
+
+    ground: Angle = Field(default=3.0, description="on the ground, and in the first 20 s of flight, degrees")
+    flight: Angle = Field(default=1.5, description="in flight, once the autopilot has aligned it, degrees")
+
+
+def _or_one_number(entry: dict[str, Any]) -> None:
+    """The schema of an entry that is a table, or one number for all of its keys."""
+    entry["anyOf"] = [
+        {"type": "number", "exclusiveMinimum": 0.0, "maximum": 180.0},
+        {"$ref": entry.pop("$ref")},
+    ]
+
+
 class AutopilotSection(Section):
     """[autopilot]: the MAVLink link, what we request on it and what we send."""
 
     link: Text = Field(
-        default="none", description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE or none"
+        default="none",
+        description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE, ulog:FILE or none",
     )
     imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = Field(
         default=200.0, description="IMU rate requested from the autopilot"
     )
     system_id: Annotated[int, Strict(), Field(ge=1, le=255)] | None = Field(
         default=None, description="system ID of our autopilot, where several share one link"
+    )
+    heading_sigma_deg: HeadingSigmas = Field(
+        default=HeadingSigmas(),
+        description="standard deviation of the autopilot's heading, degrees: one number, or { ground, flight }",
+        json_schema_extra=_or_one_number,
     )
     signing_key: Path | None = Field(default=None, description="file with the 32-byte key as 64 hex digits")
     component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
@@ -275,6 +299,20 @@ class AutopilotSection(Section):
                     "message says, and one camera measures no range (docs/telling.md)"
                 )
         return tell
+
+    @field_validator("heading_sigma_deg", mode="before")
+    @classmethod
+    def _one_number_is_both(cls, said: object) -> object:
+        if isinstance(said, float | int) and not isinstance(said, bool):
+            return {"ground": said, "flight": said}
+        if isinstance(said, dict | HeadingSigmas):
+            return said
+        raise ValueError(f"{found(said)}, expected degrees, or {{ ground = 3.0, flight = 1.5 }}")
+
+    @property
+    def heading_sigma(self) -> HeadingSigma:
+        said = self.heading_sigma_deg
+        return HeadingSigma(math.radians(said.ground), math.radians(said.flight))
 
 
 class DetectorSection(Section):
@@ -467,6 +505,10 @@ class MotionSection(Section):
         default=1.0,
         description="angular acceleration of the drone, which adds uncertainty where gyro samples are missing",
     )
+    gyro_delay_s: Annotated[Number, Field(ge=0.0, le=0.1)] | None = Field(
+        default=None,
+        description="how late the autopilot's gyro is; default: what its filter's parameter says, which is read once",
+    )
     gyro_bias_rad_s: Vector = Field(default=ORIGIN, description="what the gyro reads at rest, body FRD")
     estimate_gyro_bias: Switch = Field(
         default=True,
@@ -616,7 +658,7 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
     rules: list[tuple[str, str, Callable[[str], str]]] = [
         ("camera", "calibration", lambda name: str(folder / Path(name).expanduser())),
         ("camera", "source", lambda source: _beside(source, ("file", "images"), quote(str(folder)))),
-        ("autopilot", "link", lambda link: _beside(link, ("tlog", "file"), str(folder))),
+        ("autopilot", "link", lambda link: _beside(link, ("tlog", "ulog", "file"), str(folder))),
         ("autopilot", "signing_key", lambda name: str(folder / Path(name).expanduser())),
         ("network", "keys", lambda name: str(folder / Path(name).expanduser())),
         ("detector", "model", lambda name: str(folder / name) if name.endswith(".onnx") else name),

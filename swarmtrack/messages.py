@@ -49,11 +49,16 @@ class StampKind(enum.Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuSample:
-    """One gyro sample. gyro (3,) rad/s in body FRD; accel (3,) m/s² in body FRD, NaN where not measured."""
+    """One gyro sample. gyro (3,) rad/s in body FRD; accel (3,) m/s² in body FRD, NaN where not measured.
+
+    t [s]: when the drone turned like that. gyro_delay: s by which the autopilot's filters are late; t has been moved
+    back by it already.
+    """
 
     t: float
     gyro: Array
     accel: Array
+    gyro_delay: float = 0.0
 
     def __post_init__(self) -> None:
         _hold(self, "gyro", (3,))
@@ -65,7 +70,8 @@ class EgoPose:
     """Where this drone is, by its own autopilot: in the frame it started in (NED), or by GPS in the team frame.
 
     position (3,) m, None where the autopilot knows its attitude only (ArduPilot before its EKF has an origin);
-    world_from_body (3, 3); sigmas are one standard deviation per axis [m], [rad].
+    world_from_body (3, 3). position_sigma [m]: standard deviation north and east; vertical_sigma [m]: down, None where
+    it is the same. attitude_sigma [rad]: of the tilt, per axis; how well the heading is known, `EgoHistory` says.
     """
 
     t: float
@@ -73,6 +79,7 @@ class EgoPose:
     world_from_body: Array
     position_sigma: float = 0.1
     attitude_sigma: float = 0.02
+    vertical_sigma: float | None = None
 
     def __post_init__(self) -> None:
         if self.position is not None:
@@ -83,6 +90,17 @@ class EgoPose:
 @dataclass(frozen=True, slots=True)
 class AutopilotRebooted:
     """Its clock and its local frame begin anew; the drone itself is where it was."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightState:
+    """Whether the drone flies, by its autopilot; told once a second, so that a recording may begin anywhere.
+
+    airborne_since [s]: when it took off, −inf where it flew when it was first heard; None: it is on the ground.
+    """
+
+    t: float
+    airborne_since: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,6 +228,16 @@ class ScanReport(NamedTuple):
     tracks: TrackList
 
 
+class HeadingNews(NamedTuple):
+    """The own heading is known otherwise than before, so this drone should announce itself again.
+
+    step [rad]: by how much it jumped, clockwise; 0 where the autopilot has had the time to align it in flight.
+    """
+
+    t: float
+    step: float
+
+
 class PoseWanted(NamedTuple):
     """That drone should announce its pose again: its last one is too old to tell who is who."""
 
@@ -315,7 +343,16 @@ class SightingReport:
 PeerEvent = Announcement | PeerArrived | PeerDeparted | IdClash | AnnouncementRequested | SightingReport
 
 Membership = PeerArrived | PeerDeparted | IdClash
-Input = ImuSample | EgoPose | AutopilotRebooted | Detections | Announcement | Membership | SightingReport
+Input = (
+    ImuSample
+    | EgoPose
+    | FlightState
+    | AutopilotRebooted
+    | Detections
+    | Announcement
+    | Membership
+    | SightingReport
+)
 """All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""
 
 

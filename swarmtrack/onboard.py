@@ -28,6 +28,8 @@ from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
     EgoPose,
+    FlightState,
+    HeadingNews,
     IdClash,
     ImuSample,
     Input,
@@ -43,17 +45,19 @@ from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
 from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
 from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
+from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
+from swarmtrack.tracking.noise import MeasuredNoise
 from swarmtrack.tracking.scan import make_scan
 
 # s that a scan may stay away beyond the history: by then a target may be anywhere.
 MAX_SILENCE = 1.0
 
 
-Output = ScanReport | Disagreement | PoseWanted
+Output = ScanReport | Disagreement | PoseWanted | HeadingNews
 
 
 @dataclass(slots=True)
@@ -92,6 +96,8 @@ class Onboard:
         self.camera_clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self.camera = camera
+        self._heading_steps = HeadingSteps(gyro, mounting.body_from_camera.rotation)
+        self._heading_bulletin = HeadingBulletin()
         self._mounting = mounting
         self._tracker = tracker
         self._ego = ego
@@ -118,10 +124,14 @@ class Onboard:
                 self._ego.append(event)
                 attitude = event.world_from_body @ self._mounting.body_from_camera.rotation
                 self._bias.see(event.t, attitude, event.attitude_sigma)
+                self._watch_heading(event)
+            case FlightState():
+                self._ego.fly(event)
             case Detections():
                 self._waiting.append(event)
                 self._settle()
             case SightingReport():
+                self._identities.on_report(event)
                 self._compare(event)
             case Announcement():
                 self.counters.announcements_refused += not self._identities.announce(event)
@@ -130,6 +140,7 @@ class Onboard:
             case AutopilotRebooted():
                 self._ego.restart()
                 self._bias.restart()
+                self._heading_steps.restart()
             case _:
                 assert_never(event)
 
@@ -199,6 +210,11 @@ class Onboard:
         return self._tracker.consistency
 
     @property
+    def measured_noise(self) -> MeasuredNoise | None:
+        """What the tracker has learned of the noise that it was told."""
+        return self._tracker.measured_noise
+
+    @property
     def teammates(self) -> dict[int, Announcement]:
         """The latest announcement of every teammate."""
         return self._identities.announced
@@ -206,13 +222,23 @@ class Onboard:
     @property
     def part_counters(self) -> dict[str, int]:
         """What its parts refused or had to mend."""
-        parts = (self._tracker, self.gyro, self._ego, self._bias, self._consensus)
+        parts = (self._tracker, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus)
         return {name: count for part in parts for name, count in part.counters.items()}
 
     def _settle(self, now: float | None = None) -> None:
         """Track every scan that need not wait for the gyro any longer."""
         while (scan := self._waiting.pop(now)) is not None:
             self._track(*scan)
+
+    def _watch_heading(self, pose: EgoPose) -> None:
+        """Has the autopilot's heading jumped, or has it been aligned in flight? Then the team should hear of it."""
+        steps = self._heading_steps.see(pose)
+        for step in steps:
+            self._ego.step_heading(pose.t, step)
+        aligned = self._ego.heading.is_aligned(pose.t)
+        news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned)
+        if news is not None:
+            self._events.append(news)
 
     def _compare(self, report: SightingReport) -> None:
         """Whom a teammate sees, and where it stands: do we see the same?"""
@@ -244,6 +270,8 @@ class Onboard:
         observer = self._ego.at(t)
         if observer is not None:
             self._identities.observe(tracks, observer)
+            for track_id in self._identities.take_vouched():
+                self._tracker.vouch(track_id)
             seen = self._identities.sightings(observer.t)
             self._view = OwnView.of(observer, self._mounting.body_from_camera, seen)
             self._consensus.remember(self._view)

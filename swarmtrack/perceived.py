@@ -16,6 +16,7 @@ from swarmtrack.motion.gyro_bias import BiasEstimate
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.onboard import Counters
 from swarmtrack.tracking.consistency import Consistency
+from swarmtrack.tracking.noise import MeasuredNoise
 
 
 class Perceived(Protocol):
@@ -37,6 +38,8 @@ class Perceived(Protocol):
     def has_waiting(self) -> bool: ...
     @property
     def consistency(self) -> Consistency | None: ...
+    @property
+    def measured_noise(self) -> MeasuredNoise | None: ...
     @property
     def teammates(self) -> dict[int, Announcement]: ...
     @property

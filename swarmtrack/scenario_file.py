@@ -5,35 +5,45 @@ A file describes a formation, which makes as many drones as requested, or drones
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, Strict, ValidationError, ValidationInfo, field_validator, model_validator
 
+from swarmtrack.config import TeamOrigin
 from swarmtrack.errors import ConfigError
 from swarmtrack.evaluation.swarm_verdict import Limits
+from swarmtrack.simulation.errands import Errand
 from swarmtrack.simulation.scenarios import (
     CAMERA,
     DRIFT_M,
     HOVER_S,
+    LOCKSTEP_SKEW,
+    ORIGIN,
+    AutopilotKind,
     FaultKind,
     Plan,
     Radio,
     Scenario,
+    ScenarioEvent,
     ScenarioFault,
     Station,
     Sway,
     Swing,
     Weave,
     announced_starts,
+    drawn_skews,
     fly,
     form_up,
+    haunt,
     lanes,
     ring,
+    run_errands,
 )
 from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.trajectory import (
@@ -109,7 +119,11 @@ class ClocksSection(Section):
         default=(), description="error of the companion computer's wall clock, s"
     )
     autopilot_skew_ppm: tuple[Annotated[Number, Field(ge=-1000.0, le=1000.0)], ...] = Field(
-        default=(), description="how much too fast the autopilot's clock runs"
+        default=(),
+        description="how much too fast the autopilot's clock runs; 100 to 200 either way unless told",
+    )
+    camera_offset_s: tuple[Annotated[Number, Field(ge=-0.15, le=0.15)], ...] = Field(
+        default=(), description="by how much the stamps of the camera's frames are late, s"
     )
     autopilot_boot_s: tuple[NotNegative, ...] = Field(
         default=(), description="reading of the autopilot's clock at world time 0, s"
@@ -163,20 +177,54 @@ class SwingSection(Section):
     period_s: Range = Field(description="[shortest, longest], s")
 
 
+class ErrandSection(Section):
+    """On the ground, into the air, on errands; see `simulation.errands.Errand`."""
+
+    spacing_m: Annotated[Number, Field(ge=4.0)] = Field(default=8.0, description="distance to the next, m")
+    ground_s: NotNegative = Field(default=7.0, description="how long they stand on the ground, s")
+    hover_s: NotNegative = Field(default=6.0, description="between the climb and the first go-to, s")
+    heights_m: Heights = Field(default=(5.8, 6.5), description="heights above the ground, taken in turn, m")
+    reach_m: Positive = Field(default=2.5, description="of the go-tos, m")
+
+    def errand(self) -> Errand:
+        return Errand(**self.model_dump())
+
+
+class GhostsSection(Section):
+    """[ghosts]: fixed points on which the detector fires again and again; see `simulation.scenarios.haunt`."""
+
+    count: Annotated[int, Strict(), Field(ge=0, le=1000)] = 4
+    p_detection: tuple[Share, Share] = Field(default=(0.3, 0.9), description="per frame, [least, most]")
+    score: tuple[Share, Share] = Field(default=(0.47, 0.64), description="[least, most]")
+    distance_m: Range = Field(default=(12.0, 40.0), description="[nearest, farthest], m")
+    height_m: Range = Field(default=(0.5, 6.0), description="above the ground, [lowest, highest], m")
+    size_m: Range = Field(default=(0.5, 1.5), description="of the boxes, [least, most], m")
+
+
 class FormationSection(Section):
     """[formation]: a shape for any number of drones, and how they move after the hover."""
 
     drones: DroneCount = Field(description="how many drones, unless the command asks for another number")
+    autopilots: tuple[AutopilotKind, ...] = Field(
+        default=(), description="whose manners their autopilots have, taken in turn; ArduPilot's unless told"
+    )
     ring: RingSection | None = None
     lanes: LanesSection | None = None
+    errand: ErrandSection | None = None
     sway: SwaySection | None = None
     weave: WeaveSection | None = None
     swing: SwingSection | None = None
 
     @model_validator(mode="after")
     def _one_shape_and_one_flight(self) -> FormationSection:
-        if (self.ring is None) == (self.lanes is None):
-            raise ValueError("neither or both of ring and lanes, expected one of them")
+        shapes = sum(shape is not None for shape in (self.ring, self.lanes, self.errand))
+        if shapes != 1:
+            raise ValueError(f"{shapes} of ring, lanes and errand, expected one of them")
+        moves = [name for name in ("sway", "weave", "swing") if getattr(self, name) is not None]
+        if self.errand is not None and moves:
+            raise ValueError(
+                f"errand with {moves[0]}, expected one or the other: errands are flights already"
+            )
         if self.sway is not None and self.weave is not None:
             raise ValueError("both sway and weave, expected one of them")
         if self.weave is not None and self.lanes is None:
@@ -216,13 +264,10 @@ class OwnSwingSection(Section):
     period_s: Positive
 
 
-class DroneSection(Section):
-    """[[drone]]: one drone by itself, with or without a formation."""
+class PlannedFlight(Section):
+    """Where one drone hovers, how it then flies, and which way it looks."""
 
     id: DroneId = Field(description="1 … 65535, unique")
-    stranger: Switch = Field(
-        default=False, description="true: it has no agent and does not belong to the team"
-    )
     position_m: Vector = Field(description="where it hovers first, [north, east, down], m; up is negative")
     looks_at_m: Vector | None = Field(default=None, description="a point that it faces wherever it flies")
     heading_deg: Number | None = Field(
@@ -235,7 +280,7 @@ class DroneSection(Section):
     )
 
     @model_validator(mode="after")
-    def _one_way_to_fly_and_to_look(self) -> DroneSection:
+    def _one_way_to_fly_and_to_look(self) -> Self:
         if self.looks_at_m is not None and (self.heading_deg is not None or self.swing is not None):
             raise ValueError("looks_at_m with heading_deg or swing, expected one or the other")
         if self.flight is not None and self.waypoints:
@@ -273,6 +318,33 @@ class DroneSection(Section):
                 [point.at_s for point in self.waypoints], [point.position_m for point in self.waypoints]
             )
         return None
+
+
+class DroneSection(PlannedFlight):
+    """[[drone]]: one drone by itself, with or without a formation."""
+
+    stranger: Switch = Field(
+        default=False, description="true: it has no agent and does not belong to the team"
+    )
+    guided: Switch = Field(
+        default=False, description="true: it stands there on the ground until somebody flies it by MAVLink"
+    )
+    autopilot: AutopilotKind = Field(
+        default=AutopilotKind.ARDUPILOT, description="whose manners its autopilot has"
+    )
+
+    @model_validator(mode="after")
+    def _guided_or_by_plan(self) -> Self:
+        planned = [name for name in ("flight", "waypoints", "swing") if getattr(self, name)]
+        if self.guided and planned:
+            raise ValueError(f"guided with {planned[0]}, expected one of them: who is guided has no plan")
+        if self.guided and self.stranger:
+            raise ValueError("guided stranger, expected one of them: a stranger has no autopilot to command")
+        return self
+
+    def plan(self, hover_s: float) -> Plan:
+        plan = super().plan(hover_s)
+        return dataclasses.replace(plan, guided=self.autopilot.response) if self.guided else plan
 
 
 class FaultSection(Section):
@@ -334,11 +406,15 @@ class ScenarioFile(Section):
     drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
         default=DRIFT_M, description="error with which a drone holds its position, RMS per axis, m"
     )
+    origin: TeamOrigin | None = Field(
+        default=None, description="{ lat_deg, lon_deg, alt_m } of the world's origin on the Earth"
+    )
     camera: ScenarioCameraSection = ScenarioCameraSection()
     agents: AgentsSection = AgentsSection()
     clocks: ClocksSection = ClocksSection()
     detector: ParameterSection = ParameterSection()
     radio: RadioSection = RadioSection()
+    ghosts: GhostsSection = GhostsSection(count=0)
     formation: FormationSection | None = None
     drone: tuple[DroneSection, ...] = ()
     fault: tuple[FaultSection, ...] = ()
@@ -463,8 +539,12 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
     members = sorted([*ids, *(drone.id for drone in file.drone if not drone.stranger)])
     agents = file.agents
     starts = dict.fromkeys(members[len(members) - agents.late :], agents.late_by_s) if agents.late else {}
+    autopilots = dict.fromkeys(members, AutopilotKind.ARDUPILOT)
+    autopilots |= {drone.id: drone.autopilot for drone in file.drone}
+    if file.formation is not None and file.formation.autopilots:
+        autopilots |= zip(ids, itertools.cycle(file.formation.autopilots), strict=False)
     plans = {drone.id: drone.plan(file.hover_s + starts.get(drone.id, 0.0)) for drone in file.drone}
-    if file.formation is not None:
+    if file.formation is not None and file.formation.errand is None:
         plans |= form_up(
             seed,
             dict(zip(ids, file.formation.stations(len(ids)), strict=True)),
@@ -474,6 +554,10 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
             view=VIEW,
         )
     world = fly(seed, dict(sorted(plans.items())), file.drift_m)
+    events: tuple[ScenarioEvent, ...] = ()
+    if file.formation is not None and file.formation.errand is not None:
+        responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
+        world, events = run_errands(world, ids, file.formation.errand.errand(), file.drift_m, responses)
     strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
 
     def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
@@ -481,6 +565,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
 
     return Scenario(
         world=world,
+        origin=file.origin.place() if file.origin else ORIGIN,
         name=name,
         about=file.about,
         seconds=file.seconds,
@@ -496,8 +581,13 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         strangers=strangers,
         starts_s=starts,
         utc_offset_s=in_turn(file.clocks.utc_offset_s),
-        autopilot_skew=in_turn(file.clocks.autopilot_skew_ppm, 1e-6),
+        autopilot_skew=(in_turn(file.clocks.autopilot_skew_ppm, 1e-6) or drawn_skews(world, members))
+        | {n: LOCKSTEP_SKEW for n in members if autopilots[n] is AutopilotKind.PX4_LOCKSTEP},
         autopilot_boot_s=in_turn(file.clocks.autopilot_boot_s),
+        autopilots=autopilots,
+        camera_offset_s=in_turn(file.clocks.camera_offset_s),
+        ghosts=haunt(world, **file.ghosts.model_dump()),
+        events=events,
         radio=Radio(**file.radio.model_dump()),
         faults=tuple(fault.fault() for fault in file.fault),
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import os
+import signal
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -20,6 +21,10 @@ from xdist.scheduler import LoadScopeScheduling
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
+# What a script starts in its background ignores Ctrl-C, and so would every program that a test starts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 NICENESS = 10
 
 # The beginnings of node IDs below tests/, by queue. Whole swarms: they never compete with each other.
@@ -28,6 +33,7 @@ TEAM = (
     "benchmarks/test_hundred_clients.py",
     "live/test_faults.py",
     "live/test_judge.py",
+    "live/test_outside_world.py",
     "live/test_swarm_command.py",
     "project/test_docs.py::test_a_flight",
     "project/test_readme.py::test_the_main_command",

@@ -287,3 +287,31 @@ def test_bytes_of_any_kind_are_answered_with_sentences(tmp_path, garbage, at, in
     except SwarmtrackError as error:
         message = str(error)
     assert message == "" or message.startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("said", "ground", "flight"),
+    [
+        ("", 3.0, 1.5),
+        ("heading_sigma_deg = 2", 2.0, 2.0),
+        ("heading_sigma_deg = { ground = 4.0 }", 4.0, 1.5),
+        ("heading_sigma_deg = { ground = 1, flight = 0.4 }", 1.0, 0.4),
+    ],
+)
+def test_the_heading_is_as_sure_as_one_number_or_two_say(write, said, ground, flight):
+    sigma = load_config(write(f"{MINIMAL}\n[autopilot]\n{said}\n")).autopilot.heading_sigma
+    assert np.degrees([sigma.ground, sigma.flight]) == pytest.approx([ground, flight])
+
+
+@pytest.mark.parametrize(
+    ("said", "problem"),
+    [
+        ('"3"', 'autopilot.heading_sigma_deg: "3", expected degrees, or { ground = 3.0, flight = 1.5 }'),
+        ("true", "autopilot.heading_sigma_deg: true, expected degrees"),
+        ("{ ground = 0 }", "autopilot.heading_sigma_deg.ground: 0, expected greater than 0"),
+        ("{ grund = 3 }", 'autopilot.heading_sigma_deg.grund: unknown key, did you mean "ground"?'),
+    ],
+)
+def test_a_heading_that_is_no_angle_is_named(write, said, problem):
+    (found,) = problems_of(write(f"{MINIMAL}\n[autopilot]\nheading_sigma_deg = {said}\n"))
+    assert problem in found

@@ -279,7 +279,9 @@ def test_the_local_frame_of_the_autopilot_is_moved_to_where_the_drone_starts():
     for t, north in ((0.0, 0.0), (1.0, 2.0)):  # its own frame: facing north, then 2 m ahead
         drone.tell(EgoPose(t, np.array([north, 0.0, 0.0]), np.eye(3)))
     assert drone.ego_pose(0.5).position == pytest.approx([10.0, 21.0, -1.5])
-    assert drone.ego_pose(1.0).position_sigma == 0.1
+    # Along the way as sure as the autopilot is, across it less: the way was turned along with a heading to 3°.
+    across = 0.1**2 + (2.0 * np.radians(3.0)) ** 2
+    assert drone.ego_pose(1.0).position_cov == pytest.approx(np.diag([across, 0.1**2, 0.1**2]))
     assert drone.ego_pose(1.0).world_from_body @ [1, 0, 0] == pytest.approx([0.0, 1.0, 0.0])
 
 

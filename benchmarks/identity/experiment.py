@@ -125,6 +125,7 @@ def draw(cell: Cell, k: int) -> Layout:
         pixel=pixel,
         share=np.ones((1, n)),
         cov=np.broadcast_to(variance * np.eye(2), (1, n, 2, 2)),
+        distance=np.full((n, 2), np.nan),
     )
     return Layout(mean, cov, predicted, truth[order])
 

@@ -24,6 +24,7 @@ from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, Swarm
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.messages import TrackStatus
 from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.scenarios import Scenario
 
 NAME = "recognition"
 SHARES = ("correct", "wrong", "unknown", "agreement")
@@ -60,7 +61,11 @@ class Flight:
 def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight."""
     flown = load_scenario(scenario, seed=seed, drones=drones)
-    swarm = VirtualSwarm(flown, tracker=tracker)
+    return judge(VirtualSwarm(flown, tracker=tracker), flown, seconds)
+
+
+def judge(swarm: VirtualSwarm, flown: Scenario, seconds: float) -> Flight:
+    """Let the swarm fly, and judge it by the truth of `flown`."""
     truth = SwarmTruth(flown.world, flown.camera, flown.body_from_camera)
     scorer = SwarmScorer(flown.members, start=0.0, end=seconds)
     judged: dict[int, int] = {}

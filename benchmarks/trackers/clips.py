@@ -27,7 +27,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
-from swarmtrack.tracking import create_tracker
+from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 
 
 class ClipRow(NamedTuple):
@@ -78,7 +78,7 @@ def follow(clip: Clip, seen: Sequence[Detections], tracker: str) -> ClipRow:
         1,
         camera=camera,
         mounting=Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
-        tracker=create_tracker(tracker, camera=camera),
+        tracker=create_tracker(tracker, camera=camera, **AGENT_PARAMETERS),
         gyro=GyroHistory(),
         ego=EgoHistory(),
         identity=IdentityParameters(),

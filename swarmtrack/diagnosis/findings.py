@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import enum
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 
@@ -36,11 +37,15 @@ class Finding:
 
 
 class Fault(NamedTuple):
-    """A sentence and its remedy. Words in braces are filled in."""
+    """A sentence and its remedy. Words in braces are filled in.
+
+    instead: the remedy where it is another, by the autopilot (PX4, ArduPilot), by the link (serial), or by both.
+    """
 
     level: Level
     found: str
     remedy: str
+    instead: Mapping[str, str] = MappingProxyType({})
 
 
 W, F = Level.WARNING, Level.FAILURE
@@ -141,8 +146,11 @@ FAULTS: dict[str, Fault] = {
     "autopilot.garbage": Fault(
         F,
         "bytes arrive, but they are not MAVLink: {reason}",
-        "set the port's baud rate as in autopilot.link (ArduPilot SERIALn_BAUD, PX4 SER_*_BAUD), or use the port that "
-        "speaks MAVLink",
+        "another program speaks there: check host and port in autopilot.link",
+        {
+            "serial": "set the port's baud rate as in autopilot.link (ArduPilot SERIALn_BAUD, PX4 SER_*_BAUD), or use "
+            "the port that speaks MAVLink"
+        },
     ),
     "autopilot.foreign": Fault(
         F,
@@ -162,8 +170,13 @@ FAULTS: dict[str, Fault] = {
     "autopilot.no_imu": Fault(
         F,
         "heartbeats arrive, but no gyro samples: {reason}",
-        "our requests must reach the autopilot: connect its RX as well, and enable a stream on the port (ArduPilot "
-        "SRn_RAW_SENS, PX4 MAV_n_MODE = Onboard)",
+        "our requests must reach the autopilot: on a UART connect its RX as well, and enable a stream on the port",
+        {
+            "ArduPilot": "our requests must reach the autopilot: on a UART connect its RX as well, and set "
+            "SRn_RAW_SENS",
+            "PX4": "our requests must reach the autopilot: on a UART connect its RX as well, and set "
+            "MAV_n_MODE = Onboard",
+        },
     ),
     "autopilot.no_position": Fault(
         F,
@@ -181,22 +194,55 @@ FAULTS: dict[str, Fault] = {
     "autopilot.slow": Fault(
         W,
         "{got_hz:.0f} gyro samples per second, {asked_hz:g} requested",
-        "use a faster baud rate (921600), fewer other streams on this port, or a lower autopilot.imu_rate_hz",
+        "request fewer other streams on this port, or a lower autopilot.imu_rate_hz",
+        {
+            "serial": "use a faster baud rate (921600), fewer other streams on this port, or a lower "
+            "autopilot.imu_rate_hz",
+            "PX4": "PX4 sends at most IMU_INTEG_RATE: set autopilot.imu_rate_hz to it, or raise it",
+            "PX4 serial": "PX4 sends at most IMU_INTEG_RATE: set autopilot.imu_rate_hz to it, or raise it; use a "
+            "faster baud rate (921600), and raise MAV_n_RATE",
+        },
     ),
     "autopilot.too_slow": Fault(
         F,
         "{got_hz:.0f} gyro samples per second, {asked_hz:g} requested and at least 50 needed",
-        "use a faster baud rate (921600), fewer other streams on this port, or a link that carries our requests",
+        "use a link that carries our requests and that rate (no telemetry radio), and fewer other streams on it",
+        {
+            "serial": "use a faster baud rate (921600), fewer other streams on this port, or a link that carries our "
+            "requests",
+            "PX4": "raise PX4's IMU_INTEG_RATE, and use a link that carries our requests",
+            "PX4 serial": "use a faster baud rate (921600), raise MAV_n_RATE and IMU_INTEG_RATE, or use a link that "
+            "carries our requests",
+        },
     ),
     "autopilot.losing": Fault(
         W,
         "{share:.0%} of the gyro samples are lost on the link",
-        "check the cable, the baud rate and flow control (BRD_SERn_RTSCTS); a radio is too slow for this",
+        "use a cable instead of a radio or Wi-Fi, fewer other streams, or a lower autopilot.imu_rate_hz",
+        {
+            "serial": "check the cable, the baud rate and flow control; a radio is too slow for this",
+            "ArduPilot serial": "check the cable, the baud rate and flow control (BRD_SERn_RTSCTS); a radio is too "
+            "slow for this",
+        },
     ),
     "autopilot.clock": Fault(
         W,
         "the autopilot's clock is known only to ± {sigma_ms:.0f} ms",
         "it must be able to answer TIMESYNC (the link must work both ways); avoid radios and Wi-Fi in between",
+    ),
+    "autopilot.drift": Fault(
+        W,
+        "the autopilot's clock runs {percent:.1f} % {way}: a simulator?",
+        "nothing, in a simulation: it is followed; for true timing let the simulator keep real time",
+        {
+            "PX4": "nothing, in a simulation: it is followed; for true timing build PX4 without lockstep, and leave "
+            "its speed factor at 1"
+        },
+    ),
+    "autopilot.unsteady": Fault(
+        W,
+        "the autopilot's clock jumps against ours, {restarts:.0f} times so far: a simulator, or a busy machine?",
+        "let a simulator keep real time; on a drone, close other programs: this machine must read in time",
     ),
     "imu.upside_down": Fault(
         F,
@@ -290,6 +336,22 @@ FAULTS: dict[str, Fault] = {
         "{ms:.0f} ms per frame, but frames come every {period_ms:.0f} ms",
         "try a lower detector.input_scale, look = \"guided\", more threads, or an accelerator in detector.providers",
     ),
+    # --- tracking, by what a running agent says
+    "tracking.noisy": Fault(
+        W,
+        "detections scatter {times:.1f} times more than told; the tracks allow for it, and know less",
+        "look for blur, vibration or a rolling shutter; if the detector is like that, raise tracker.measurement_sigma",
+    ),
+    "tracking.sure": Fault(
+        W,
+        "detections lie {times:.1f} times further off than the tracks expect: directions are less exact than they say",
+        "check camera.time_offset_s and the mount (swarmtrack calibrate extrinsics); keep tracker.adapt_noise on",
+    ),
+    "tracking.careful": Fault(
+        W,
+        "detections lie {times:.1f} times nearer than the tracks expect: directions are more exact than they say",
+        "use tracker.name = \"mbm\" with adapt_noise = true; or lower measurement_sigma and acceleration_psd",
+    ),
     # --- network
     "network.closed": Fault(
         F, "{reason}", "stop the other agent or choose another port in [network]; docs/security.md"
@@ -367,8 +429,11 @@ FAULTS: dict[str, Fault] = {
 def markdown_table() -> str:
     """All of `FAULTS` as a Markdown table, with … for what is filled in."""
     rows = ["| fault | level | what doctor says | what to do |", "|---|---|---|---|"]
-    for name, (level, found, remedy) in FAULTS.items():
-        words = [re.sub(r"\{[^}]*\}", "…", text).replace("|", "\\|") for text in (found, remedy)]
+    for name, (level, found, remedy, instead) in FAULTS.items():
+        remedies = [remedy, *(f"*{where.replace(' ', ', ')}:* {text}" for where, text in instead.items())]
+        words = [
+            re.sub(r"\{[^}]*\}", "…", text).replace("|", "\\|") for text in (found, " · ".join(remedies))
+        ]
         rows.append(f"| `{name}` | {level} | {' | '.join(words)} |")
     return "\n".join(rows)
 
@@ -381,10 +446,11 @@ def skipped(check: str, found: str) -> Finding:
     return Finding(check, Level.SKIPPED, found)
 
 
-def fault(name: str, **values: object) -> Finding:
-    """The fault of that name, with its words filled in."""
-    level, found, remedy = FAULTS[name]
+def fault(name: str, *, setting: Sequence[str] = (), **values: object) -> Finding:
+    """The fault of that name, with its words filled in; setting: whose remedy applies, best first."""
+    level, found, remedy, instead = FAULTS[name]
     check = name.partition(".")[0]
+    remedy = next((instead[key] for key in setting if key in instead), remedy)
     return Finding(check, level, found.format(**values), remedy.format(**values), name)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ ENOUGH = 0.8  # of a rate asked for
 LEAST_GYRO_HZ = 50.0  # below, a turn within a sample moves tracks by more than their own size
 LOST = 0.01  # share of gyro samples
 CLOCK_SIGMA_MS = 10.0
+UNSTEADY_RESTARTS = 3  # of the map of the autopilot's clock: one is a clock that was set
+AUTOPILOTS = {3.0: "ArduPilot", 12.0: "PX4"}  # by MAVLink's MAV_AUTOPILOT
 STANDARD_GRAVITY = 9.80665  # m/s²
 UPSIDE_DOWN_DEG, TILTED_DEG = 120.0, 10.0
 GRAVITY_OFF = 1.0  # m/s²
@@ -101,6 +104,26 @@ class ImuFacts:
     attitudes: Array
 
 
+@dataclass(frozen=True, slots=True)
+class PoseFacts:
+    """How well the autopilot knows its pose. Headings in degrees, as the config says; position_sigma [m] north and east
+    and vertical_sigma [m] down of its last pose, None where no position came."""
+
+    heading_ground_deg: float
+    heading_flight_deg: float
+    position_sigma: float | None = None
+    vertical_sigma: float | None = None
+
+
+def check_pose(facts: PoseFacts) -> list[Finding]:
+    """Nothing to mend, but what names depend on."""
+    words = f"heading taken as ±{facts.heading_ground_deg:g}° on the ground, ±{facts.heading_flight_deg:g}° in flight"
+    if facts.position_sigma is not None:
+        vertical = facts.position_sigma if facts.vertical_sigma is None else facts.vertical_sigma
+        words += f"; position ±{facts.position_sigma:.2g} m, height ±{vertical:.2g} m"
+    return [ok("pose", f"{words} (autopilot.heading_sigma_deg, drone.start)")]
+
+
 def check_camera(facts: CameraFacts) -> list[Finding]:
     """One failure, or warnings, or that all is well."""
     if facts.refused:
@@ -155,22 +178,44 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
         return [fault("autopilot.none")]
     assert facts.status is not None
     numbers, text = dict(facts.status.counters), facts.status.text
+    setting = _setting(facts.status)
     if not facts.status.ok:
         name = _named(AUTOPILOT_TROUBLES, text, "autopilot.broken")
-        return [fault(name, reason=_reason(text), seconds=facts.seconds)]
+        return [fault(name, setting=setting, reason=_reason(text), seconds=facts.seconds)]
     findings = []
     asked_hz = numbers.get("imu_rate_asked_hz", 0.0)
     got_hz = numbers.get("imu_rate_hz", 0.0) if facts.got_hz is None else facts.got_hz
     if facts.live and 0.0 < got_hz < ENOUGH * asked_hz:
         slow = "autopilot.too_slow" if got_hz < min(LEAST_GYRO_HZ, asked_hz) * 0.95 else "autopilot.slow"
-        findings.append(fault(slow, got_hz=got_hz, asked_hz=asked_hz))
+        findings.append(fault(slow, setting=setting, got_hz=got_hz, asked_hz=asked_hz))
     samples, lost = numbers.get("imu_samples", 0.0), numbers.get("imu_lost", 0.0)
     if lost > LOST * (samples + lost):
-        findings.append(fault("autopilot.losing", share=lost / (samples + lost)))
-    sigma_ms = 1e3 * numbers.get("clock_sigma_s", 0.0)
-    if facts.live and math.isfinite(sigma_ms) and sigma_ms > CLOCK_SIGMA_MS:
-        findings.append(fault("autopilot.clock", sigma_ms=sigma_ms))
+        findings.append(fault("autopilot.losing", setting=setting, share=lost / (samples + lost)))
+    if facts.live:
+        findings += _check_clock(numbers, setting)
     return findings or [ok("autopilot", text)]
+
+
+def _check_clock(numbers: Mapping[str, float], setting: Sequence[str]) -> list[Finding]:
+    """Its worst trouble: a clock that does not keep time is no fault of the link's."""
+    skew, restarts = 1e-6 * numbers.get("clock_skew_ppm", 0.0), numbers.get("clock_restarts", 0.0)
+    sigma_ms = 1e3 * numbers.get("clock_sigma_s", 0.0)
+    if numbers.get("clock_drift_ppm", 0.0):
+        percent = 100 * skew / (1 + skew)
+        way = "slow" if percent > 0 else "fast"
+        return [fault("autopilot.drift", setting=setting, percent=abs(percent), way=way)]
+    if restarts >= UNSTEADY_RESTARTS:
+        return [fault("autopilot.unsteady", setting=setting, restarts=restarts)]
+    if math.isfinite(sigma_ms) and sigma_ms > CLOCK_SIGMA_MS:
+        return [fault("autopilot.clock", setting=setting, sigma_ms=sigma_ms)]
+    return []
+
+
+def _setting(status: LinkStatus) -> tuple[str, ...]:
+    """Whose words of advice apply, best first: the autopilot's on such a link, the autopilot's, the link's."""
+    autopilot = AUTOPILOTS.get(dict(status.counters).get("autopilot_kind", -1.0), "")
+    link = "serial" if status.text.startswith("serial:") else ""
+    return (f"{autopilot} {link}", autopilot, link)
 
 
 def check_imu(facts: ImuFacts) -> list[Finding]:

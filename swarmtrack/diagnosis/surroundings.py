@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
+from swarmtrack.diagnosis.findings import Finding, Level, fault, ok, skipped
 
 CLOCKS_APART = 2.0  # s: more than announcements take on their way
 EXPIRES_SOON = 14.0  # days
@@ -50,7 +50,7 @@ class NetworkFacts:
 
     alive: boots by ID; apart_s: our clock minus each teammate's; missing, strangers: names; absent_hosts: addresses to
     listen on that are not this machine's; multicast: (interface, what is wrong with it); expires_days: of the
-    certificate.
+    certificate; tracks_say: by drone, what its tracks misjudge of themselves and the remedy.
     """
 
     drone_id: int
@@ -66,6 +66,7 @@ class NetworkFacts:
     multicast: tuple[str, str] | None = None
     expires_days: float | None = None
     expires: str = ""
+    tracks_say: Mapping[int, tuple[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +140,19 @@ def check_network(facts: NetworkFacts) -> list[Finding]:
         if abs(apart) > CLOCKS_APART
     ]
     return findings or [ok("network", _answers(facts))]
+
+
+def check_tracks(facts: NetworkFacts) -> list[Finding]:
+    """What running agents say of their own tracks: see `tracking.check_tracking`."""
+    return [
+        Finding(
+            "tracking",
+            Level.WARNING,
+            found if i == facts.drone_id else f"drone {i}: {found}",
+            remedy,
+        )
+        for i, (found, remedy) in sorted(facts.tracks_say.items())
+    ]
 
 
 def _answers(facts: NetworkFacts) -> str:

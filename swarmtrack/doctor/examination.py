@@ -42,11 +42,14 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     findings += sources.check_autopilot(watched.autopilot)
     if watched.autopilot.wanted and not watched.autopilot.refused:
         findings += sources.check_imu(watched.imu)
+        findings += sources.check_pose(watched.pose)
     findings += mounting.check_motion(watched.motion, mounted)
     fps = dict(watched.camera.status.counters).get("fps") if watched.camera.status else None
     detector = await asyncio.to_thread(_detector, config, clock, mounted, watched.newest, fps)
     findings += surroundings.check_detector(detector)
-    findings += surroundings.check_network(await network)
+    heard = await network
+    findings += surroundings.check_network(heard)
+    findings += surroundings.check_tracks(heard)
     findings += surroundings.check_disk(machine.disk(config))
     findings += surroundings.check_heat(await asyncio.to_thread(machine.heat))
     return (

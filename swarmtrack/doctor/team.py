@@ -26,6 +26,7 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.health import HealthMessage
 
 INTERFACES = Path("/sys/class/net")
 IFF_UP, IFF_LOOPBACK, IFF_MULTICAST = 0x1, 0x8, 0x1000
@@ -68,12 +69,13 @@ async def _listen(
     )
     alive: dict[int, set[str]] = defaultdict(set)
     clocks: dict[int, SenderClock] = defaultdict(SenderClock)
+    told: dict[int, HealthMessage] = {}
     try:
         await listener.open()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 async for sample in listener.samples():
-                    _note(sample, clock, alive, clocks)
+                    _note(sample, clock, alive, clocks, told)
         linked = listener.links().names
     finally:
         await listener.close()
@@ -87,10 +89,21 @@ async def _listen(
         apart_s={i: clock.apart_s for i, clock in clocks.items() if i != config.drone.id},
         missing=tuple(wanted) if as_drone.mode != Mode.CLIENT else (),
         strangers=strangers,
+        tracks_say={
+            i: (health.noise.found, health.noise.remedy)
+            for i, health in told.items()
+            if health.noise is not None and health.noise.found
+        },
     )
 
 
-def _note(sample: Sample, clock: Clock, alive: dict[int, set[str]], clocks: dict[int, SenderClock]) -> None:
+def _note(
+    sample: Sample,
+    clock: Clock,
+    alive: dict[int, set[str]],
+    clocks: dict[int, SenderClock],
+    told: dict[int, HealthMessage],
+) -> None:
     address = keys.parse(sample.key)
     if address is None:
         return
@@ -98,6 +111,9 @@ def _note(sample: Sample, clock: Clock, alive: dict[int, set[str]], clocks: dict
         (alive[address.drone_id].add if sample.alive else alive[address.drone_id].discard)(address.rest[0])
         if not alive[address.drone_id]:
             del alive[address.drone_id]
+    elif address.kind == Kind.HEALTH:
+        with contextlib.suppress(DecodeError):
+            told[address.drone_id] = codec.decode(HealthMessage, sample.payload)
     elif address.kind == Kind.POSE:
         with contextlib.suppress(DecodeError):
             clocks[address.drone_id].time_of(

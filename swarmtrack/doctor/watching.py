@@ -14,13 +14,14 @@ from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.clock import Clock
 from swarmtrack.config import DroneConfig, MountedCamera
 from swarmtrack.diagnosis.mounting import MotionFacts
-from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts
+from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts, PoseFacts
 from swarmtrack.errors import SwarmtrackError
-from swarmtrack.messages import EgoPose, Frame, ImuSample, StampKind
+from swarmtrack.messages import EgoPose, FlightState, Frame, ImuSample, StampKind
 from swarmtrack.motion.hand_eye import GyroTurns, compare, solve
 from swarmtrack.runtime.assembly import make_autopilot, make_camera
 from swarmtrack.sensors.base import Autopilot, AutopilotListener, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
+from swarmtrack.sensors.mavlink.address import is_recording
 
 if TYPE_CHECKING:
     from swarmtrack.sensors.simulated import Simulation
@@ -51,6 +52,9 @@ class SampleCollector(AutopilotListener):
         self.samples.clear()
         self.poses.clear()
 
+    def on_flight_state(self, state: FlightState) -> None:
+        """Of no interest here."""
+
     def on_found_flying(self) -> None:
         """Of no interest here."""
 
@@ -67,6 +71,7 @@ class WatchedSensors(NamedTuple):
     camera: CameraFacts
     autopilot: AutopilotFacts
     imu: ImuFacts
+    pose: PoseFacts
     motion: MotionFacts
     newest: Frame | None
 
@@ -155,7 +160,7 @@ class SensorWatch:
             wanted=link != "none",
             status=None if self._autopilot is None else self._autopilot.status(),
             refused=self._autopilot_refused,
-            live="tlog" not in link,
+            live=not is_recording(link),
             got_hz=_rate([sample.t for sample in heard.samples]),
         )
         imu = ImuFacts(
@@ -164,7 +169,15 @@ class SensorWatch:
             np.array([pose.t for pose in heard.poses]),
             np.array([pose.world_from_body for pose in heard.poses]).reshape(-1, 3, 3),
         )
-        return WatchedSensors(camera, autopilot, imu, await asyncio.to_thread(self._compared), frame)
+        motion = await asyncio.to_thread(self._compared)
+        return WatchedSensors(camera, autopilot, imu, self._pose_facts(), motion, frame)
+
+    def _pose_facts(self) -> PoseFacts:
+        heading = self._config.autopilot.heading_sigma_deg
+        last = next((pose for pose in reversed(self.heard.poses) if pose.position is not None), None)
+        if last is None:
+            return PoseFacts(heading.ground, heading.flight)
+        return PoseFacts(heading.ground, heading.flight, last.position_sigma, last.vertical_sigma)
 
     def _compared(self) -> MotionFacts:
         """Image against gyro."""

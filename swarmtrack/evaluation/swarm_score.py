@@ -15,6 +15,8 @@ starts that second again, and so do a new life of the observer's process and, fo
   that has drifted off is no wrong name: recall and false tracks tell of it). "Foreign" is a name only `GRACE` after
   the observer had the drone's announcement: before, "none that I know of" is all it can say. A stranger that is
   tracked and not called by a team's ID is correct; one that is not tracked is not counted.
+* wrong, at most: the highest probability that was stated with a wrong name, and with a teammate's name on a track that
+  is nobody while that teammate is not even ahead. NaN where no name was wrong.
 * agreement: of the (instant, drone) about which two observers or more state a name, those where all names are one.
   "Unknown" is no name: it contradicts nobody, and has its price in `correct` already. NaN where nobody could compare.
 * time to identify, of an observer: the longest, over the teammates it saw, from the later of "first in view" and
@@ -88,6 +90,7 @@ class SwarmScore:
     time_to_identify_s: Mapping[int, float]
     correct: float
     wrong: float
+    wrong_max_probability: float
     unknown: float
     agreement: float
     rmse_px: Mapping[int, float]
@@ -147,6 +150,7 @@ class SwarmScorer:
         self._last_t = -math.inf
         self._glances = self._drones = self._switches = 0
         self._verdicts: Counter[str] = Counter()
+        self._wrong_max_probability = math.nan
         self._false_tracks: set[tuple[int, str, int]] = set()
         self._squared_errors: dict[int, list[float]] = defaultdict(list)
         self._names: dict[tuple[int, int], list[int | str]] = defaultdict(list)
@@ -176,8 +180,9 @@ class SwarmScorer:
         self._last_t = max(self._last_t, glance.t)
         self._glances += counted
         nobody = set(tracks) - set(pairs.values())
-        ghosts = {tracks[track_id].identity for track_id in nobody}
+        ghosts = {tracks[track_id].identity: tracks[track_id] for track_id in nobody}
         if counted:
+            self._note_wrong(*(ghosts[name] for name in self._not_ahead(glance) & ghosts.keys()))
             self._false_tracks |= {(*life, track_id) for track_id in nobody}
 
         acquaintances = self._lives[life]
@@ -193,7 +198,7 @@ class SwarmScorer:
             if counted and self._is_due(drone_id, acquaintance, glance.t):
                 self._switches += switched
                 named = self._as_heard(life, drone_id, track, glance.t)
-                self._count(glance, drone_id, box, named, drone_id in ghosts)
+                self._count(glance, drone_id, box, named, ghosts.get(drone_id))
         return _seen(glance, tracks, pairs)
 
     def score(self) -> SwarmScore:
@@ -210,6 +215,7 @@ class SwarmScorer:
             time_to_identify_s=dict(sorted(times.items())),
             correct=_ratio(verdicts["correct"], samples),
             wrong=_ratio(verdicts["wrong"], samples),
+            wrong_max_probability=self._wrong_max_probability,
             unknown=_ratio(verdicts["unknown"], samples),
             agreement=_ratio(sum(len(set(names)) == 1 for names in compared), len(compared)),
             rmse_px={o: math.sqrt(np.mean(errors)) for o, errors in sorted(self._squared_errors.items())},
@@ -235,18 +241,32 @@ class SwarmScorer:
         return track if t - self._known_at(life, drone_id) >= GRACE else track._replace(identity=None)
 
     def _count(
-        self, glance: Glance, drone_id: int, box: Array, track: NamedTrack | None, ghost: bool
+        self, glance: Glance, drone_id: int, box: Array, track: NamedTrack | None, ghost: NamedTrack | None
     ) -> None:
-        """ghost: whether a track that is nobody bears the drone's ID."""
+        """ghost: a track that is nobody and bears the drone's ID."""
         self._drones += 1
         if track is not None:
             error = (track.u - box[0]) ** 2 + (track.v - box[1]) ** 2
             self._squared_errors[glance.observer].append(float(error))
             if track.identity is not None:
                 self._names[glance.index, drone_id].append(track.identity)
-        verdict = self._judge(drone_id, track, ghost)
+        verdict = self._judge(drone_id, track, ghost is not None)
         if verdict is not None:
             self._verdicts[verdict] += 1
+        if verdict == "wrong":
+            named = track if track is not None and track.identity is not None else ghost
+            assert named is not None, "nothing else is wrong"
+            self._note_wrong(named)
+
+    def _note_wrong(self, *named: NamedTrack) -> None:
+        for track in named:
+            highest = np.fmax(self._wrong_max_probability, track.identity_probability)
+            self._wrong_max_probability = float(highest)
+
+    def _not_ahead(self, glance: Glance) -> frozenset[int]:
+        """Teammates that are behind or beside the observer."""
+        others = self._members - {glance.observer}
+        return others - glance.in_view.keys() - glance.hidden.keys()
 
     def _judge(self, drone_id: int, track: NamedTrack | None, ghost: bool) -> str | None:
         if drone_id not in self._members:

@@ -153,6 +153,7 @@ class SwarmReport:
                 },
                 "correct": _rounded(score.correct),
                 "wrong": _rounded(score.wrong),
+                "wrong_max_probability": _rounded(score.wrong_max_probability),
                 "unknown": _rounded(score.unknown),
                 "agreement": _rounded(score.agreement),
             },

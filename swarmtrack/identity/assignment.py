@@ -27,6 +27,12 @@ class Assignment:
     """How many there were since it is challenged or doubted."""
     log_odds: float = HELD_LOG_ODDS
     """In its favour, before the posterior looks where the drones are."""
+    evidence: float = -math.inf
+    """The log ratio of the last posterior that was sure of it: that the track is the drone, and a stranger."""
+    motion: float = 0.0
+    """The part of it that motion gave."""
+    since: float = -math.inf
+    """s: when that was."""
     seen: LastSeen | None = None
     """Where the drone was when it was last detected under a stated ID."""
     met: set[int] = field(default_factory=set)

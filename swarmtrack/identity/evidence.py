@@ -31,10 +31,11 @@ class Evidence:
         )
         self.scans: NDArray[np.int64] = np.zeros((0, 0), dtype=int)
         """(n, k): how many scans each pair was seen in."""
+        self._looks: NDArray[np.int64] = np.zeros(0, dtype=int)
 
     def seen_in(self, row: int) -> int:
         """How many scans there are of a row, with whichever column."""
-        return int(self.scans[row].max(initial=0))
+        return int(self._looks[row])
 
     def add(
         self, t: float, rows: Sequence[int], columns: Sequence[Key], found: ReprojectionResiduals
@@ -42,7 +43,9 @@ class Evidence:
         """The residuals of one scan: rows are track IDs, columns the keys of predictions."""
         mean, cov = found.mean.copy(), found.cov.copy()
         scans = np.ones(mean.shape[:2], dtype=int)
+        looks = np.ones(len(rows), dtype=int)
         i, was_i = _matched(rows, self._rows)
+        looks[i] += self._looks[was_i]
         j, was_j = _matched(columns, self._columns)
         if i.size and j.size and len(cov) == len(self.residuals.cov):
             i, was_i = i[:, None], was_i[:, None]
@@ -52,6 +55,7 @@ class Evidence:
             mean[i, j] += (1.0 - new) * (self.residuals.mean[was_i, was_j] - mean[i, j])
             cov[:, i, j] += (1.0 - new[..., None]) * (self.residuals.cov[:, was_i, was_j] - cov[:, i, j])
         self._t, self._rows, self._columns, self.scans = t, list(rows), list(columns), scans
+        self._looks = looks
         self.residuals = ReprojectionResiduals(mean, cov, found.share)
 
 

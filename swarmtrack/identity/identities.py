@@ -4,9 +4,12 @@ Theory of operation. An announced pose tells where a drone *was*. A track that i
 so an ID is kept until its track ends, or until something speaks against it: `standing.py` says what.
 
 Every scan, what is undecided (tracks without an ID, drones without a track, IDs in doubt) is matched again. The
-posterior over all one-to-one matchings, of residuals averaged over a short window, assigns an ID where it is likely
-enough, and "unknown" elsewhere. An ID that is challenged or doubted has its past as the prior. A drone whose track
-ended is expected where it was seen last, moving on. A track that no drone explains for a while is foreign.
+posterior over all one-to-one matchings assigns an ID where it is likely enough, and "unknown" elsewhere. It goes by
+residuals averaged over a short window, by how large tracks look (`spans.py`), by whether they move as their drones say
+(`displacement.py`), and by what the scene is like (`scene.py`). An ID that is challenged or doubted has its past as the
+prior. A settled one is judged again when a nameless track comes where its drone should be: then its past counts only
+as far as it was earned. A drone whose track ended is expected where it was seen last, moving on, or where it reported
+itself since (`whereabouts.py`). A track that no drone explains for a while is foreign.
 
 Where two drones hide each other, their tracks may change places unseen, so both are asked where they are. While two
 processes speak as one drone, that ID is assigned to no track.
@@ -14,19 +17,21 @@ processes speak as one drone, that ID is assigned to no track.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.assignment import HELD_LOG_ODDS, HIDDEN_LOG_ODDS, Assignment
-from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
-from swarmtrack.identity.posterior import LOG_ANYWHERE, log_ratios, nearest, residuals
+from swarmtrack.identity.posterior import LOG_ANYWHERE, nearest
 from swarmtrack.identity.reprojection import (
+    NOBODY,
     LastSeen,
     ObserverCamera,
     Predictions,
@@ -36,6 +41,8 @@ from swarmtrack.identity.reprojection import (
     retrace,
 )
 from swarmtrack.identity.standing import Event, Standing, fire
+from swarmtrack.identity.weighing import RIVAL, Weighing
+from swarmtrack.identity.whereabouts import Whereabouts
 from swarmtrack.messages import (
     FOREIGN,
     Announcement,
@@ -46,6 +53,7 @@ from swarmtrack.messages import (
     Membership,
     PeerArrived,
     PeerDeparted,
+    SightingReport,
     Track,
     TrackStatus,
 )
@@ -59,8 +67,6 @@ UNSEEN = (Standing.HIDDEN, Standing.DOUBTED)
 HIDDEN_S = 0.25
 # Between two boxes, so near that one of them may take the other's detections.
 MEETING_PX = 10.0
-# Of a box's side, one sigma: between its middle and the drone's. Half hidden drones count, too.
-OFF_CENTRE = 0.15
 # s between two questions to drones that keep hiding each other.
 VERIFY_S = 1.0
 # The least probability of a candidate that is worth a question.
@@ -75,6 +81,24 @@ DISPUTE_S = 5.0
 FORGET_S = 30.0
 # s that a track is nameless before its candidates are asked for their poses.
 NAMELESS_S = 1.0
+# s since a drone said where it is: beyond, it is worth asking. Who reports, does so once a second.
+STALE_S = 1.5
+# s: so old a place still tells the distance.
+FRESH_S = 1.5
+# Of the image's size, on each side: as far as a camera that turns fast sees in half a second.
+SOON = 0.5
+# Log odds: a name whose track does not move as its drone does is judged again.
+CONTRADICTED = -math.log(10.0)
+
+
+class Match(NamedTuple):
+    """That a track is a drone: probability; elsewhere, that another track is the drone; log_ratio, by all evidence
+    but its past; distance m of the drone, NaN where nobody knows."""
+
+    probability: float
+    elsewhere: float
+    log_ratio: float
+    distance: float
 
 
 @dataclass(slots=True)
@@ -88,8 +112,6 @@ class _Unassigned:
     """The probability that it is none."""
     foreign: bool = False
     """Unexplained for long enough."""
-    asked: bool = False
-    """Whether the drones with an ID near it were asked for their poses because of it."""
 
 
 class Identities:
@@ -102,7 +124,8 @@ class Identities:
         self._camera = camera
         self._body_from_camera = body_from_camera
         self._parameters = parameters
-        self._announced: dict[int, Announcement] = {}
+        self._whereabouts = Whereabouts()
+        self._announced = self._whereabouts.announced
         self._unannounced: set[int] = set()
         """Alive, but with no pose that we know: these may be any track."""
         self._departed: set[int] = set()
@@ -118,7 +141,10 @@ class Identities:
         self._lost: dict[int, Assignment] = {}
         """By drone: its assignment when its track ended."""
         self._alive: dict[int, Track] = {}
-        self._evidence = Evidence(parameters.window_s)
+        self._weighing = Weighing(camera, parameters.window_s)
+        self._vouched: set[int] = set()
+        self._expected: dict[int, bool] = {}
+        """By drone without a settled track: whether it should be in view, or nearly."""
         self._pose_requests = PoseRequests()
 
     @property
@@ -133,7 +159,7 @@ class Identities:
         repeated = known and known.boot == announcement.boot and known.sequence >= announcement.sequence
         if drone == self._drone_id or drone in self._clashing or repeated:
             return False
-        self._announced[drone] = announcement
+        self._whereabouts.announce(announcement)
         self._unannounced.discard(drone)
         self._overruled.pop(drone, None)
         held = self._holder(drone)
@@ -142,7 +168,15 @@ class Identities:
             if held.undecided:
                 # Of a process that started again, what was believed before says nothing.
                 held.weaken(HELD_LOG_ODDS if known.boot == announcement.boot else 0.0)
+        if known is not None and known.boot != announcement.boot:
+            self._weighing.forget(drone)
         return True
+
+    def on_report(self, report: SightingReport) -> None:
+        """A teammate says with what it sees where it is: nobody has to ask it."""
+        drone = report.observer
+        if drone != self._drone_id and drone not in self._clashing:
+            self._whereabouts.report(report)
 
     def on_membership(self, event: Membership) -> None:
         """Who lives. While two processes speak as one drone, nobody can tell which pose is its own."""
@@ -155,7 +189,7 @@ class Identities:
                     self._unannounced.add(drone)
             case IdClash(boots=boots, ours=False):
                 self._clashing[drone] = set(boots)
-                self._announced.pop(drone, None)
+                self._whereabouts.forget(drone)
                 self._withdraw(drone, Event.CLASHED)
             case PeerDeparted(boot=boot):
                 clash = self._clashing.get(drone, set())
@@ -190,11 +224,10 @@ class Identities:
             for track in undecided
             if track.id not in self._assignments
         }
-        predicted = self._predict(view)
         if self._parameters.profile == "paper":
-            self._assign_nearest(undecided, predicted)
+            self._assign_nearest(undecided, self._predict(view))
         else:
-            self._assign_by_posterior(undecided, predicted, observer.t)
+            self._assign_by_posterior(undecided, view)
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
@@ -204,6 +237,11 @@ class Identities:
         """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
         settled = [held for held in self._assignments.values() if held.standing is Standing.SETTLED]
         return [(held.seen, held.probability) for held in settled if held.seen and held.seen.t == t]
+
+    def take_vouched(self) -> tuple[int, ...]:
+        """The tracks that are a teammate although they look weak; each is returned once."""
+        vouched, self._vouched = tuple(sorted(self._vouched)), set()
+        return vouched
 
     def take_wanted(self) -> tuple[int, ...]:
         """The drones that should announce their pose again; each is returned once."""
@@ -236,10 +274,16 @@ class Identities:
             self._fire(held, event)
 
     def _is_undecided(self, track: Track) -> bool:
-        assignment = self._assignments.get(track.id)
-        if assignment is not None:
-            return assignment.undecided and track.coasting_since is None
-        return track.status is TrackStatus.CONFIRMED
+        """Whether it takes part in the matching. An ID that is not settled does even while its track is not detected:
+        else whoever is near would have no rival for as long."""
+        held = self._assignments.get(track.id)
+        if self._parameters.profile == "paper":
+            judged = held is None or (held.undecided and track.coasting_since is None)
+            return judged and (held is not None or track.status is TrackStatus.CONFIRMED)
+        if held is not None:
+            return held.standing is not Standing.SETTLED
+        # One that is not confirmed yet, or lost, may be a rival of one that is named or could be.
+        return track.status is not TrackStatus.TENTATIVE or track.probability >= RIVAL
 
     # --- what becomes of the tracks that have an ID ---
 
@@ -260,7 +304,7 @@ class Identities:
         named = {held.drone_id for held in self._assignments.values()}
         for drone in self._departed - named:
             if drone in self._announced and t - self._announced[drone].t > DEPARTED_S:
-                del self._announced[drone]
+                self._whereabouts.forget(drone)
         self._departed &= self._announced.keys()
         self._overruled = {drone: since for drone, since in self._overruled.items() if t - since < DISPUTE_S}
 
@@ -276,6 +320,7 @@ class Identities:
             elif held.standing is Standing.HIDDEN:
                 self._fire(held, Event.DETECTED_AGAIN)
                 held.weaken(HIDDEN_LOG_ODDS)
+                self._weighing.hide(id, HIDDEN_LOG_ODDS)
                 self._verify(held, t)
             elif held.met:
                 still_near = held.met & self._near(id, alive)
@@ -296,6 +341,7 @@ class Identities:
             holder = self._holder(drone)
             if holder is not None:
                 holder.weaken(HIDDEN_LOG_ODDS)
+                self._weighing.hide(holder.track_id, HIDDEN_LOG_ODDS)
 
     def _remember_rays(self, alive: Mapping[int, Track], view: ObserverCamera) -> None:
         detected = [
@@ -310,21 +356,27 @@ class Identities:
     # --- what is undecided ---
 
     def _predict(self, view: ObserverCamera) -> Predictions:
-        """Where the drones should be that no track has for certain: by their pose, or by where they were seen
-        since."""
+        """Where the drones should be that no track has for certain: by where they were seen last, or where they said
+        that they are since. Of what is newer than the sight, an announcement was asked for and counts; a report
+        counts where it tells more."""
         p = self._parameters
         held = self._assignments.values()
         settled = {a.drone_id for a in held if a.standing is Standing.SETTLED}
-        free = [a for drone, a in self._announced.items() if drone not in settled | self._clashing.keys()]
+        free = [drone for drone in self._announced if drone not in settled | self._clashing.keys()]
         unseen = [*self._lost.values(), *(a for a in held if a.standing in UNSEEN)]
         seen = {a.drone_id: a.seen for a in unseen if a.seen is not None}
-        by_sight = [seen[a.drone_id] for a in free if a.drone_id in seen and a.t <= seen[a.drone_id].t]
-        found = {ray.drone_id for ray in by_sight}
-        by_pose = [a for a in free if a.drone_id not in found]
-        return joined(
-            reproject(by_pose, view, drift_speed=p.drift_speed, stay_s=p.stay_s),
-            retrace(by_sight, view, turn_rate=p.turn_rate),
-        )
+        by_sight = [seen[d] for d in free if d in seen and self._announced[d].t <= seen[d].t]
+        sight = retrace(by_sight, view, turn_rate=p.turn_rate)
+        places = [self._whereabouts.latest(drone) for drone in free]
+        said = reproject(places, view, drift_speed=p.drift_speed, stay_s=p.stay_s)
+        older = {d for d in free if d in seen and self._whereabouts.latest(d).t <= seen[d].t}
+        width = {d: spread for d, spread in zip(said.drone_id, said.spread, strict=True) if d not in older}
+        vaguer = [
+            j for j, drone in enumerate(sight.drone_id) if drone in width and width[drone] < sight.spread[j]
+        ]
+        sight = sight.only([j for j in range(len(sight.key)) if j not in vaguer])
+        found = set(sight.drone_id) | (older & {ray.drone_id for ray in by_sight})
+        return joined(said.only([j for j, drone in enumerate(said.drone_id) if drone not in found]), sight)
 
     def _assign_nearest(self, tracks: Sequence[Track], predicted: Predictions) -> None:
         mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
@@ -335,71 +387,176 @@ class Identities:
                 fire(self._assignments[id].standing, Event.REASSIGNED)
             self._assignments[id] = Assignment(id, drone, 1.0)
 
-    def _assign_by_posterior(self, tracks: Sequence[Track], predicted: Predictions, t: float) -> None:
-        mean, cov = _of_bodies(tracks)
-        self._evidence.add(t, [track.id for track in tracks], predicted.key, residuals(mean, cov, predicted))
-        if not tracks:
-            return
-        probability = matching_marginals(self._log_ratios(tracks, predicted))
-        stated = probability[:, : len(predicted.drone_id)]
+    def _assign_by_posterior(self, undecided: Sequence[Track], view: ObserverCamera) -> None:
+        t = view.observer.t
+        places = {drone: self._whereabouts.latest(drone) for drone in self._announced}
+        self._weighing.watch(self._alive, view, places)
+        contested, held = self._contested(undecided, view)
+        tracks, predicted = [*undecided, *held], joined(self._predict(view), contested)
+        self._ask_who_enters(predicted, t)
+        ratios = self._weighing.weigh(tracks, predicted, view)
+        probability = matching_marginals(self._with_history(ratios, tracks, predicted))
+        p_drone = probability[:, : len(predicted.drone_id)]
+        p_none = (1.0 - probability.sum(axis=1)).tolist()
+        nameless = [pair for pair in zip(tracks, p_none, strict=True) if pair[0].id in self._unassigned]
+        named = [held.drone_id for held in self._assignments.values() if held.stated]
+        self._weighing.learn(view, nameless, predicted, p_drone, named)
         for i, track in enumerate(tracks):
-            candidates = dict(zip(predicted.drone_id, stated[i].tolist(), strict=True))
-            if track.id in self._assignments:
-                self._judge(self._assignments[track.id], candidates, t)
-            if track.id not in self._assignments and self._evidence.seen_in(i) >= self._parameters.scans:
-                self._assign_likeliest(track.id, candidates, t)
-            if track.id not in self._assignments:
-                self._keep_unassigned(track, candidates, 1.0 - float(probability[i].sum()), t)
+            matches = self._matches(predicted, p_drone[i], p_drone.sum(axis=0), ratios[i])
+            if track.id in self._assignments and track.coasting_since is None:
+                self._judge(self._assignments[track.id], matches, t)
+            if track.status is TrackStatus.LOST:
+                continue
+            if track.id not in self._assignments and self._weighing.seen_in(i) >= self._parameters.scans:
+                self._assign_likeliest(track, matches, t)
+            if track.id not in self._assignments and track.status is not TrackStatus.TENTATIVE:
+                candidates = {drone: match.probability for drone, match in matches.items()}
+                self._keep_unassigned(track, candidates, p_none[i], t)
 
-    def _log_ratios(self, tracks: Sequence[Track], predicted: Predictions) -> Array:
-        """(n, k + u): of the predicted drones, then of those that may be anywhere."""
-        ratios = log_ratios(self._evidence.residuals, self._camera)
+    def _contested(self, undecided: Sequence[Track], view: ObserverCamera) -> tuple[Predictions, list[Track]]:
+        """Where the settled drones should be in whose gate a nameless track is, or whose track does not move as they
+        do; and those tracks."""
+        newcomers = [track for track in undecided if track.id not in self._assignments]
+        known = [
+            held
+            for held in self._assignments.values()
+            if held.standing is Standing.SETTLED and held.drone_id in self._announced
+        ]
+        settled = {held.drone_id: self._alive[held.track_id] for held in known}
+        contradicted = {held.drone_id for held in known if self._is_contradicted(held)}
+        if not settled or not (newcomers or contradicted):
+            return NOBODY, []
+        p = self._parameters
+        places = [self._whereabouts.latest(drone) for drone in settled]
+        predicted = reproject(places, view, drift_speed=p.drift_speed, stay_s=p.stay_s)
+        near = self._weighing.near(newcomers, predicted)
+        columns = [
+            j
+            for j, drone in enumerate(predicted.drone_id)
+            if drone in contradicted
+            or any(not _coincide(newcomers[i], settled[drone]) for i in np.flatnonzero(near[:, j]).tolist())
+        ]
+        return predicted.only(columns), [settled[predicted.drone_id[j]] for j in columns]
+
+    def _moved_since(self, held: Assignment) -> float:
+        """Log ratio: what motion says of an ID since it was last judged."""
+        return self._weighing.motion(held.track_id, held.drone_id) - held.motion
+
+    def _is_contradicted(self, held: Assignment) -> bool:
+        """Whether the track has ceased to move as its drone says."""
+        return self._moved_since(held) < CONTRADICTED
+
+    def _with_history(self, ratios: Array, tracks: Sequence[Track], predicted: Predictions) -> Array:
+        """(n, k + u): the same with what speaks for the IDs that tracks have; then of drones that may be anywhere."""
+        judged = ratios.copy()
+        column = {drone: j for j, drone in enumerate(predicted.drone_id)}
         for i, track in enumerate(tracks):
-            assignment = self._assignments.get(track.id)
-            if assignment is not None and assignment.drone_id in predicted.drone_id:
-                ratios[i, predicted.drone_id.index(assignment.drone_id)] += assignment.log_odds
+            held = self._assignments.get(track.id)
+            if held is None or held.drone_id not in column:
+                continue
+            j = column[held.drone_id]
+            rivals = [
+                other
+                for other, ratio in zip(tracks, ratios[:, j].tolist(), strict=True)
+                if ratio > 0.0 and other.id not in self._assignments and not _coincide(other, track)
+            ]
+            if held.standing is Standing.SETTLED and not self._is_contradicted(held):
+                # Its own place is as old as its announcement; the track has carried it on from where it was judged.
+                judged[i, j] = max(ratios[i, j], held.evidence + self._moved_since(held))
+            judged[i, j] += self._history(held, rivals)
         unlocated = len(self._unannounced | self._clashing.keys())
-        anywhere = np.full((len(tracks), unlocated), LOG_ANYWHERE)
-        return np.concatenate([ratios, anywhere], axis=1)
+        return np.concatenate([judged, np.full((len(tracks), unlocated), LOG_ANYWHERE)], axis=1)
 
-    def _judge(self, assignment: Assignment, candidates: Mapping[int, float], t: float) -> None:
-        """Confirm or refute an ID that is challenged or doubted. candidates: by drone, the probability that the track
-        is it."""
-        assignment.scans += 1
-        if assignment.scans < self._parameters.scans:
+    def _history(self, held: Assignment, rivals: Sequence[Track]) -> float:
+        """Log odds in favour of an ID beside where its drone should be. Named tracks hardly ever change places, but
+        that a newcomer is no rival has yet to be shown: only that the drone was not missed before the newcomer came."""
+        if not rivals and not self._is_contradicted(held):
+            return held.log_odds
+        newest = min((self._unassigned[track.id].first_t for track in rivals), default=math.inf)
+        return min(held.log_odds, self._weighing.log_missed(held.drone_id) if newest > held.since else 0.0)
+
+    def _matches(
+        self, predicted: Predictions, p_drone: Array, p_seen: Array, ratios: Array
+    ) -> dict[int, Match]:
+        """By drone, what speaks for it as a track. p_drone, ratios (k,) of the track, p_seen (k,) of all tracks."""
+        return {
+            drone: Match(
+                float(p_drone[j]),
+                float(p_seen[j] - p_drone[j]),
+                float(ratios[j]),
+                float(predicted.distance[j, 0]),
+            )
+            for j, drone in enumerate(predicted.drone_id)
+        }
+
+    def _judge(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
+        """Confirm, doubt or refute an ID that is undecided, or that a newcomer contests."""
+        drone, p = held.drone_id, self._parameters.probability
+        match = matches.get(drone)
+        if held.standing is Standing.SETTLED:
+            if match is not None and match.probability < p:
+                self._doubt(held, matches, t)
             return
-        drone, p = assignment.drone_id, candidates.get(assignment.drone_id, 0.0)
-        has_rival = any(q > LIKELY for other, q in candidates.items() if other != drone)
-        sure = self._parameters.probability if has_rival or assignment.log_odds < HELD_LOG_ODDS else 0.5
-        if drone not in candidates:
-            self._fire(assignment, Event.OUT_OF_VIEW)
-        elif p >= sure:
-            self._fire(assignment, Event.CONFIRMED)
-            assignment.probability = p
-            self._pose_requests.answered(drone)
-        elif p < 0.5:
-            self._fire(assignment, Event.REFUTED)
+        held.scans += 1
+        if held.scans < self._parameters.scans:
+            return
+        has_rival = any(other.probability > LIKELY for id, other in matches.items() if id != drone)
+        sure = p if has_rival or held.log_odds < HELD_LOG_ODDS else 0.5
+        if match is None:
+            self._fire(held, Event.OUT_OF_VIEW)
+        elif match.probability >= (p if match.elsewhere > LIKELY else sure):
+            self._fire(held, Event.CONFIRMED)
+            self._believe(held, match, t)
+        elif match.probability < 0.5:
+            self._fire(held, Event.REFUTED)
+        elif held.standing is Standing.CHALLENGED and match.elsewhere > LIKELY:
+            self._doubt(held, matches, t)
         else:
-            self._ask(candidates, t)
+            self._ask({drone: match.probability for drone, match in matches.items()}, t)
 
-    def _assign_likeliest(self, track_id: int, candidates: Mapping[int, float], t: float) -> None:
-        """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it."""
-        drone = max(candidates, key=candidates.__getitem__, default=None)
-        if drone is None or drone in self._overruled or candidates[drone] < self._parameters.probability:
+    def _doubt(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
+        """Another track may be the drone: where this one was seen says nothing of where the drone is."""
+        self._fire(held, Event.RIVALLED)
+        held.weaken(self._weighing.log_missed(held.drone_id))
+        held.seen = None
+        self._ask({drone: match.probability for drone, match in matches.items()}, t)
+
+    def _believe(self, held: Assignment, match: Match, t: float) -> None:
+        """The posterior is sure: what it went by is remembered."""
+        held.probability = match.probability
+        held.evidence = match.log_ratio
+        held.motion = self._weighing.motion(held.track_id, held.drone_id)
+        held.since = t
+        place = self._whereabouts.latest(held.drone_id)
+        if t - place.t <= FRESH_S:
+            track = self._alive[held.track_id]
+            self._weighing.recognise(held.drone_id, track, match.distance, match.probability)
+        self._pose_requests.answered(held.drone_id)
+
+    def _assign_likeliest(self, track: Track, matches: Mapping[int, Match], t: float) -> None:
+        """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it. One that looks too
+        weak for a track is vouched for, and named once the tracker agrees."""
+        drone = max(matches, key=lambda drone: matches[drone].probability, default=None)
+        if drone is None or drone in self._overruled:
+            return
+        match = matches[drone]
+        if match.probability < self._parameters.probability:
+            return
+        if track.status is TrackStatus.TENTATIVE:
+            self._vouched.add(track.id)
             return
         before = self._lost.get(drone) or self._holder(drone)
         self._withdraw(drone, Event.REASSIGNED)
-        self._assignments[track_id] = Assignment(track_id, drone, candidates[drone])
-        self._unassigned.pop(track_id, None)
-        self._pose_requests.answered(drone)
+        held = self._assignments[track.id] = Assignment(track.id, drone, match.probability)
+        self._unassigned.pop(track.id, None)
+        self._believe(held, match, t)
         if before is not None:
             self._verify(before, t)
 
     def _keep_unassigned(
         self, track: Track, candidates: Mapping[int, float], p_none: float, t: float
     ) -> None:
-        """A track stays without an ID: ask the drones that it may be; if it is none of them, ask those near it whether
-        all IDs are where they belong."""
+        """A track stays without an ID: ask the drones that it may be. One that is none of them asks nobody."""
         unassigned = self._unassigned.setdefault(track.id, _Unassigned(t))
         unassigned.p_none = p_none
         if p_none < self._parameters.probability:
@@ -410,36 +567,33 @@ class Identities:
         if unassigned.unexplained_since is None:
             unassigned.unexplained_since = t
         unassigned.foreign = t - unassigned.unexplained_since >= self._parameters.foreign_s
-        if not unassigned.asked:
-            asked = [self._pose_requests.ask(drone, t) for drone in self._assigned_near(track)]
-            unassigned.asked = all(asked)
 
-    def _assigned_near(self, track: Track) -> list[int]:
-        """The teammates whose tracks are nearest to it in the image."""
-
-        def distance(held: Assignment) -> float:
-            return float(np.linalg.norm(self._alive[held.track_id].mean[::2] - track.mean[::2]))
-
-        return [held.drone_id for held in sorted(self._assignments.values(), key=distance)[:ASKED]]
+    def _ask_who_enters(self, predicted: Predictions, t: float) -> None:
+        """Whoever should come into view soon is asked where it is, so that the answer is there when its track is."""
+        u, v = predicted.pixel.T / np.array([[self._camera.width], [self._camera.height]])
+        near = (np.abs(u - 0.5) < 0.5 + SOON) & (np.abs(v - 0.5) < 0.5 + SOON)
+        expected = dict(zip(predicted.drone_id, near.tolist(), strict=True))
+        for drone, enters in expected.items():
+            outside = self._expected.get(drone) is False
+            if enters and outside and t - self._whereabouts.latest(drone).t > STALE_S:
+                self._pose_requests.ask(drone, t)
+        named = (held.drone_id for held in self._assignments.values() if held.stated)
+        self._expected = dict.fromkeys(self._announced, False) | dict.fromkeys(named, True) | expected
 
     def _ask(self, candidates: Mapping[int, float], t: float) -> None:
         """Ask the likeliest; in a large swarm nearly everybody is possible."""
         for drone in sorted(candidates, key=candidates.__getitem__)[-ASKED:]:
-            if candidates[drone] > LIKELY and t - self._announced[drone].t > NAMELESS_S:
+            if candidates[drone] > LIKELY and t - self._whereabouts.latest(drone).t > STALE_S:
                 self._pose_requests.ask(drone, t)
-
-
-def _of_bodies(tracks: Sequence[Track]) -> tuple[Array, Array]:
-    """Means (n, 4) and covariances (n, 4, 4) of the drones' bodies, which are not quite in the middle of their
-    boxes."""
-    mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
-    cov = np.array([track.cov for track in tracks]).reshape(-1, 4, 4)
-    size = np.nan_to_num([track.size for track in tracks], nan=0.0).reshape(-1, 2)
-    cov[:, [0, 2], [0, 2]] += (OFF_CENTRE * size) ** 2
-    return mean, cov
 
 
 def _meet(one: Track, other: Track) -> bool:
     """Whether two boxes touch, nearly."""
     size = np.nan_to_num(one.size, nan=0.0) + np.nan_to_num(other.size, nan=0.0)
     return bool((np.abs(one.mean[::2] - other.mean[::2]) < 0.5 * size + MEETING_PX).all())
+
+
+def _coincide(one: Track, other: Track) -> bool:
+    """Whether two boxes are around one thing: which of them has a name makes no difference to where it is."""
+    size = np.fmin(one.size, other.size)
+    return bool((np.abs(one.mean[::2] - other.mean[::2]) < 0.5 * np.nan_to_num(size, nan=0.0)).all())

@@ -33,22 +33,43 @@ LOST_SHARE = 0.1
 TURNED_AWAY = 0.3
 # s over which a track's velocity becomes a turn of its ray.
 AHEAD_S = 0.1
+# px: of what lies further off, there is nothing more to tell.
+WIDE_PX = 300.0
 # m: no teammate is closer, so the observer's motion turns no bearing by more than one at it.
 NEAREST = 2.0
 
 
 class Predictions(NamedTuple):
     """Teammates that lie in front of the camera: key (k,) of whatever each was predicted from, its drone_id (k,), and
-    pixel (k, 2), undistorted; a mixture of c Gaussians around it: share (c, k), cov (c, k, 2, 2) px²."""
+    pixel (k, 2), undistorted; a mixture of c Gaussians around it: share (c, k), cov (c, k, 2, 2) px². distance (k, 2) m
+    from the camera and its sigma, NaN where nobody knows."""
 
     key: list[tuple[object, ...]]
     drone_id: list[int]
     pixel: Array
     share: Array
     cov: Array
+    distance: Array
+
+    @property
+    def spread(self) -> Array:
+        """(k,) px²: of the whole mixture, mean over both axes; where the share is tiny, however wide."""
+        variance = np.minimum(np.trace(self.cov, axis1=2, axis2=3) / 2.0, WIDE_PX**2)
+        return np.asarray((self.share * variance).sum(axis=0))
+
+    def only(self, columns: Sequence[int]) -> Predictions:
+        """Those of these columns."""
+        return Predictions(
+            [self.key[j] for j in columns],
+            [self.drone_id[j] for j in columns],
+            self.pixel[columns],
+            self.share[:, columns],
+            self.cov[:, columns],
+            self.distance[columns],
+        )
 
 
-NOBODY = Predictions([], [], np.empty((0, 2)), np.empty((1, 0)), np.empty((1, 0, 2, 2)))
+NOBODY = Predictions([], [], np.empty((0, 2)), np.empty((1, 0)), np.empty((1, 0, 2, 2)), np.empty((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,21 +124,26 @@ def reproject(
     by_team = jacobian @ camera_from_team.rotation
     metres = by_team @ by_team.swapaxes(1, 2)  # px² for 1 m²
     spread = np.array([a.position_cov for a in announcements]).reshape(-1, 3, 3)
-    still = by_team @ spread @ by_team.swapaxes(1, 2) + observer.position_sigma**2 * metres
-    still += observer.attitude_sigma**2 * _per_radian(pixel, camera)
+    still = by_team @ (spread + observer.position_cov) @ by_team.swapaxes(1, 2)
+    # px for a turn of the observer by 1 rad about each axis of the team frame.
+    by_turn = optical_flow(pixel, camera) @ camera_from_team.rotation
+    still += by_turn @ observer.attitude_cov @ by_turn.swapaxes(1, 2)
     age = np.array([abs(observer.t - a.t) + a.t_sigma for a in announcements])
     drifted = ((drift_speed * age) ** 2)[:, None, None] * metres
     stay = np.array([stay_s if a.sequence <= 1 else STAY_IN_FLIGHT for a in announcements])
     p_still = stay / (stay + age)
     share = np.stack([p_still, (1.0 - p_still) * (1.0 - SHARE_FAST), (1.0 - p_still) * SHARE_FAST])
     cov = np.stack([still, still + drifted, still + FAST**2 * drifted])
+    distance = np.linalg.norm(positions - view.team_from_camera.position, axis=1)
+    along = np.trace(spread + observer.position_cov, axis1=1, axis2=2) / 3.0 + (drift_speed * age) ** 2
     in_front = [a for a, good in zip(announcements, valid, strict=True) if good]
     return Predictions(
-        [(a.drone_id, a.boot, a.sequence) for a in in_front],
+        [(a.drone_id, a.boot, a.sequence, a.t) for a in in_front],
         [a.drone_id for a in in_front],
         pixel[valid],
         share[:, valid],
         cov[:, valid],
+        np.column_stack([distance, np.sqrt(along)])[valid],
     )
 
 
@@ -141,7 +167,8 @@ def retrace(seen: Sequence[LastSeen], view: ObserverCamera, *, turn_rate: float)
 
     turn_rate [rad/s]: how far their bearing may have left that course, for each second, or for a tenth of them `FAST`
     times as far. Distances are not known, so a drone that is out of sight while the observer moves may appear to have
-    moved as much as a drone at `NEAREST`.
+    moved as much as a drone at `NEAREST`. A heading that is off was off as much when the ray was seen, so that only the
+    tilt's error counts.
     """
     if not seen:
         return NOBODY
@@ -156,7 +183,7 @@ def retrace(seen: Sequence[LastSeen], view: ObserverCamera, *, turn_rate: float)
     pixel, _, valid = camera.project_undistorted(in_camera)
     moved = np.array([np.linalg.norm(view.team_from_camera.position - s.origin) for s in seen])
     sigma0 = np.array([s.sigma for s in seen])
-    on_course = sigma0**2 + view.observer.attitude_sigma**2 + (moved / NEAREST) ** 2
+    on_course = sigma0**2 + view.observer.tilt_sigma**2 + (moved / NEAREST) ** 2
     off_course = on_course + (turn_rate * age) ** 2
     lost = off_course + (TURNED_AWAY + FAST * turn_rate * age) ** 2
     per_radian = _per_radian(pixel, camera)
@@ -169,6 +196,7 @@ def retrace(seen: Sequence[LastSeen], view: ObserverCamera, *, turn_rate: float)
         pixel[valid],
         share[:, valid],
         cov[:, valid],
+        np.full((len(in_front), 2), np.nan),
     )
 
 
@@ -183,6 +211,7 @@ def joined(first: Predictions, second: Predictions) -> Predictions:
         np.concatenate([first.pixel, second.pixel]),
         np.concatenate([_filled(first.share, c, 0.0), _filled(second.share, c, 0.0)], axis=1),
         np.concatenate([_filled(first.cov, c, np.eye(2)), _filled(second.cov, c, np.eye(2))], axis=1),
+        np.concatenate([first.distance, second.distance]),
     )
 
 

@@ -5,6 +5,8 @@ the track, and the track carries the ID until something speaks against it.
 
 * News: the drone announces itself again. The ID is challenged. It is still stated, because it is right more often than
   not, until the posterior confirms or refutes it.
+* A rival: a nameless track comes where the drone should be, and the ID is less sure than it must be. It was given when
+  there was nobody else, so it is doubted until the posterior prefers one of the two.
 * Silence: the track is not detected for a while and the assignment is hidden. It may come back as another drone, so it
   is doubted once it is detected again. A doubted ID is not stated until the posterior confirms it.
 
@@ -50,6 +52,8 @@ class Event(enum.Enum):
     """The posterior is sure enough that the track is the drone."""
     REFUTED = "refuted"
     """The posterior says that it rather is not."""
+    RIVALLED = "rivalled"
+    """A nameless track may be the drone as well."""
     OUT_OF_VIEW = "out of view"
     """The drone should not be visible to this camera, so the posterior says nothing about it."""
     OVERRULED = "overruled"
@@ -65,6 +69,7 @@ TRANSITIONS: dict[Standing, dict[Event, Standing | None]] = {
     Standing.SETTLED: {
         Event.ANNOUNCED: Standing.CHALLENGED,
         Event.UNDETECTED: Standing.HIDDEN,
+        Event.RIVALLED: Standing.DOUBTED,
         Event.OVERRULED: None,
         Event.CLASHED: None,
         Event.REASSIGNED: None,
@@ -73,6 +78,7 @@ TRANSITIONS: dict[Standing, dict[Event, Standing | None]] = {
     Standing.CHALLENGED: {
         Event.ANNOUNCED: Standing.CHALLENGED,
         Event.UNDETECTED: Standing.HIDDEN,
+        Event.RIVALLED: Standing.DOUBTED,
         Event.CONFIRMED: Standing.SETTLED,
         Event.REFUTED: None,
         Event.OUT_OF_VIEW: Standing.SETTLED,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from swarmtrack.config import TeamOrigin
 from swarmtrack.geometry import rotation
 from swarmtrack.simulation.scenarios import Scenario
 
@@ -17,10 +18,17 @@ MAX_FRAME_AGE_S = 0.15  # beyond it a frame says more of where a drone was than 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """Where a drone finds its sensors: the values of camera.source and autopilot.link."""
+    """Where a drone finds its sensors: the values of camera.source and autopilot.link.
+
+    system_id: of its autopilot, None for whichever is heard. start: drone.start as TOML, None where the scenario tells
+    it. max_frame_age_s: how late a frame may come.
+    """
 
     camera: str
     autopilot: str
+    system_id: int | None = None
+    start: str | None = None
+    max_frame_age_s: float = MAX_FRAME_AGE_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +49,17 @@ def write_configs(
     simulator: str,
     radio: Mapping[int, RadioEnds] | None = None,
     recordings: Path | None = None,
+    origin: TeamOrigin | None = None,
 ) -> dict[int, Path]:
     """team.toml and drone-N.toml; returns each drone's file.
 
     simulator: the command of a simulator for them, for whoever reads them later. radio: None for a swarm on this
-    machine's loopback. recordings: the folder where every agent records.
+    machine's loopback. recordings: the folder where every agent records. origin: of the team frame on the Earth.
     """
     text = _team_file(scenario, team, tracker, simulator)
+    if origin is not None:
+        place = f"lat_deg = {origin.lat_deg!r}, lon_deg = {origin.lon_deg!r}, alt_m = {origin.alt_m!r}"
+        text += f"\n[team]\norigin = {{ {place} }}\n"
     if recordings is not None:
         text += f"\n[recording]\ndir = {_text(str(recordings))}\n"
     (folder / "team.toml").write_text(text, encoding="utf-8")
@@ -92,7 +104,14 @@ tracks_hz = {scenario.tracks_hz:g}
 def _drone_file(scenario: Scenario, drone_id: int, sources: Sources, radio: RadioEnds | None) -> str:
     lens, mount = scenario.camera, scenario.body_from_camera
     rpy = np.degrees(rotation.to_euler(mount.rotation @ rotation.BODY_FROM_FORWARD_CAMERA.T))
-    start = scenario.announced[drone_id]
+    start = sources.start
+    if start is None:
+        announced = scenario.announced[drone_id]
+        start = (
+            f'{{ from = "local", offset_m = {_numbers(announced.position_m)}, '
+            f"position_sigma_m = {announced.position_sigma_m:g} }}"
+        )
+    system = "" if sources.system_id is None else f"system_id = {sources.system_id}\n"
     intrinsics = ", ".join(
         f"{name} = {value:g}"
         for name, value in (
@@ -121,17 +140,17 @@ extends = "team.toml"
 [drone]
 id = {drone_id}
 # A pose that is right whenever the agent (re)starts: by the autopilot, from where the drone was measured to stand.
-start = {{ from = "local", offset_m = {_numbers(start.position_m)}, position_sigma_m = {start.position_sigma_m:g} }}
+start = {start}
 
 [camera]
 source = {_text(sources.camera)}
 intrinsics = {{ {intrinsics} }}{distortion}
 body_from_camera = {{ rpy_deg = {_numbers(rpy)}, position_m = {_numbers(mount.position)} }}
-max_age_s = {MAX_FRAME_AGE_S}
+max_age_s = {sources.max_frame_age_s}
 
 [autopilot]
 link = {_text(sources.autopilot)}
-{network}"""
+{system}{network}"""
 
 
 def _text(value: str) -> str:

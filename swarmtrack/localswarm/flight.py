@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import os
 import secrets
 import shlex
@@ -20,30 +21,36 @@ from collections.abc import Iterator, Mapping
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import first_of
-from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.evaluation.swarm_verdict import Limits, SwarmReport
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
+from swarmtrack.localswarm.outside import NoTruth
 from swarmtrack.localswarm.processes import Child, Children, ProcessDied
 from swarmtrack.localswarm.radio import RadioEmulator
 from swarmtrack.localswarm.recording import FlightRecording
 from swarmtrack.localswarm.table import Spectator
+from swarmtrack.localswarm.truth_feed import follow_truth
 from swarmtrack.localswarm.watch import Watch
-from swarmtrack.scenario_file import load_limits, load_scenario
-from swarmtrack.simulation.scenarios import FaultKind, Scenario, ScenarioFault
+from swarmtrack.localswarm.world_file import OutsideWorld, load_world
+from swarmtrack.scenario_file import limits_of, load_scenario, read_scenario
+from swarmtrack.simulation.followed import FollowedDrone
+from swarmtrack.simulation.scenarios import FaultKind, Scenario, ScenarioFault, as_told
+from swarmtrack.toml.layers import Table
 from swarmtrack.tracking import DEFAULT_TRACKER
 from swarmtrack.transport import keys
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
 
-# s of lead before world time 0, generous: hovering a little longer costs nothing.
-SIMULATOR_START_S = 3.0
 AGENT_START_CPU_S = {"onnx": 1.6, "oracle": 1.2}
 MAX_SLOWDOWN = 4.0  # of the agents' start, by what else the machine is doing
 RECOGNISE_S = 2.5
 RADIO_LINKS_S = 6.0  # through a bad radio, a connection takes several attempts
 SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
+# The truth comes 50 ms after an exposure, and a picture takes up to 70 ms.
+MAX_OUTSIDE_FRAME_AGE_S = 0.3
 START_PATIENCE_S = 8.0  # that one agent may hold up the next ones' start
 AGENT_NICENESS = 5  # the simulator stands for hardware, which waits for no computer that is connected to it
 SHOW_HZ = 4.0
@@ -53,26 +60,54 @@ LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What `swarmtrack sim` is asked for. seconds: None: the scenario's own; folder: for configs and logs."""
+    """What `swarmtrack sim` is asked for. seconds: None: the scenario's own; world: a file, instead of the scenario.
+
+    seed: None: that of the world file, 1 of a scenario.
+    """
 
     scenario: str
     drones: int | None = None
     seconds: float | None = None
-    seed: int = 1
+    seed: int | None = None
     tracker: str = DEFAULT_TRACKER
     detector: str = "onnx"
     keep: bool = False
     record: Path | None = None
     monitor_port: int | None = None
     """Of the web page, 0: any; None: no page."""
+    world: Path | None = None
 
-    def load(self) -> Scenario:
-        return load_scenario(self.scenario, seed=self.seed, drones=self.drones)
+    def load(self) -> FlownPlan:
+        """Raises ConfigError."""
+        if self.world is not None:
+            outside = load_world(self.world, seed=self.seed, keep_s=math.inf)
+            followed = {drone_id: one.drone for drone_id, one in outside.outsiders.items()}
+            return FlownPlan(outside.scenario, outside.limits, outside.table, followed, outside)
+        layers = read_scenario(self.scenario)
+        seed = 1 if self.seed is None else self.seed
+        scenario, followed = as_told(load_scenario(self.scenario, seed=seed, drones=self.drones))
+        return FlownPlan(scenario, limits_of(layers), layers.table, followed)
+
+
+@dataclass(frozen=True, slots=True)
+class FlownPlan:
+    """What a plan comes to.
+
+    files: what its files say; followed: drones of which the simulator tells where they are; outside: where others fly,
+    who.
+    """
+
+    scenario: Scenario
+    limits: Limits
+    files: Table
+    followed: Mapping[int, FollowedDrone]
+    outside: OutsideWorld | None = None
 
 
 async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
     """Raises RadioError before anything was started, and ProcessDied with the last lines of a log."""
-    scenario = plan.load()
+    flown = plan.load()
+    scenario = flown.scenario
     async with AsyncExitStack() as stack:
         emulator = None
         if scenario.needs_radio:
@@ -84,7 +119,7 @@ async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
             spectator.note(f"configs and logs: {folder}")
         children = await stack.enter_async_context(Children(folder, keep=plan.keep))
         return await _SwarmFlight(
-            plan, scenario, folder=folder, children=children, emulator=emulator, spectator=spectator
+            plan, flown, folder=folder, children=children, emulator=emulator, spectator=spectator
         ).run()
 
 
@@ -92,7 +127,7 @@ class _SwarmFlight:
     def __init__(
         self,
         plan: FlightPlan,
-        scenario: Scenario,
+        flown: FlownPlan,
         *,
         folder: Path,
         children: Children,
@@ -100,7 +135,8 @@ class _SwarmFlight:
         spectator: Spectator,
     ) -> None:
         self._plan = plan
-        self._scenario = scenario
+        self._flown = flown
+        self._scenario = scenario = flown.scenario
         self._folder = folder
         self._children = children
         self._emulator = emulator
@@ -112,36 +148,44 @@ class _SwarmFlight:
         starters = [drone_id for drone_id in scenario.members if scenario.starts_s.get(drone_id, 0.0) <= 0.0]
         busy = min(1.0 + os.getloadavg()[0] / self._cores, MAX_SLOWDOWN)
         starting = busy * len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
-        lead = SIMULATOR_START_S + starting + RECOGNISE_S + (RADIO_LINKS_S if emulator is not None else 0.0)
-        self._epoch = self._clock.now() + lead
-        self._recording = FlightRecording(
-            plan.record, scenario, self._clock, team=self._team, epoch=self._epoch, seconds=self._seconds
-        )
-        self._watch = Watch(
-            scenario, self._clock, self._recording.hearing, epoch=self._epoch, seconds=self._seconds
-        )
+        # Generous: hovering a little longer costs nothing.
+        self._lead = starting + RECOGNISE_S + (RADIO_LINKS_S if emulator is not None else 0.0)
+        self._recording: FlightRecording
+        self._watch: Watch
         self._configs: Mapping[int, Path] = {}
         self._agents: dict[int, Child] = {}
 
     async def run(self) -> SwarmReport:
-        sources = await self._start_simulator()
+        ready = await self._start_simulator()
+        self._prepare(ready["epoch_s"])
         self._configs = write_configs(
             self._folder,
             self._scenario,
             team=self._team,
             tracker=self._plan.tracker,
-            sources=sources,
+            sources=self._sources(ready["drones"]),
             simulator=shlex.join(["python", *self._simulator_arguments()]),
             radio=self._radio_ends(),
             recordings=self._plan.record and self._plan.record.absolute(),
+            origin=None if self._flown.outside is None else self._flown.outside.origin,
         )
+        if self._flown.outside is None:
+            for drone_id in self._flown.followed:
+                where = ready["drones"][str(drone_id)]["ground"]
+                self._spectator.note(f"drone {drone_id}: a ground station flies it at {where}")
         if self._plan.monitor_port is not None:
             await self._start_monitor(self._plan.monitor_port)
         listener = ZenohListener(self._listening(), keys.all_but_video(self._team), self._clock)
         await listener.open()
         watch = self._watch
         plan = self._plan
-        self._recording.begin(plan.scenario, plan.drones, plan.tracker, plan.detector)
+        self._recording.begin(
+            self._flown.files,
+            drones=plan.drones,
+            outside=self._flown.outside is not None,
+            tracker=plan.tracker,
+            detector=plan.detector,
+        )
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(watch.hear(self._recording.heard(listener.samples())), name="hear")
@@ -150,6 +194,7 @@ class _SwarmFlight:
                     tasks.create_task(self._show(), name="show"),
                     tasks.create_task(self._start_agents(), name="agents"),
                     *(tasks.create_task(self._play(fault), name=str(fault.kind)) for fault in self._faults()),
+                    *self._following(tasks, ready),
                 ]
                 try:
                     await self._until(self._seconds + LAST_WORDS_S)
@@ -170,9 +215,11 @@ class _SwarmFlight:
 
     # --- starting -----------------------------------------------------------------------
 
-    async def _start_simulator(self) -> dict[int, Sources]:
-        self._spectator.note("starting the simulator …")
-        argv = [sys.executable, *self._simulator_arguments(), "--epoch", repr(self._epoch)]
+    async def _start_simulator(self) -> dict[str, Any]:
+        """The line that says where everything is. Raises NoTruth where others fly and nobody tells."""
+        what = "the truth about each drone" if self._flown.outside is not None else "the simulator"
+        self._spectator.note(f"waiting for {what} …")
+        argv = [sys.executable, *self._simulator_arguments(), "--lead", repr(self._lead)]
         if self._emulator is not None:
             argv += ["--host", self._emulator.wire_address]
         simulator = await self._children.start("simulator", argv, talks=True)
@@ -184,11 +231,46 @@ class _SwarmFlight:
             raise ProcessDied(f"the simulator is not ready after {SIMULATOR_PATIENCE_S:g} s") from None
         if not line:
             raise ProcessDied((await self._children.died).describe_end())
-        ready = json.loads(line)
+        ready: dict[str, Any] = json.loads(line)
+        if not ready["ready"]:
+            raise NoTruth(ready["error"])
+        return ready
+
+    def _sources(self, drones: dict[str, dict[str, str]]) -> dict[int, Sources]:
+        """Where each agent finds its sensors. drones: as the simulator says it."""
+        outside = self._flown.outside
+        if outside is None:
+            return {int(n): Sources(one["camera"], one["autopilot"]) for n, one in drones.items()}
         return {
-            int(drone_id): Sources(addresses["camera"], addresses["autopilot"])
-            for drone_id, addresses in ready["drones"].items()
+            drone_id: Sources(
+                drones[str(drone_id)]["camera"],
+                one.link,
+                system_id=one.truth.system_id,
+                start=one.start,
+                max_frame_age_s=MAX_OUTSIDE_FRAME_AGE_S,
+            )
+            for drone_id, one in outside.outsiders.items()
         }
+
+    def _prepare(self, epoch: float) -> None:
+        """Get ready to judge and to record. epoch: world time 0."""
+        self._recording = FlightRecording(
+            self._plan.record,
+            self._scenario,
+            self._clock,
+            team=self._team,
+            epoch=epoch,
+            seconds=self._seconds,
+        )
+        self._watch = Watch(
+            self._scenario, self._clock, self._recording.hearing, epoch=epoch, seconds=self._seconds
+        )
+
+    def _following(self, tasks: asyncio.TaskGroup, ready: dict[str, Any]) -> Iterator[asyncio.Task[None]]:
+        """Where others fly, or a ground station: a task that hears from the simulator where they are."""
+        drones = self._flown.followed
+        if drones:
+            yield tasks.create_task(follow_truth(ready["truth"], drones, self._spectator.note), name="follow")
 
     async def _start_monitor(self, port: int) -> None:
         """A process of its own, that takes no time from judging. Where there is a screen, its page is opened."""
@@ -209,7 +291,8 @@ class _SwarmFlight:
     def _simulator_arguments(self) -> list[str]:
         """What decides what is flown."""
         plan = self._plan
-        arguments = ["--scenario", plan.scenario, "--seed", str(plan.seed), "--detector", plan.detector]
+        flown = ["--scenario", plan.scenario] if plan.world is None else ["--world", str(plan.world)]
+        arguments = [*flown, "--seed", str(self._scenario.seed), "--detector", plan.detector]
         if plan.drones is not None:
             arguments += ["--drones", str(plan.drones)]
         return ["-m", "swarmtrack.agents.simulator", *arguments]
@@ -335,15 +418,19 @@ class _SwarmFlight:
         if total > 1000:
             self._spectator.note(f"judging the remaining {total} views …")
         await self._watch.judge_the_rest()
+        if self._watch.unjudged:
+            self._spectator.note(
+                f"{self._watch.unjudged} views were not judged: nobody told the truth at their times"
+            )
 
     def _report(self) -> SwarmReport:
         plan = self._plan
         return self._watch.report(
             seconds=self._seconds,
-            seed=plan.seed,
+            seed=self._scenario.seed,
             tracker=plan.tracker,
             detector=plan.detector,
-            limits=load_limits(plan.scenario),
+            limits=self._flown.limits,
         )
 
 

@@ -3,32 +3,45 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import functools
 import json
 import math
 import os
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, suppress
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from swarmtrack.clock import Clock
+from swarmtrack.localswarm.truth_feed import Followers, told
 from swarmtrack.messages import Image
-from swarmtrack.simulation.autopilot import DroneSenses, SimulatedArduPilot
-from swarmtrack.simulation.scenarios import FaultKind, Scenario, ScenarioFault
-from swarmtrack.simulation.sensors import ImuParameters, Instant, detect
+from swarmtrack.simulation.autopilot import SimulatedArduPilot, SimulatedVehicle
+from swarmtrack.simulation.firmware import ARDUCOPTER, PX4
+from swarmtrack.simulation.followed import NotTold, ToldPose
+from swarmtrack.simulation.guided import GuidedDrone
+from swarmtrack.simulation.oracle import OracleDetector
+from swarmtrack.simulation.pilot import GuidedPilot, OnItsPath, Pilot
+from swarmtrack.simulation.px4 import LOCKSTEP_HZ, SimulatedPx4
+from swarmtrack.simulation.scenarios import AutopilotKind, FaultKind, Scenario, ScenarioFault
+from swarmtrack.simulation.senses import DroneSenses
+from swarmtrack.simulation.sensors import ImuParameters
+from swarmtrack.simulation.truth import DroneTruth
 
 TICK = 0.002  # s: autopilots that have something to say within it are served together
 # Cameras expose in so many groups: one after another for the processor, together for the world.
 SHUTTER_GROUPS = 3
+TRUTH_EVERY = 0.02  # s
 DETECTION_TIME = 0.03  # s from exposure to the oracle's detections, as a small computer's detector needs
 JPEG_QUALITY = 90
 SEND_BUFFER = 1 << 16  # bytes: two frames; the kernel's own megabytes would be a backlog of seconds
 BOUNDARY = "frame"
+# What each port of an autopilot is called among a drone's addresses, and how far above the cameras' port drone 0's is.
+AUTOPILOT_PORTS = {"autopilot": 0, "ground": 1000, "truth": 2000}
+# m, horizontal and vertical, as their receivers say it.
+ARDUPILOT_GPS, PX4_GPS = (0.8, 1.2), (0.9, 1.78)
 AUTOPILOT_FAULTS = (FaultKind.IMU_GAP, FaultKind.AUTOPILOT_REBOOT)
 
 
@@ -50,27 +63,51 @@ class CameraClient:
         return self._newest
 
 
+class WorldTime(Protocol):
+    """The time of a world, as far as a camera can expose in it."""
+
+    def now(self) -> float:
+        """World time up to which can be exposed [s]."""
+        ...
+
+    async def until(self, t: float) -> None:
+        """Until an exposure at world time t can be made."""
+        ...
+
+
+class OwnTime:
+    """Of a world that is known for all times: it passes as our clock does. epoch: world time 0 on the clock."""
+
+    def __init__(self, clock: Clock, epoch: float) -> None:
+        self._clock = clock
+        self._epoch = epoch
+
+    def now(self) -> float:
+        return self._clock.now() - self._epoch
+
+    async def until(self, t: float) -> None:
+        await asyncio.sleep(t - self.now())
+
+
 class CameraHardware:
     """Exposes on time, as long as somebody watches; a picture is shown when it is made.
 
     make: what is sent of the exposure (index, t), t in world time. An exposure that falls due while the last one is
-    still being made is skipped, as in a camera that cannot keep its rate.
+    still being made is skipped, as in a camera that cannot keep its rate. So is one of which nobody told the truth.
     """
 
     def __init__(
         self,
         drone_id: int,
         scenario: Scenario,
-        epoch: float,
-        clock: Clock,
+        time: WorldTime,
         make: Callable[[int, int, float], Awaitable[bytes]],
     ) -> None:
         self._drone_id = drone_id
         self._fps = scenario.fps
         self._phase = (drone_id % SHUTTER_GROUPS) / SHUTTER_GROUPS
         self._stalls = tuple(f for f in scenario.faults if f.kind is FaultKind.CAMERA_STALL)
-        self._epoch = epoch
-        self._clock = clock
+        self._time = time
         self._make = make
         self._watchers: set[CameraClient] = set()
         self._watched = asyncio.Event()
@@ -79,13 +116,15 @@ class CameraHardware:
         last = -math.inf
         while True:
             await self._watched.wait()
-            now = self._clock.now() - self._epoch
-            index = math.ceil(max(now * self._fps - self._phase, last + 1))
+            index = math.ceil(max(self._time.now() * self._fps - self._phase, last + 1))
             last, t = index, (index + self._phase) / self._fps
-            await asyncio.sleep(t - now)
+            await self._time.until(t)
             if any(stall.concerns(self._drone_id, t) for stall in self._stalls):
                 continue
-            part = await self._make(self._drone_id, index, t)
+            try:
+                part = await self._make(self._drone_id, index, t)
+            except NotTold:
+                continue
             for watcher in self._watchers:
                 watcher.show(part)
 
@@ -126,11 +165,12 @@ class CameraRenderer:
         loop = asyncio.get_running_loop()
         jpeg = await loop.run_in_executor(self._workers, self._photograph, drone_id, index, t)
         head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n"
-        return f"{head}X-Timestamp: {self._epoch + t:.6f}\r\n\r\n".encode() + jpeg + b"\r\n"
+        stamp = self._epoch + t + self._scenario.camera_offset_s.get(drone_id, 0.0)
+        return f"{head}X-Timestamp: {stamp:.6f}\r\n\r\n".encode() + jpeg + b"\r\n"
 
     def _photograph(self, drone_id: int, index: int, t: float) -> bytes:
         image = self._renderer.image(drone_id, t, index)
-        birds = extra_clutter(self._scenario.faults, drone_id, t)
+        birds = self._scenario.extra_clutter(drone_id, t)
         if birds:
             draw_birds(image, birds, self._scenario.world.chance("birds", drone_id, index))
         return bytes(self._encode(image)[1])
@@ -139,49 +179,34 @@ class CameraRenderer:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
 
-class OracleDetector:
-    """Knows where everybody is, and says it as a detector would: with misses, noise and clutter."""
+class OracleCamera:
+    """Tells what the detector found in the place of pictures."""
 
     content_type = "application/x-ndjson"
     scheme = "detections"
 
     def __init__(self, scenario: Scenario, epoch: float) -> None:
-        self._scenario = scenario
+        self._oracle = OracleDetector(scenario)
+        self._stamps_late = scenario.camera_offset_s
         self._epoch = epoch
         self._sequences: dict[int, int] = {}  # of each camera's first frame
-        # Cameras of one shutter group look at the same instant.
-        self._instant: Callable[[float], Instant] = functools.lru_cache(maxsize=2 * SHUTTER_GROUPS)(
-            lambda t: Instant(scenario.world, t)
-        )
 
     async def make(self, drone_id: int, index: int, t: float) -> bytes:
-        scenario, detector = self._scenario, self._scenario.detector
-        clutter = detector.clutter_per_frame + extra_clutter(scenario.faults, drone_id, t)
-        found = detect(
-            self._instant(t).visible(drone_id, scenario.camera, scenario.body_from_camera),
-            scenario.camera,
-            dataclasses.replace(detector, clutter_per_frame=clutter),
-            scenario.world.chance("detector", drone_id, index),
-            t=self._epoch + t,
-            sequence=index - self._sequences.setdefault(drone_id, index),
-        )
+        found = self._oracle.detections(drone_id, index, t)
         rows = [
             [*(round(value, 3) for value in (*centre, *size)), round(score, 4)]
             for centre, size, score in zip(
                 found.centre.tolist(), found.size.tolist(), found.score.tolist(), strict=True
             )
         ]
-        line = {"t_s": round(found.t, 6), "sequence": found.sequence, "detections": rows}
+        stamp = self._epoch + t + self._stamps_late.get(drone_id, 0.0)
+        sequence = index - self._sequences.setdefault(drone_id, index)
+        line = {"t_s": round(stamp, 6), "sequence": sequence, "detections": rows}
         await asyncio.sleep(DETECTION_TIME)
         return json.dumps(line).encode() + b"\n"
 
     def close(self) -> None:
         """Nothing is open."""
-
-
-def extra_clutter(faults: Iterable[ScenarioFault], drone_id: int, t: float) -> float:
-    """False detections to expect in a frame exposed at world time t, beyond the detector's own."""
-    return sum(f.value for f in faults if f.kind is FaultKind.CLUTTER and f.concerns(drone_id, t))
 
 
 def draw_birds(image: Image, expected: float, rng: np.random.Generator) -> None:
@@ -196,12 +221,18 @@ def draw_birds(image: Image, expected: float, rng: np.random.Generator) -> None:
             cv2.line(image, (u, v), (u + side * span, v - lift), (30, 30, 30), max(1, span // 5), cv2.LINE_AA)
 
 
-class AutopilotSocket(asyncio.DatagramProtocol):
-    """A simulated autopilot on a UDP port. It answers whoever last sent it a valid message."""
+class AutopilotPort(asyncio.DatagramProtocol):
+    """A port of a simulated autopilot on UDP. It answers whoever last sent it a valid message."""
 
-    def __init__(self, autopilot: SimulatedArduPilot, clock: Clock) -> None:
-        self.autopilot = autopilot
+    def __init__(
+        self, autopilot: SimulatedVehicle, port: int, clock: Clock, siblings: list[AutopilotPort]
+    ) -> None:
+        """siblings: the ports that this autopilot has until now, to which it is added."""
         self.due = -math.inf
+        self._siblings = siblings
+        siblings.append(self)
+        self._autopilot = autopilot
+        self._port = port
         self._clock = clock
         self._peer: tuple[Any, ...] | None = None
         self._transport: asyncio.DatagramTransport
@@ -212,32 +243,34 @@ class AutopilotSocket(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         now = self._clock.now()
-        if self.autopilot.receive(data, now):
+        if self._autopilot.receive(data, now, self._port):
             self._peer = addr
-            self.speak(now)  # the companion measures the way of its question and of the answer
+            # At once: the companion measures the way of its question and of the answer.
+            for port in self._siblings:
+                port.speak(now)
 
     def error_received(self, error: Exception) -> None:
         """The companion's port is closed just now: it is being started again."""
 
     def speak(self, now: float) -> None:
-        for data in self.autopilot.step(now):
+        for data in self._autopilot.step(now, self._port):
             if self._peer is not None:
                 self._transport.sendto(data, self._peer)
-        self.due = self.autopilot.next_due
+        self.due = self._autopilot.next_due(self._port)
 
 
-async def keep_speaking(sockets: list[AutopilotSocket], clock: Clock) -> None:
+async def keep_speaking(ports: list[AutopilotPort], clock: Clock) -> None:
     """Serve all autopilots by one timer."""
     while True:
         now = clock.now()
-        for autopilot in sockets:
-            if autopilot.due <= now:
-                autopilot.speak(now)
-        await asyncio.sleep(max(min(autopilot.due for autopilot in sockets) - now, TICK))
+        for port in ports:
+            if port.due <= now:
+                port.speak(now)
+        await asyncio.sleep(max(min(port.due for port in ports) - now, TICK))
 
 
 async def play(
-    fault: ScenarioFault, autopilots: dict[int, SimulatedArduPilot], epoch: float, clock: Clock
+    fault: ScenarioFault, autopilots: dict[int, SimulatedVehicle], epoch: float, clock: Clock
 ) -> None:
     """A fault of autopilots, at its world time."""
     begin, end = epoch + fault.at_s, epoch + fault.at_s + fault.seconds
@@ -257,15 +290,55 @@ async def play(
             autopilot.mute = False
 
 
-def make_autopilot(scenario: Scenario, drone_id: int, epoch: float, now: float) -> SimulatedArduPilot:
+def make_autopilot(scenario: Scenario, drone_id: int, epoch: float, now: float) -> SimulatedVehicle:
+    """The autopilot of a drone, switched on before `now`. epoch: world time 0."""
+    kind, drone = scenario.autopilot(drone_id), scenario.world.flown(drone_id)
     skew = scenario.autopilot_skew.get(drone_id, 0.0)
     switched_on = epoch - scenario.autopilot_boot_s.get(drone_id, 0.0) / (1.0 + skew)
-    return SimulatedArduPilot(
-        DroneSenses(scenario.world, drone_id, epoch, imu=ImuParameters(rate_hz=scenario.imu_rate_hz)),
+    ardupilot = kind is AutopilotKind.ARDUPILOT
+    firmware = ARDUCOPTER if ardupilot else PX4
+    senses = DroneSenses(
+        scenario.world,
+        drone_id,
+        epoch,
+        imu=_imu(kind, scenario.imu_rate_hz),
+        earth=scenario.origin,
+        gps_sigma=ARDUPILOT_GPS[0] if ardupilot else PX4_GPS[0],
+        gps_vertical_sigma=ARDUPILOT_GPS[1] if ardupilot else PX4_GPS[1],
+    )
+    pilot: Pilot = OnItsPath(epoch + drone.takes_off_s)
+    if isinstance(drone, GuidedDrone):
+        pilot = GuidedPilot(
+            drone,
+            firmware,
+            epoch=epoch,
+            origin=scenario.origin,
+            located=lambda t: senses.at(t).gps is not None,
+        )
+    make: Callable[..., SimulatedVehicle] = SimulatedArduPilot
+    if not ardupilot:
+        make = functools.partial(SimulatedPx4, lockstep=kind is AutopilotKind.PX4_LOCKSTEP)
+    return make(
+        senses,
+        truth=DroneTruth(scenario.world, drone_id, epoch, scenario.origin),
+        pilot=pilot,
         system=(drone_id - 1) % 255 + 1,
         boot_at=min(switched_on, now),  # agents start before world time 0: by then it is on
         skew=skew,
     )
+
+
+def _imu(kind: AutopilotKind, rate_hz: float) -> ImuParameters:
+    """ArduPilot filters its gyro, PX4 tells the mean of an integration interval."""
+    match kind:
+        case AutopilotKind.ARDUPILOT:
+            return ImuParameters(rate_hz=rate_hz, filter_hz=ARDUCOPTER.parameters["INS_GYRO_FILTER"])
+        case AutopilotKind.PX4:
+            return ImuParameters(
+                rate_hz=rate_hz, filter_hz=0.0, window_s=1.0 / PX4.parameters["IMU_INTEG_RATE"]
+            )
+        case AutopilotKind.PX4_LOCKSTEP:
+            return ImuParameters(rate_hz=rate_hz, filter_hz=0.0, window_s=1.0 / LOCKSTEP_HZ)
 
 
 async def simulate(
@@ -277,15 +350,21 @@ async def simulate(
     port: int,
     flown: Mapping[str, Any],
     clock: Clock,
-    on_ready: Callable[[dict[int, dict[str, str]]], None],
+    on_ready: Callable[[dict[int, dict[str, str]], str | None], None],
 ) -> None:
-    """Run it all until cancelled. on_ready: called with the addresses of each drone, once everything listens.
+    """Run it all until cancelled.
 
-    port: of the cameras; that of drone N's autopilot is N higher. 0: whichever are free. flown: what the server tells
-    at `/` beside the world time.
+    on_ready: called once everything listens, with the addresses of each drone, and with the URL at which the truth
+    about guided drones is told, if there are any.
+
+    port: of the cameras; those of drone N's autopilot are N higher, see AUTOPILOT_PORTS. 0: whichever are free.
+    flown: what the server tells at `/` beside the world time.
     """
-    images = OracleDetector(scenario, epoch) if oracle else CameraRenderer(scenario, epoch)
-    cameras = {n: CameraHardware(n, scenario, epoch, clock, images.make) for n in scenario.members}
+    guided = {n: d for n, d in scenario.world.drones.items() if isinstance(d, GuidedDrone)}
+    followers = Followers()
+    images = OracleCamera(scenario, epoch) if oracle else CameraRenderer(scenario, epoch)
+    time = OwnTime(clock, epoch)
+    cameras = {n: CameraHardware(n, scenario, time, images.make) for n in scenario.members}
     autopilots = {n: make_autopilot(scenario, n, epoch, clock.now()) for n in scenario.members}
     async with AsyncExitStack() as stack:
         stack.callback(images.close)
@@ -295,27 +374,40 @@ async def simulate(
             images.content_type,
             (host, port),
             tell=lambda: {**flown, "world_time_s": clock.now() - epoch},
+            truth=followers.lines if guided else None,
         )
-        sockets, addresses = [], {}
+        ports: list[AutopilotPort] = []
+        addresses: dict[int, dict[str, str]] = {}
         for n, autopilot in autopilots.items():
-            transport, protocol = await asyncio.get_running_loop().create_datagram_endpoint(
-                functools.partial(AutopilotSocket, autopilot, clock),
-                local_addr=(host, port + n if port else 0),
-            )
-            stack.callback(transport.close)
-            sockets.append(protocol)
-            addresses[n] = {
-                "camera": f"{images.scheme}://{_authority(http)}/{n}",
-                "autopilot": f"udpout:{_authority(transport.get_extra_info('sockname'))}",
-            }
+            siblings: list[AutopilotPort] = []
+            addresses[n] = {"camera": f"{images.scheme}://{authority(http)}/{n}"}
+            for k, (name, above) in enumerate(AUTOPILOT_PORTS.items()):
+                transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+                    functools.partial(AutopilotPort, autopilot, k, clock, siblings),
+                    local_addr=(host, port + above + n if port else 0),
+                )
+                stack.callback(transport.close)
+                addresses[n][name] = f"udpout:{authority(transport.get_extra_info('sockname'))}"
+            ports += siblings
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(keep_speaking(sockets, clock), name="autopilots")
+            tasks.create_task(keep_speaking(ports, clock), name="autopilots")
             for n, camera in cameras.items():
                 tasks.create_task(camera.run(), name=f"camera {n}")
             for fault in scenario.faults:
                 if fault.kind in AUTOPILOT_FAULTS and epoch + fault.at_s > clock.now():
                     tasks.create_task(play(fault, autopilots, epoch, clock), name=str(fault.kind))
-            on_ready(addresses)
+            if guided:
+                tasks.create_task(tell_truth(guided, followers, OwnTime(clock, epoch)), name="truth")
+            on_ready(addresses, f"http://{authority(http)}/truth" if guided else None)
+
+
+async def tell_truth(drones: Mapping[int, GuidedDrone], followers: Followers, time: OwnTime) -> None:
+    """Where guided drones are, for those who do not fly them."""
+    while True:
+        t = time.now()
+        for drone_id, drone in drones.items():
+            followers.put(told(drone_id, ToldPose(t, drone.pose(t))))
+        await asyncio.sleep(TRUTH_EVERY)
 
 
 async def serve_cameras(
@@ -325,8 +417,9 @@ async def serve_cameras(
     address: tuple[str, int],
     *,
     tell: Callable[[], dict[str, Any]],
+    truth: Callable[[], AsyncIterator[bytes]] | None = None,
 ) -> tuple[Any, ...]:
-    """Serve each at /ID, and at / what `tell` says; returns the socket's address."""
+    """Serve each at /ID, at / what `tell` says, and at /truth its lines; returns the socket's address."""
     from aiohttp import web
 
     async def introduce(_: web.Request) -> web.Response:
@@ -348,8 +441,19 @@ async def serve_cameras(
                 await response.write(part)
         return response
 
+    async def follow(request: web.Request) -> web.StreamResponse:
+        if truth is None:
+            raise web.HTTPNotFound(text="its truth is the scenario that it flies, see /\n")
+        response = web.StreamResponse(headers={"Content-Type": "application/x-ndjson"})
+        await response.prepare(request)
+        with suppress(ConnectionError):
+            async for line in truth():
+                await response.write(line)
+        return response
+
     application = web.Application()
     application.router.add_get("/", introduce)
+    application.router.add_get("/truth", follow)
     application.router.add_get(r"/{drone:\d{1,5}}", watch)
     # Without its cancellation, the handler of a client that left would wait for a camera that is stalled.
     runner = web.AppRunner(application, access_log=None, shutdown_timeout=0.1, handler_cancellation=True)
@@ -360,6 +464,6 @@ async def serve_cameras(
     return bound
 
 
-def _authority(address: tuple[Any, ...]) -> str:
+def authority(address: tuple[Any, ...]) -> str:
     host, port = address[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,14 +13,17 @@ from swarmtrack.errors import RecordingError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.localswarm.watch import HeldClock
 from swarmtrack.recording.reader import FLIGHT_PLAN
-from swarmtrack.scenario_file import read_scenario
+from swarmtrack.simulation.followed import FollowedDrone, ToldPose
 from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.simulation.world import Drawn
+from swarmtrack.toml.layers import Table
 from swarmtrack.transport.base import Sample
 
 if TYPE_CHECKING:
     from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 
 TRUTH_HZ = 10.0
+EVENTS = "events.json"
 
 
 @dataclass(slots=True, eq=False)
@@ -37,8 +40,8 @@ class FlightRecording:
     """When the sample was heard that was handed over last."""
     _recorder: SwarmRecorder | None = None
 
-    def begin(self, source: str, drones: int | None, tracker: str, detector: str) -> None:
-        """source: name or file of the scenario; drones: how many were asked for."""
+    def begin(self, files: Table, *, drones: int | None, outside: bool, tracker: str, detector: str) -> None:
+        """files: what the scenario's, or the world's, say; drones: how many were asked for; outside: others fly."""
         if self.folder is None:
             return
         from swarmtrack.recording.writer import Attachment
@@ -46,7 +49,8 @@ class FlightRecording:
 
         plan = {
             "scenario": self.scenario.name,
-            "files": read_scenario(source).table,
+            "files": files,
+            "outside": outside,
             "seed": self.scenario.seed,
             "drones": drones,
             "seconds": self.seconds,
@@ -61,6 +65,7 @@ class FlightRecording:
             metadata={"scenario": self.scenario.name},
             attachments=[Attachment(FLIGHT_PLAN, "application/json", json.dumps(plan, default=str).encode())],
         )
+        write_events(self.folder / EVENTS, self.scenario, self.epoch)
 
     async def heard(self, samples: AsyncIterator[Sample]) -> AsyncIterator[Sample]:
         """The same samples, each recorded before it is looked at."""
@@ -83,13 +88,24 @@ class FlightRecording:
         from swarmtrack.runtime.swarm_recorder import TruePose
 
         self._recorder.landed()
-        world = self.scenario.world
-        for k in range(int(self.seconds * TRUTH_HZ) + 1):
-            for drone_id in world.drones:
-                t = k / TRUTH_HZ
-                self._recorder.truth(self.epoch, TruePose(t, drone_id, world.pose(drone_id, t)))
+        for drone_id, drone in self.scenario.world.drones.items():
+            # What was told is kept as it was told: the judge can then find the same between two samples.
+            samples = drone.samples if isinstance(drone, FollowedDrone) else self._planned(drone)
+            for sample in samples:
+                self._recorder.truth(self.epoch, TruePose(sample.t, drone_id, sample.pose))
         self._recorder.verdict(report.as_record())
         self._recorder.close()
+
+    def _planned(self, drone: Drawn) -> Iterator[ToldPose]:
+        times = (k / TRUTH_HZ for k in range(int(self.seconds * TRUTH_HZ) + 1))
+        return (ToldPose(t, drone.pose(t)) for t in times)
+
+
+def write_events(path: Path, scenario: Scenario, epoch: float) -> None:
+    """What the drones are told and when, [[seconds on the machine's monotonic clock, words], …]; nothing: no file."""
+    rows = [[round(epoch + event.t, 3), f"drone {event.drone_id} {event.words}"] for event in scenario.events]
+    if rows:
+        path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 def check_empty(folder: Path) -> None:

@@ -18,8 +18,9 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, JudgedTrack, NamedTrack, SwarmScorer
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.evaluation.swarm_truth import KNOTS_HZ, SwarmTruth
 from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
+from swarmtrack.simulation.followed import NotTold
 from swarmtrack.simulation.scenarios import Scenario, ScenarioFault
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -34,6 +35,7 @@ from swarmtrack.wire.tracks import TracksMessage
 JUDGING_SHARE = 0.15  # of one core, in flight
 MAX_JUDGED_IN_FLIGHT = 10  # drones: of more the judge would be behind anyway
 SETTLED_S = 3.0  # s of an agent's life: the second that its health message looks back upon is an ordinary one
+TRUTH_AHEAD_S = 1.0 / KNOTS_HZ  # of what is judged: the truth is interpolated between knots
 NEW_SCAN_S = 1e-3  # s: exposures nearer to each other than this are one
 
 
@@ -95,6 +97,8 @@ class Watch:
         self.agents = {drone_id: AgentView() for drone_id in scenario.members}
         self.scorer = SwarmScorer(scenario.members, start=0.0, end=seconds)
         self.unreadable = 0
+        self.unjudged = 0
+        """Of what was said: the truth of that time was not told."""
         self._scenario = scenario
         self._clock = clock
         self._hearing = hearing
@@ -254,7 +258,7 @@ class Watch:
     async def judge(self) -> None:
         """In flight, until cancelled: as statements come, in a share of one core."""
         while len(self.agents) <= MAX_JUDGED_IN_FLIGHT:
-            while self._waiting:
+            while self._waiting and self._waiting[0].t + TRUTH_AHEAD_S <= self._scenario.world.told_until:
                 began = self._clock.now()
                 self._judge_next()
                 await asyncio.sleep((self._clock.now() - began) * (1.0 / JUDGING_SHARE - 1.0))
@@ -272,7 +276,11 @@ class Watch:
 
     def _judge_next(self) -> None:
         statement = self._waiting.popleft()
-        view = self._truth.view(statement.observer, statement.t)
+        try:
+            view = self._truth.view(statement.observer, statement.t)
+        except NotTold:
+            self.unjudged += 1
+            return
         agent = self.agents[statement.observer]
         agent.judged_t = statement.t
         agent.seen = self.scorer.add(

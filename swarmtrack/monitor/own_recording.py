@@ -18,6 +18,7 @@ from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
     EgoPose,
+    FlightState,
     IdClash,
     Input,
     PeerArrived,
@@ -31,6 +32,7 @@ from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
 from swarmtrack.replay.replayer import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
+from swarmtrack.runtime import periods
 from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -47,10 +49,18 @@ from swarmtrack.wire.video import VideoMessage, lens_message
 HEALTH_TOPIC = "/health"
 HEEDED_INPUTS = frozenset(
     inputs.FORM_OF_KIND[kind].topic
-    for kind in (EgoPose, AutopilotRebooted, Announcement, SightingReport, PeerArrived, PeerDeparted, IdClash)
+    for kind in (
+        EgoPose,
+        FlightState,
+        AutopilotRebooted,
+        Announcement,
+        SightingReport,
+        PeerArrived,
+        PeerDeparted,
+        IdClash,
+    )
 )
 EGO_HISTORY_S = 2.0
-VIEWS_HZ = 10.0  # as live video at most
 SPOKE_S = 0.2  # s between two signs of life that are kept: silence counts from 2 s on
 SILENT_WORD_S = 1.0  # s between two signs of life of a teammate that did not record itself
 JITTER_S = 0.01
@@ -128,6 +138,8 @@ class DroneRecording:
         match event:
             case EgoPose():
                 self._ego.append(event)
+            case FlightState():
+                self._ego.fly(event)
             case AutopilotRebooted():
                 self._ego.restart()
             case SightingReport():
@@ -291,4 +303,4 @@ _DECODE_TIME = msgspec.json.Decoder(_Time).decode
 
 
 def _is_due(views: list[tuple[float, VideoMessage, Blob | None]], t: float) -> bool:
-    return not views or t - views[-1][0] >= 1.0 / VIEWS_HZ - JITTER_S
+    return not views or t - views[-1][0] >= periods.VIDEO - JITTER_S

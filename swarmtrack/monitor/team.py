@@ -314,6 +314,8 @@ def troubles(health: HealthMessage | None) -> list[str]:
         elif imu.got_hz < SLOW * imu.asked_hz:
             # How many is in the table: a line of events for each number would be too much.
             found.append("gets too few IMU samples")
+    if health.noise is not None and health.noise.found:
+        found.append(f"says: {health.noise.found}")
     detections = health.rates.get("detections")
     if detections is not None and detections.got_hz == 0.0 and "lost its camera" not in found:
         found.append("gets no frames")

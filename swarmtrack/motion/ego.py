@@ -10,7 +10,8 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Array, EgoPose
+from swarmtrack.messages import Array, EgoPose, FlightState
+from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
 
 SPEED_SIGMA = 1.0  # m/s: how fast a drone may be moving where no pose says so
 RATE_SIGMA = 0.5  # rad/s, likewise
@@ -23,18 +24,36 @@ YAW_JUMP, FASTEST_YAW, YAW_STEP = 0.2, 4.0, 0.5  # rad, rad/s, s between two pos
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeamPose:
-    """This drone in the team frame at t: position (3,) m, world_from_body (3, 3), one sigma per axis [m], [rad]."""
+    """This drone in the team frame at t: position (3,) m, world_from_body (3, 3).
+
+    position_cov (3, 3) m²; attitude_cov (3, 3) rad², of a small turn about the team's axes: the third is the heading's.
+    """
 
     t: float
     position: Array
     world_from_body: Array
-    position_sigma: float
-    attitude_sigma: float
+    position_cov: Array
+    attitude_cov: Array
 
     @property
     def pose(self) -> Pose:
         """world_from_body, without its errors."""
         return Pose(self.world_from_body, self.position)
+
+    @property
+    def position_sigma(self) -> float:
+        """Where one number must do for all axes, that of the worst [m]."""
+        return math.sqrt(float(self.position_cov.diagonal().max()))
+
+    @property
+    def attitude_sigma(self) -> float:
+        """Of the worst axis [rad]."""
+        return math.sqrt(float(self.attitude_cov.diagonal().max()))
+
+    @property
+    def tilt_sigma(self) -> float:
+        """Of the tilt, per axis [rad]."""
+        return math.sqrt(float(self.attitude_cov[0, 0]))
 
 
 class EgoHistory:
@@ -49,6 +68,8 @@ class EgoHistory:
     Heading and place are continuous in the team frame: when the estimator's heading jumps (it aligns itself seconds
     after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
     origin, goes on from where the drone was last.
+
+    heading: how well the autopilot knows its heading.
     """
 
     def __init__(
@@ -58,15 +79,19 @@ class EgoHistory:
         origin: Array | None = None,
         absolute: bool = False,
         history_s: float = 2.0,
+        heading: HeadingSigma | None = None,
     ) -> None:
         self.start = start
         self.origin = np.zeros(3) if origin is None else origin
         self.absolute = absolute
         self.history_s = history_s
+        self.heading = HeadingKnowledge(heading or HeadingSigma())
         self.out_of_order = 0
         self.without_position = 0
         self.heading_jumps = 0
         self._turn: Array | None = None
+        self._turn_sigma = 0.0
+        self._jumped_at = -math.inf
         self._shift: Array | None = None
         self._yaw: tuple[float, float] | None = None
         self._placed: TeamPose | None = None  # the last whose position the autopilot knew
@@ -86,30 +111,47 @@ class EgoHistory:
         if self._poses and pose.t <= self._poses[-1].t - self.history_s:
             self.out_of_order += 1
             return
+        self.heading.see(pose)
         turn = self._connect_heading(pose)
-        position, sigma = self._place(pose)
-        if position is None:
+        place = self._place(pose)
+        if place is None:
             self.without_position += 1
             return
+        position, cov = place
+        tilt, heading = pose.attitude_sigma**2, self.heading.sigma(pose.t) ** 2
         turned = turn @ pose.world_from_body
-        placed = TeamPose(pose.t, position, turned, sigma, pose.attitude_sigma)
+        placed = TeamPose(pose.t, position, turned, cov, np.diag([tilt, tilt, heading]))
         insort(self._poses, placed, key=lambda kept: kept.t)
         if pose.position is not None:
             self._placed = placed
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
             del self._poses[0]
 
+    def fly(self, state: FlightState) -> None:
+        """Whether the drone flies, by its autopilot."""
+        self.heading.fly(state)
+
     def restart(self) -> None:
         """The autopilot has rebooted: its frame may begin anywhere, the drone goes on from where it was."""
+        if self._poses:
+            self.heading.restart(self._poses[-1].t)
         if not self.absolute:
             self._shift = None
+
+    def step_heading(self, t: float, step: float) -> None:
+        """By t the estimator's heading has stepped by so much [rad], and the drone has not: where the team frame was
+        connected by a measured heading, it stays where it was. A jump that was seen here counts once."""
+        self.heading.step(t)
+        if self.start is not None and t - self._jumped_at > YAW_STEP:
+            self._turn_along(step)
 
     def at(self, t: float) -> TeamPose | None:
         """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings."""
         if not self._poses:
             if self.start is None:
                 return None
-            return TeamPose(t, self.start.position, self.start.rotation, HELD_POSITION_SIGMA, LEVEL_SIGMA)
+            held, level = HELD_POSITION_SIGMA**2 * np.eye(3), LEVEL_SIGMA**2 * np.eye(3)
+            return TeamPose(t, self.start.position, self.start.rotation, held, level)
         k = bisect_left(self._poses, t, key=lambda kept: kept.t)
         if k in (0, len(self._poses)):
             nearest = self._poses[min(k, len(self._poses) - 1)]
@@ -117,8 +159,8 @@ class EgoHistory:
             return replace(
                 nearest,
                 t=t,
-                position_sigma=math.hypot(nearest.position_sigma, SPEED_SIGMA * age),
-                attitude_sigma=math.hypot(nearest.attitude_sigma, RATE_SIGMA * age),
+                position_cov=nearest.position_cov + (SPEED_SIGMA * age) ** 2 * np.eye(3),
+                attitude_cov=nearest.attitude_cov + (RATE_SIGMA * age) ** 2 * np.eye(3),
             )
         before, after = self._poses[k - 1], self._poses[k]
         fraction = (t - before.t) / (after.t - before.t) if after.t > before.t else 1.0
@@ -127,41 +169,59 @@ class EgoHistory:
             t,
             before.position + fraction * (after.position - before.position),
             before.world_from_body @ rotation.exp(fraction * turn),
-            max(before.position_sigma, after.position_sigma),
-            max(before.attitude_sigma, after.attitude_sigma),
+            max(before.position_cov, after.position_cov, key=np.trace),
+            max(before.attitude_cov, after.attitude_cov, key=np.trace),
         )
 
-    def _place(self, pose: EgoPose) -> tuple[Array | None, float]:
-        """Position in the team frame and its sigma; None where nobody can tell."""
+    def _place(self, pose: EgoPose) -> tuple[Array, Array] | None:
+        """Position in the team frame and its covariance (3, 3); None where nobody can tell."""
         start = None if self.start is None else self.start.position
         last = self._poses[-1].position if self._poses else start
         if pose.position is None:
+            if last is None:
+                return None
             if self._placed is None:
-                return last, HELD_POSITION_SIGMA
+                return last, HELD_POSITION_SIGMA**2 * np.eye(3)
             # It was known and is no more: the drone may have moved on.
             age = abs(pose.t - self._placed.t)
-            return last, math.hypot(self._placed.position_sigma, SPEED_SIGMA * age)
+            return last, self._placed.position_cov + (SPEED_SIGMA * age) ** 2 * np.eye(3)
         assert self._turn is not None
         if self._shift is None:
             self._shift = self.origin if last is None else last - self._turn @ pose.position
-        return self._turn @ pose.position + self._shift, pose.position_sigma
+        position = self._turn @ pose.position + self._shift
+        vertical = pose.position_sigma if pose.vertical_sigma is None else pose.vertical_sigma
+        cov = np.diag(np.square([pose.position_sigma, pose.position_sigma, vertical]))
+        if start is not None:
+            # The way from there was turned along with a heading that is not exact.
+            north, east, _ = (self._turn_sigma * (position - start)).tolist()
+            across = np.array([-east, north, 0.0])
+            cov += np.outer(across, across)
+        return position, cov
 
     def _connect_heading(self, pose: EgoPose) -> Array:
         """team_from_local (3, 3), made with the first pose and turned along with a heading that jumps."""
         yaw = _heading(pose.world_from_body)
         if self._turn is None:
             turn = 0.0 if self.start is None else _heading(self.start.rotation) - yaw
+            self._turn_sigma = self.heading.sigma(pose.t)
             self._turn = rotation.from_euler(0.0, 0.0, turn)
         elif self._yaw is not None and self.start is not None:
             t, before = self._yaw
             jump = math.remainder(yaw - before, 2.0 * math.pi)
             dt = abs(pose.t - t)
             if dt < YAW_STEP and abs(jump) > YAW_JUMP + FASTEST_YAW * dt:
-                self._turn = self._turn @ rotation.from_euler(0.0, 0.0, -jump)
-                self._shift = None  # the old one was made with the old heading
+                self._turn_along(jump)
+                self._jumped_at = pose.t
                 self.heading_jumps += 1
         self._yaw = (pose.t, yaw)
         return self._turn
+
+    def _turn_along(self, jump: float) -> None:
+        """Heading and place stay what they were, although the estimator's heading is another by jump [rad]."""
+        assert self._turn is not None
+        self._turn = self._turn @ rotation.from_euler(0.0, 0.0, -jump)
+        # The old one was made with the old heading.
+        self._shift = None
 
 
 def _heading(world_from_body: Array) -> float:

@@ -2,17 +2,23 @@
 
 Theory of operation. Turned by the gyro's orientation at their exposure into a frame that does not turn, the bearings of
 a target change smoothly, whatever the camera does. Turned by the orientation of another instant they shake with the
-camera's own rate. So for each offset of a grid one small Kalman filter a target follows the turned bearings, and the
+camera's own rate. So for each offset of a grid one small Kalman filter per target follows the turned bearings, and the
 offset whose filters are surprised least is the likeliest: the likelihood of the innovations, which are white and need
 no correction for overlap. All filters of a target share one covariance, which does not know of the offset; only their
-means differ. How agile targets are is not told but found: each filter comes in a few densities of acceleration, in
-units of the measurement's variance, and the scale of both is what the innovations say.
+means differ.
 
-How sure it is comes from three sums. The information is that of the innovations' slope over the offset, less what the
-gyro's own noise puts into it (the camera that stands still has nothing else, and says nothing). The scatter of the
-score is summed over blocks of seconds, which takes in whatever the model has wrong and whatever the targets have in
-common; it is trusted as far as there are blocks (White (1982), the sandwich; Newey & West (1987) for the blocks).
-Old evidence fades within a minute, since clocks and exposure times do change.
+How agile targets are is not told but found: each filter comes in a few densities of acceleration, in units of the
+measurement's variance. It differs from manoeuvre to manoeuvre, and so does how well the model fits. So evidence is kept
+in blocks of two seconds, each with the scale of its own innovations and its agility summed over. Quiet time, in which
+any offset is as good as any other, teaches nothing about the time in which the camera turns.
+
+Within a block targets may accelerate in step with the camera's turn: so they seem to when the own drone rolls into a
+go-to. Then the block is sure of a wrong offset. So no block is believed alone. Block b says offset o_b with variance
+v_b, the inverse of its cost's curvature, less what the gyro's noise puts into that; its error is normal of variance
+v_b + τ². The τ is common to all blocks and unknown, and is integrated over (random effects; DerSimonian & Laird
+(1986), here with a prior). One block leaves τ as wide as before the flight, which is much wider than what is good
+enough to be used. Blocks that agree make it small; blocks that do not keep it large. Old evidence fades within a
+minute, since clocks and exposure times do change.
 
 Which detections are one target's is judged here and not taken from the tracker: one that flies by a wrong offset keeps
 the detections that agree with it. A target goes on with a detection that is alone in its gate, the gate being open for
@@ -40,14 +46,17 @@ HALF = 2  # steps to either side over which slopes are taken: fewer let the gyro
 AGILITIES = 430.0**2 * np.array([1e-4, 1e-3, 1e-2, 1e-1])  # rad²/s³ by rad² of a bearing's variance
 SPEED_SIGMA = 0.2  # rad/s of a target that is new
 FADES = 60.0  # s in which evidence loses all but 1/e of its weight
-BLOCK = 2.0  # s over which scores may be correlated
-PRIOR_BLOCKS = 4.0  # whose scores scatter as the information says
-MIN_EVIDENCE = 5.0  # s: with less, three blocks cannot say how they scatter
-MIN_COMPONENTS = 60.0  # of innovations, likewise
+BLOCK = 2.0  # s: about a manoeuvre
+MIN_COMPONENTS = 8.0  # of a block's innovations: with fewer its scale is anything
+FORGETS = 3.0 * FADES  # s after which a block has no weight worth the work
+# s by which a block may err beyond its noise: from less than any estimate's own σ to as much as is searched. Each is as
+# likely as the next before the flight.
+TAUS: Array = np.geomspace(6e-5, 64e-3, 11)
 GATE = 16.0  # squared innovations over their variance, at whichever offset suits best
 LIKELY = 30.0  # log-likelihood below the best, down to which an offset's gates stay open
 ESTABLISHED = 3  # detections in a row, until then clutter is as likely
 SCALE_STEP = 0.05  # of the gate's own scale, for each innovation
+TINY = 1e-300  # instead of a division by zero
 LEAST_SCALE = 1e-9  # of the variances: a simulation without noise is no reason to divide by zero
 MAX_LAPSE = 0.5  # s without a detection: the target is followed anew
 MAX_TURN_VARIANCE = 3e-3**2  # rad²: a gap in the gyro's samples, and nothing is known across it
@@ -59,6 +68,7 @@ MAX_WAITING = 64  # scans; more wait only where the stamps jump
 SURE = 3e-3  # s, one sigma: an offset that is known so well is used
 SLEW = 0.1  # s of correction for each second
 JUDGED_EVERY = 0.5  # s
+KNOWS_NOTHING = 0.5 * REACH  # s, one sigma: little less than if all that are searched were as likely
 EDGE = HALF + 1  # grid points at either end where a minimum is none
 
 _GRID: Array = np.linspace(-REACH, REACH, 2 * round(REACH / STEP) + 1)
@@ -75,6 +85,18 @@ class OffsetEstimate(NamedTuple):
     sigma_s: float
 
 
+def to_use(found: OffsetEstimate, used_s: float, start_s: float) -> float:
+    """The offset to use from now on: what was found, what is used already, or what was told at the start."""
+
+    def off(offset_s: float) -> float:
+        return abs(found.offset_s - offset_s) / found.sigma_s
+
+    if found.sigma_s < SURE:
+        return found.offset_s if off(used_s) > 2.0 else used_s
+    # What was taken up and is contradicted since is given back, however little is known by now.
+    return min(used_s, start_s, key=off) if off(used_s) > 3.0 else used_s
+
+
 class CameraClock:
     """Stamps to exposures on the IMU's clock, by the offset that was told and, once it is sure, by the one found.
 
@@ -83,8 +105,7 @@ class CameraClock:
     """
 
     def __init__(self, start_s: float, *, estimates: bool = True) -> None:
-        self.used_s = start_s
-        self._aim_s = start_s
+        self.used_s = self._start_s = self._aim_s = start_s
         self._evidence = TimeOffset(start_s) if estimates else None
         self._found: OffsetEstimate | None = None
         self._newest = -math.inf
@@ -103,8 +124,8 @@ class CameraClock:
         if stamp - self._judged >= JUDGED_EVERY:
             self._judged = stamp
             self._found = found = self._evidence.estimate
-            if found and found.sigma_s < SURE and abs(found.offset_s - self._aim_s) > 2.0 * found.sigma_s:
-                self._aim_s = found.offset_s
+            if found:
+                self._aim_s = to_use(found, self._aim_s, self._start_s)
         # Unbounded for the first scan, but then nothing has been found yet.
         most = SLEW * (stamp - self._newest)
         self.used_s += min(max(self._aim_s - self.used_s, -most), most)
@@ -141,19 +162,13 @@ class TimeOffset:
         self._waiting: deque[_Bearings] = deque(maxlen=MAX_WAITING)
         self._last: tuple[float, Orientation] | None = None
         self._targets = _Targets()
-        models = (len(AGILITIES), len(_GRID))
-        self._cost = np.zeros(models)  # sum of squared normalised innovations
-        self._log_det = np.zeros(len(AGILITIES))
-        self._information = np.zeros(models)
-        self._noise = 0.0  # what the gyro's noise puts into the information
-        self._score, self._scatter = np.zeros(models), np.zeros(models)
-        self._block_ends = -math.inf
-        self._components = 0.0
-        self._seconds = 0.0
+        self._block: _Block | None = None
+        self._blocks: deque[_Block] = deque()
         self._agility = len(AGILITIES) // 2  # the likeliest
         self._likely = np.ones(len(_GRID), dtype=bool)
         self._gate_scale = 1.0
         self._judged = -math.inf
+        self._now = -math.inf
         self.estimate: OffsetEstimate | None = None
         """The likeliest offset; None while nothing was learned of it, or it lies at the end of what is searched."""
 
@@ -174,33 +189,32 @@ class TimeOffset:
                 self.estimate = self._judge()
 
     def _judge(self) -> OffsetEstimate | None:
-        if self._seconds < MIN_EVIDENCE or self._components < MIN_COMPONENTS:
+        blocks = [block for block in self._blocks if block.components >= MIN_COMPONENTS]
+        if not blocks:
             return None
-        # The likelihood with the best common scale of all variances put in.
-        scale = np.maximum(self._cost / self._components, LEAST_SCALE)
-        surprise = 0.5 * (self._components * np.log(scale) + self._log_det[:, None])
-        q, k = divmod(int(surprise.argmin()), len(_GRID))
-        self._agility, self._likely = q, surprise[q] < surprise[q, k] + LIKELY
-        if not EDGE <= k < len(_GRID) - EDGE:
+        weight = np.exp([(block.end - self._now) / FADES for block in blocks])
+        likelihood, scale = _likelihoods(blocks)
+        surprise = -weight @ np.logaddexp.reduce(likelihood, axis=1)
+        k = int(surprise.argmin())
+        agility = softmax(likelihood[:, :, k], axis=1)
+        self._agility = int((weight @ agility).argmax())
+        curvature, slope = np.zeros(0), np.zeros(0)
+        if EDGE <= k < len(_GRID) - EDGE:
+            curvature, slope = _parabolas(blocks, agility / scale[:, :, k], k)
+        if not curvature.any():
+            self._likely = surprise < surprise[k] + LIKELY
             return None
-        s2 = scale[q, k]
-        around = 0.5 * self._cost[q, k - HALF : k + HALF + 1] / s2
-        curvature, slope = _PARABOLA @ around
-        information = self._information[q, k] / s2
-        signal = information - self._noise / s2
-        if curvature <= 0.0 or signal <= 0.0:
-            return None
-        # A few blocks scatter by chance: the information counts as some more of them.
-        scatter, blocks = self._scatter[q, k] / s2**2, self._seconds / BLOCK
-        scatter = max(scatter, (blocks * scatter + PRIOR_BLOCKS * information) / (blocks + PRIOR_BLOCKS))
+        offset, variance = _agreed(curvature, slope, weight)
+        # All blocks together are as sure as that, and not as sure as the sum of what each says.
+        surprise = (surprise - surprise[k]) * min(1.0 / (variance * float(weight @ curvature)), 1.0)
+        self._likely = surprise < LIKELY
         # Where the evidence has several hills, how far they lie apart.
-        weight = np.exp(signal**2 / (scatter * information) * (surprise[q, k] - surprise[q]))
-        weight /= weight.sum()
-        spread = math.sqrt(float(weight @ (_GRID - weight @ _GRID) ** 2))
-        sigma = max(math.sqrt(scatter) / signal, spread)
-        if sigma > REACH:
+        odds = softmax(-surprise)
+        spread = math.sqrt(float(odds @ (_GRID - odds @ _GRID) ** 2))
+        sigma = max(math.sqrt(variance), spread)
+        if sigma > KNOWS_NOTHING or abs(_GRID[k] + offset) > REACH:
             return None
-        return OffsetEstimate(float(self.start_s + _GRID[k] - 0.5 * slope / curvature), float(sigma))
+        return OffsetEstimate(float(self.start_s + _GRID[k] + offset), float(sigma))
 
     def _take(self, scan: _Bearings, gyro: GyroHistory) -> None:
         at_stamps = scan.t + self.start_s
@@ -211,29 +225,20 @@ class TimeOffset:
         orientation = gyro.orientation(at_stamps)
         if self._last is None or self._lost(orientation, scan.t):
             self._targets = _Targets()
-        else:
-            self._fade(scan.t - self._last[0])
+            self._block = None
         self._last = (scan.t, orientation)
-        if scan.t > self._block_ends:
-            self._scatter += self._score**2
-            self._score = np.zeros_like(self._score)
-            self._block_ends = scan.t + BLOCK
+        self._now = scan.t
+        if self._block is None or scan.t > self._block.end:
+            self._block = _Block(scan.t + BLOCK)
+            self._blocks.append(self._block)
+            while self._blocks[0].end < scan.t - FORGETS:
+                self._blocks.popleft()
         self._learn(scan, orientations)
 
     def _lost(self, orientation: Orientation, t: float) -> bool:
         assert self._last is not None
         then, before = self._last
         return t - then > MAX_LAPSE or abs(orientation.variance - before.variance) > MAX_TURN_VARIANCE
-
-    def _fade(self, dt: float) -> None:
-        kept = math.exp(-dt / FADES)
-        self._cost *= kept
-        self._log_det *= kept
-        self._information *= kept
-        self._scatter *= kept
-        self._noise *= kept
-        self._components *= kept
-        self._seconds = kept * self._seconds + dt
 
     def _learn(self, scan: _Bearings, orientations: Orientations) -> None:
         of_axes = orientations.matrices.transpose(2, 1, 0).reshape(3, -1)
@@ -266,17 +271,76 @@ class TimeOffset:
         """Learn from innovations y (n, q, 3, g) of variance S (n, q), of bearings of the given variance (n,)."""
         d = (y * y).sum(axis=2) / S[:, :, None]  # (n, q, g)
         slopes = (y[..., 2 * HALF :] - y[..., : -2 * HALF]) / _SPAN
-        self._cost += d.sum(axis=0)
-        self._log_det += 2.0 * np.log(S).sum(axis=0)
-        self._components += 2.0 * len(y)
-        self._information[:, _INNER] += ((slopes * slopes).sum(axis=2) / S[:, :, None]).sum(axis=0)
+        block = self._block
+        assert block is not None
+        block.cost += d.sum(axis=0)
+        block.log_det += 2.0 * np.log(S).sum(axis=0)
+        block.components += 2.0 * len(y)
+        block.information[:, _INNER] += ((slopes * slopes).sum(axis=2) / S[:, :, None]).sum(axis=0)
         # White noise, summed over the span; the innovations' filter raises it by no more than S over the variance.
-        self._noise += float((2.0 * gyro_noise / _SPAN / variance).sum())
-        self._score[:, _INNER] += 0.5 * (d[:, :, 2 * HALF :] - d[:, :, : -2 * HALF]).sum(axis=0) / _SPAN
+        block.noise += float((2.0 * gyro_noise / _SPAN / variance).sum())
         # Steps towards the median find it even from where most fall outside the gate.
         least = d[:, self._agility].min(axis=1)
         above = float(np.sign(least - 2.0 * math.log(2.0) * self._gate_scale).sum())
         self._gate_scale *= math.exp(SCALE_STEP * above)
+
+
+class _Block:
+    """What some seconds say, for each agility q and offset g: sums over the innovations of all targets."""
+
+    def __init__(self, end: float) -> None:
+        models = (len(AGILITIES), len(_GRID))
+        self.end = end
+        # Squared innovations over their variance; logarithms of that; and how many.
+        self.cost = np.zeros(models)
+        self.log_det = np.zeros(len(AGILITIES))
+        self.components = 0.0
+        # Squared slopes of the innovations over the offset, over the same variance, and what the gyro's noise puts
+        # into them, s⁻².
+        self.information = np.zeros(models)
+        self.noise = 0.0
+
+
+def _likelihoods(blocks: list[_Block]) -> tuple[Array, Array]:
+    """Of each block, agility and offset (b, q, g): log-likelihood with the scale of all variances that suits best, and
+    that scale."""
+    n = np.array([block.components for block in blocks])[:, None, None]
+    scale = np.maximum(np.array([block.cost for block in blocks]) / n, LEAST_SCALE)
+    log_det = np.array([block.log_det for block in blocks])[:, :, None]
+    return -0.5 * (n * np.log(scale) + log_det), scale
+
+
+def _parabolas(blocks: list[_Block], weight: Array, k: int) -> tuple[Array, Array]:
+    """Curvature and slope (b,) of each block's surprise at the grid's k-th offset, s⁻² and s⁻¹; weight (b, q) of each
+    agility's cost. What the gyro's noise adds to the curvature is taken off."""
+    cost = np.array([block.cost[:, k - HALF : k + HALF + 1] for block in blocks])
+    half_curvature, slope = 0.5 * _PARABOLA @ (weight[:, :, None] * cost).sum(axis=1).T
+    information = (weight * np.array([block.information[:, k] for block in blocks])).sum(axis=1)
+    noise = weight.sum(axis=1) * np.array([block.noise for block in blocks])
+    signal = np.maximum(1.0 - noise / np.maximum(information, TINY), 0.0)
+    return 2.0 * signal * np.maximum(half_curvature, 0.0), slope
+
+
+def _agreed(curvature: Array, slope: Array, weight: Array) -> tuple[float, float]:
+    """The offset that blocks agree on, in s from where their surprise was expanded, and its variance.
+
+    curvature, slope (b,): of each block's surprise, s⁻² and s⁻¹; a block whose curvature is zero says nothing.
+    weight (b,): of its log-likelihood, 1 where it has not faded.
+    """
+    informed = curvature > 0.0
+    weight, own, variance = (
+        weight[informed],
+        -slope[informed] / curvature[informed],
+        1.0 / curvature[informed],
+    )
+    precision = 1.0 / (variance + TAUS[:, None] ** 2)  # (τ, b)
+    total = precision @ weight
+    mean = precision @ (weight * own) / total
+    misfit = (precision * (own - mean[:, None]) ** 2) @ weight
+    # The likelihood of each τ, the offset integrated over.
+    odds = softmax(0.5 * (np.log(precision) @ weight - np.log(total) - misfit))
+    offset = float(odds @ mean)
+    return offset, float(odds @ (1.0 / total + (mean - offset) ** 2))
 
 
 class _Targets:
@@ -334,3 +398,8 @@ class _Targets:
         self._psd[slots] = AGILITIES * variance[:, None]
         self.hits[slots] = 1
         self._seen[slots] = self._t
+
+
+def softmax(log_odds: Array, axis: int = -1) -> Array:
+    """Probabilities of these log-odds. NumPy's own: an agent does not load SciPy for two lines."""
+    return np.asarray(np.exp(log_odds - np.logaddexp.reduce(log_odds, axis=axis, keepdims=True)))

@@ -20,6 +20,7 @@ from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
     EgoPose,
+    FlightState,
     IdClash,
     ImuSample,
     Input,
@@ -31,13 +32,15 @@ from swarmtrack.messages import (
 
 
 class Entry(NamedTuple):
-    """One attribute of a message under its key. shape: of an array, -1 for however many; form: of a nested message."""
+    """One attribute of a message under its key. shape: of an array, -1 for however many; form: of a nested message;
+    added: to the form, later: earlier records lack it, and mean the attribute's default."""
 
     attribute: str
     key: str
     shape: tuple[int, ...] | None = None
     type: str = "number"
     form: Form | None = None
+    added: bool = False
 
 
 class Form(NamedTuple):
@@ -73,7 +76,12 @@ FORMS: tuple[Form, ...] = (
         "/imu",
         "swarmtrack.ImuSample",
         ImuSample,
-        (_T, Entry("gyro", "gyro_rad_s", (3,)), Entry("accel", "accel_m_s2", (3,))),
+        (
+            _T,
+            Entry("gyro", "gyro_rad_s", (3,)),
+            Entry("accel", "accel_m_s2", (3,)),
+            Entry("gyro_delay", "gyro_delay_s", added=True),
+        ),
     ),
     Form(
         "/ego",
@@ -85,7 +93,14 @@ FORMS: tuple[Form, ...] = (
             Entry("world_from_body", "world_from_body", (3, 3)),
             Entry("position_sigma", "position_sigma_m"),
             Entry("attitude_sigma", "attitude_sigma_rad"),
+            Entry("vertical_sigma", "vertical_sigma_m", added=True),
         ),
+    ),
+    Form(
+        "/autopilot/flight",
+        "swarmtrack.FlightState",
+        FlightState,
+        (_T, Entry("airborne_since", "airborne_since_s")),
     ),
     Form("/autopilot/rebooted", "swarmtrack.AutopilotRebooted", AutopilotRebooted, ()),
     Form(
@@ -202,11 +217,13 @@ def _field(entry: Entry, value: Any) -> Any:
 def _reader(form: Form) -> Callable[[dict[str, Any]], Any]:
     """What makes a message of a record; how each attribute is read is looked up once, not with every record."""
     kind = form.kind
-    parts = [(entry.attribute, entry.key, _read_by(entry)) for entry in form.entries]
+    parts = [(entry.attribute, entry.key, entry.added, _read_by(entry)) for entry in form.entries]
 
     def read(record: dict[str, Any]) -> Any:
         values = {}
-        for attribute, key, convert in parts:
+        for attribute, key, added, convert in parts:
+            if added and key not in record:
+                continue
             value = record[key]
             values[attribute] = None if value is None else convert(value)
         return kind(**values)

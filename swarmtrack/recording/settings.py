@@ -25,7 +25,7 @@ from swarmtrack.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.tracking import TRACKERS
 
 CONFIG, RESOLVED, CALIBRATION = "config.json", "resolved_config.json", "calibration.json"
-WHAT_IF = ("drone", "camera", "tracker", "identity", "motion", "detector")
+WHAT_IF = ("drone", "camera", "autopilot", "tracker", "identity", "motion", "detector")
 """Tables of the config that have a say in a replay."""
 
 

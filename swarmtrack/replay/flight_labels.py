@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement, Array, AutopilotRebooted, EgoPose, SightingReport
+from swarmtrack.messages import Announcement, Array, AutopilotRebooted, EgoPose, FlightState, SightingReport
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.recording import inputs
 from swarmtrack.recording.merge import shifts
@@ -32,7 +32,8 @@ from swarmtrack.replay.replayer import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
 from swarmtrack.runtime.perception import make_ego_history
 
 TOPICS = {
-    inputs.FORM_OF_KIND[kind].topic for kind in (EgoPose, AutopilotRebooted, Announcement, SightingReport)
+    inputs.FORM_OF_KIND[kind].topic
+    for kind in (EgoPose, FlightState, AutopilotRebooted, Announcement, SightingReport)
 }
 FOREVER = 1e9  # s of history
 REPORT_GAP = 1.5  # s between two places that a teammate told of, to be somewhere on the line between them
@@ -94,7 +95,8 @@ class Told:
         position = (1 - share) * self.position[k - 1] + share * self.position[k]
         # On a curve it was off the line between two reports, by a part of the way from one to the other.
         off = 0.1 * float(np.linalg.norm(self.position[k] - self.position[k - 1]))
-        return TeamPose(t, position, np.eye(3), math.hypot(max(self.sigma[k - 1 : k + 1]), off), 0.0)
+        variance = max(self.sigma[k - 1 : k + 1]) ** 2 + off**2
+        return TeamPose(t, position, np.eye(3), variance * np.eye(3), np.zeros((3, 3)))
 
 
 @dataclass(slots=True)
@@ -208,6 +210,8 @@ def _read(recording: Recording, shift: float) -> RecordedDrone:
             case EgoPose():
                 ego.append(event)
                 flown.newest = max(flown.newest, event.t)
+            case FlightState():
+                ego.fly(event)
             case AutopilotRebooted():
                 ego.restart()
             case Announcement():

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
-from swarmtrack.messages import Detections, Frame, Input, ScanReport, StampKind, TrackList
+from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, StampKind, TrackList
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
@@ -104,8 +104,10 @@ class Replayer:
     """One recording, once through an `Onboard` of its own.
 
     detector: sees the recorded frames anew instead of what was detected in flight; frames that were not recorded are
-    then not seen. every_answer: also carry the tracks on to every instant at which somebody asked for them, a quarter
-    of the time; else to every tenth, which is as sure to show a difference. A watcher is given every one.
+    then not seen. `motion.gyro_delay_s` of the settings moves the gyro's samples to where it says they belong; without
+    it they stay where they were in flight. every_answer: also carry the tracks on to every instant at which somebody
+    asked for them, a quarter of the time; else to every tenth, which is as sure to show a difference. A watcher is
+    given every one.
     """
 
     def __init__(
@@ -119,6 +121,7 @@ class Replayer:
     ) -> None:
         self._recording = recording
         self._door = Door(make_onboard(settings.config, settings.mounted, settings.start))
+        self._gyro_delay_s = settings.config.motion.gyro_delay_s
         self._detector = detector
         self._expectation = PerceivedExpectation(self._door.perceived)
         self._topics = TOPICS if detector is None else TOPICS | {FRAMES_TOPIC, IMAGES_TOPIC}
@@ -206,7 +209,11 @@ class Replayer:
     # --- frames, detected anew ----------------------------------------------------------
 
     def _instead(self, event: Input) -> Iterator[Input]:
-        """The event, or what our detector sees in the frame that it was detected in."""
+        """The event: of the gyro, as late as the config says, and what our detector sees in a frame, if we have one."""
+        wanted = self._gyro_delay_s
+        if isinstance(event, ImuSample) and wanted is not None and event.gyro_delay != wanted:
+            yield replace(event, t=event.t + event.gyro_delay - wanted, gyro_delay=wanted)
+            return
         if self._detector is None or not isinstance(event, Detections):
             yield event
             return

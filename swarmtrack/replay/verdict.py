@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,10 @@ import numpy as np
 
 from swarmtrack.errors import ConfigError, RecordingError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import from_quaternion
 from swarmtrack.localswarm.watch import HeldClock, Watch
+from swarmtrack.localswarm.world_file import world_of
 from swarmtrack.recording.reader import FLIGHT_PLAN, Message, Recording
 from swarmtrack.replay.replayer import Published
 from swarmtrack.runtime.swarm_recorder import (
@@ -26,7 +30,8 @@ from swarmtrack.runtime.swarm_recorder import (
     read_truth,
 )
 from swarmtrack.scenario_file import limits_of, scenario_of
-from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.simulation.followed import FollowedDrone
+from swarmtrack.simulation.scenarios import Scenario, as_told
 from swarmtrack.toml.layers import Layer, Layers
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -76,7 +81,14 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
     plan = recording.attached(FLIGHT_PLAN)
     layers = Layers([Layer(recording.folder / FLIGHT_PLAN, "", plan["files"])], plan["files"])
     try:
-        scenario = scenario_of(layers, plan["scenario"], seed=plan["seed"], drones=plan["drones"])
+        if plan.get("outside", False):
+            world = world_of(layers, plan["scenario"], seed=plan["seed"], keep_s=math.inf)
+            followed = {drone_id: one.drone for drone_id, one in world.outsiders.items()}
+            scenario = world.scenario
+        else:
+            planned = scenario_of(layers, plan["scenario"], seed=plan["seed"], drones=plan["drones"])
+            scenario, followed = as_told(planned)
+        _tell_truth(recording, followed)
         limits = limits_of(layers)
     except ConfigError as error:
         raise RecordingError(f"{recording.folder}: this program cannot fly its scenario: {error}") from None
@@ -92,6 +104,17 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
         limits=limits,
     )
     return Judged(report, stage.verdict, stage.numbers)
+
+
+def _tell_truth(recording: Recording, followed: Mapping[int, FollowedDrone]) -> None:
+    """Of drones that others flew nothing is known but what was recorded."""
+    if not followed:
+        return
+    for message in recording.messages(frozenset({TRUTH_TOPIC})):
+        true = read_truth(message)
+        if true.drone_id in followed:
+            pose = Pose(from_quaternion(true.quaternion_wxyz), np.array(true.position_m))
+            followed[true.drone_id].tell(true.t_s, pose)
 
 
 class _Stage:

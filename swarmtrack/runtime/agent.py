@@ -16,6 +16,8 @@ from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
     EgoPose,
+    FlightState,
+    HeadingNews,
     ImuSample,
     Input,
     PoseWanted,
@@ -145,6 +147,10 @@ class Agent:
         """From the autopilot, on the event loop."""
         self.tell(AutopilotRebooted())
 
+    def on_flight_state(self, state: FlightState) -> None:
+        """From the autopilot, on the event loop."""
+        self.tell(state)
+
     def on_found_flying(self) -> None:
         """From the autopilot, on the event loop."""
         if self._start is not None:
@@ -235,6 +241,8 @@ class Agent:
                     self._team.ask_for_pose(drone_id)
                 case Disagreement():
                     self._team.on_disagreement(event)
+                case HeadingNews():
+                    self._team.on_heading(event)
 
     def _on_scan(self, report: ScanReport) -> None:
         """To whoever writes or shows it; and the publisher wakes."""

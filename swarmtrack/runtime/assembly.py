@@ -18,6 +18,7 @@ from swarmtrack.security.credentials import Credentials
 from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.detection_stream import DetectionStream
+from swarmtrack.sensors.mavlink.address import is_recording
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
@@ -179,6 +180,7 @@ def make_autopilot(
         component_id=section.component_id,
         signing_key=section.signing_key,
         gps=_gps(config),
+        gyro_delay_s=config.motion.gyro_delay_s,
     )
 
 
@@ -192,7 +194,7 @@ def _gps(config: DroneConfig) -> GlobalPosition | None:
 def _in_step(link: str) -> str:
     """A recording beside frames at pace `fast` goes at their speed: else the gyro's history runs away from them."""
     address = parse_link(link)
-    return str(replace(address, speed=1.0)) if address.scheme == "tlog" else link
+    return str(replace(address, speed=1.0)) if is_recording(link) else link
 
 
 def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> Transport:

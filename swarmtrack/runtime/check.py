@@ -36,6 +36,8 @@ def check(path: Path) -> None:
     else:
         autopilot = link_address(link)
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
+        heading = config.autopilot.heading_sigma_deg
+        print(f"heading    ±{heading.ground:g}° on the ground, ±{heading.flight:g}° in flight")
         print(f"telling    {', '.join(config.autopilot.tell) or 'nothing but our heartbeat'}")
     detector = (
         "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text

@@ -10,6 +10,7 @@ from typing import Protocol
 from swarmtrack.clock import Clock
 from swarmtrack.diagnosis.readiness import Readiness, judge
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
+from swarmtrack.diagnosis.tracking import check_tracking
 from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
 from swarmtrack.perceived import Perceived
 from swarmtrack.runtime import periods
@@ -20,6 +21,7 @@ from swarmtrack.wire.health import (
     GyroBiasHealth,
     HealthMessage,
     LatencyHealth,
+    NoiseHealth,
     RateHealth,
     ReadinessHealth,
     TimeOffsetHealth,
@@ -27,6 +29,8 @@ from swarmtrack.wire.health import (
 )
 
 EVENTS_KEPT = 16
+# Messages in a row, one a second, in which the tracks misjudge themselves, from which on it is said.
+MISFITS_SAID = 20
 # s between two looks at how late the event loop is.
 LAG_PERIOD = 0.05
 
@@ -102,6 +106,7 @@ class Health:
         self._started = self._wall.now()
         self._process = ProcessMeter(self._wall.now)
         self.rates: dict[str, RateHealth] = {}
+        self._misfits = 0
         self._clones: set[str] = set()
         self._frames, self._frame_at = 0.0, self._started
 
@@ -189,7 +194,23 @@ class Health:
             gyro_bias=_gyro_bias(perceived),
             consistency=consistency and ConsistencyHealth(*consistency),
             readiness=ReadinessHealth(*self.readiness()),
+            noise=self._noise(),
         )
+
+    def _noise(self) -> NoiseHealth | None:
+        """What was learned of the noise; and in words, once it has lasted, what the tracks do not know of it."""
+        consistency, noise = self._perceived.consistency, self._perceived.measured_noise
+        if consistency is None and noise is None:
+            return None
+        findings = check_tracking(consistency, noise)
+        # A manoeuvre passes, and so does the time in which the noise is learned.
+        self._misfits = self._misfits + 1 if findings else 0
+        if self._misfits < MISFITS_SAID:
+            return NoiseHealth(noise and noise.detections, noise and noise.motion, "", "")
+        found, remedy = findings[0].found, findings[0].remedy
+        if self._misfits == MISFITS_SAID:
+            self.events.append(f"{found}: {remedy}"[:256])
+        return NoiseHealth(noise and noise.detections, noise and noise.motion, found, remedy)
 
 
 def _time_offset(perceived: Perceived) -> TimeOffsetHealth:

@@ -14,7 +14,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
-from swarmtrack.tracking import create_tracker
+from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 
 # What sees pictures needs OpenCV and ONNX Runtime: 80 MB and half a second, which an agent whose camera detects by
 # itself does not pay.
@@ -34,7 +34,9 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
         mounting=Mounting(
             mounted.body_from_camera, mounted.time_offset_s, config.camera.estimate_time_offset
         ),
-        tracker=create_tracker(config.tracker.name, camera=mounted.camera, **config.tracker.parameters),
+        tracker=create_tracker(
+            config.tracker.name, camera=mounted.camera, **AGENT_PARAMETERS | config.tracker.parameters
+        ),
         gyro=GyroHistory(
             history_s=motion.history_s,
             noise_density=motion.gyro_noise_density_rad_s_sqrt_hz,
@@ -54,6 +56,7 @@ def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: floa
         origin=np.array(config.drone.start.offset_m),
         absolute=config.drone.start.source == "gps",
         history_s=history_s,
+        heading=config.autopilot.heading_sigma,
     )
 
 

@@ -16,6 +16,7 @@ from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     Announcement,
     AnnouncementRequested,
+    HeadingNews,
     IdClash,
     Input,
     PeerArrived,
@@ -161,13 +162,20 @@ class Teamwork:
                 t_sigma=UTC_SIGMA,
                 position=start.position if start else pose.position,
                 world_from_body=start.rotation if start else pose.world_from_body,
-                position_cov=(sigma**2 if start else sigma**2 + pose.position_sigma**2) * np.eye(3),
+                position_cov=sigma**2 * np.eye(3) + (0.0 if start else pose.position_cov),
             )
         )
 
     def ask_for_pose(self, drone_id: int) -> None:
         """Who is in doubt is asked at once."""
         self._transport.request_announcement(drone_id)
+
+    def on_heading(self, news: HeadingNews) -> None:
+        """What the team was told of our pose was told with another heading: announce it again."""
+        if not self._announced:
+            return
+        self._note(self._drone_id, _describe_heading(news), logging.INFO)
+        self._asked.set()
 
     def on_disagreement(self, found: Disagreement) -> None:
         """Another drone sees it otherwise: said once per pair, and whenever we give in."""
@@ -218,6 +226,12 @@ def _describe(event: PeerEvent) -> str:
             return "a teammate asked where we are: announced again"
         case SightingReport(observer=observer):
             return f"drone {observer} told whom it sees"
+
+
+def _describe_heading(news: HeadingNews) -> str:
+    if news.step:
+        return f"our heading stepped by {math.degrees(news.step):+.1f}° against the gyro: announced again"
+    return "our heading has been aligned in flight: announced again"
 
 
 def _describe_disagreement(found: Disagreement) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Protocol, runtime_checkable
 
-from swarmtrack.messages import Detections, EgoPose, Frame, ImuSample, LinkStatus
+from swarmtrack.messages import Detections, EgoPose, FlightState, Frame, ImuSample, LinkStatus
 
 
 class Camera(Protocol):
@@ -49,6 +49,7 @@ class AutopilotListener(Protocol):
 
     def on_imu(self, sample: ImuSample) -> None: ...
     def on_pose(self, pose: EgoPose) -> None: ...
+    def on_flight_state(self, state: FlightState) -> None: ...
     def on_autopilot_reboot(self) -> None: ...
     def on_found_flying(self) -> None:
         """At most once, at the first contact: the drone was in the air already."""

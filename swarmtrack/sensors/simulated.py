@@ -29,12 +29,12 @@ from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement, Frame, LinkStatus, StampKind
+from swarmtrack.messages import Announcement, FlightState, Frame, LinkStatus, StampKind
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, ego_pose
+from swarmtrack.simulation.sensors import Ego, Imu, ImuParameters
 
 Sleep = Callable[[float], Awaitable[None]]
 
@@ -116,7 +116,12 @@ class Simulation:
         self.epoch = clock.now() if address.epoch_s is None else address.epoch_s
         timing = _Timing(clock, sleep, self.epoch, math.inf if address.seconds is None else address.seconds)
         self.camera = SimulatedCamera(
-            renderer, drone_id, timing, fps=address.fps, latency=address.latency_ms / 1000.0
+            renderer,
+            drone_id,
+            timing,
+            fps=address.fps,
+            latency=address.latency_ms / 1000.0,
+            stamps_late=scenario.camera_offset_s.get(drone_id, 0.0),
         )
         self.autopilot = SimulatedAutopilot(scenario, drone_id, timing, ImuParameters(rate_hz=address.imu_hz))
 
@@ -192,7 +197,14 @@ class SimulatedCamera:
     """Implements `Camera`. `camera` and `body_from_camera` are its true calibration."""
 
     def __init__(
-        self, renderer: Renderer, drone_id: int, timing: _Timing, *, fps: float, latency: float
+        self,
+        renderer: Renderer,
+        drone_id: int,
+        timing: _Timing,
+        *,
+        fps: float,
+        latency: float,
+        stamps_late: float = 0.0,
     ) -> None:
         self.camera: PinholeCamera = renderer.camera
         self.body_from_camera: Pose = renderer.body_from_camera
@@ -201,6 +213,7 @@ class SimulatedCamera:
         self._timing = timing
         self._fps = fps
         self._latency = latency
+        self._stamps_late = stamps_late
         self._delivered: deque[float] = deque(maxlen=31)  # times of exposure
         self._opened = timing.clock.now()
         self._dropped = 0
@@ -226,7 +239,7 @@ class SimulatedCamera:
             if self._closed:
                 return
             self._delivered.append(timing.epoch + t)
-            yield Frame(timing.epoch + t, STAMP_SIGMA, index, image, StampKind.EXPOSURE)
+            yield Frame(timing.epoch + t + self._stamps_late, STAMP_SIGMA, index, image, StampKind.EXPOSURE)
 
     def status(self) -> LinkStatus:
         times = self._delivered
@@ -254,10 +267,8 @@ class SimulatedAutopilot:
     """Implements `Autopilot`: IMU samples at their rate, ego poses at 50 Hz, on time and in order."""
 
     def __init__(self, scenario: Scenario, drone_id: int, timing: _Timing, imu: ImuParameters) -> None:
-        self._world = scenario.world
         self._imu = Imu(scenario.world, drone_id, imu)
-        self._ego = EgoParameters()
-        self._drone_id = drone_id
+        self._ego = Ego(scenario.world, drone_id)
         self._timing = timing
         self._imu_delivered = 0
         self._poses_delivered = 0
@@ -265,7 +276,7 @@ class SimulatedAutopilot:
 
     async def run(self, listener: AutopilotListener) -> None:
         """After a late wake-up, everything that became due is delivered in order: a gyro sample is never dropped."""
-        timing, imu_hz, pose_hz = self._timing, self._imu.parameters.rate_hz, self._ego.rate_hz
+        timing, imu_hz, pose_hz = self._timing, self._imu.parameters.rate_hz, self._ego.parameters.rate_hz
         begin = max(timing.world_time(), 0.0)
         sample_index, pose_index = math.ceil(begin * imu_hz), math.ceil(begin * pose_hz)
         while True:
@@ -292,9 +303,13 @@ class SimulatedAutopilot:
         listener.on_imu(dataclasses.replace(sample, t=self._timing.epoch + sample.t))
 
     def _deliver_pose(self, listener: AutopilotListener, index: int) -> None:
-        pose = ego_pose(self._world, self._drone_id, index, self._ego)
+        epoch, pose = self._timing.epoch, self._ego.pose(index)
+        if index % int(self._ego.parameters.rate_hz) == 0:
+            state = self._ego.flight_state(pose.t)
+            since = None if state.airborne_since is None else epoch + state.airborne_since
+            listener.on_flight_state(FlightState(epoch + pose.t, since))
         self._poses_delivered += 1
-        listener.on_pose(dataclasses.replace(pose, t=self._timing.epoch + pose.t))
+        listener.on_pose(dataclasses.replace(pose, t=epoch + pose.t))
 
     def status(self) -> LinkStatus:
         age = self._timing.world_time() - self._last

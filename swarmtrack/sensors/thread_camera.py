@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 
 from swarmtrack.messages import Frame, LinkStatus
@@ -12,7 +12,7 @@ from swarmtrack.sensors.frame_slot import FrameSlot
 from swarmtrack.sensors.newest_slot import CLOSE_TIMEOUT
 
 
-class ThreadCamera:
+class ThreadCamera(ABC):
     """The thread begins with the first look at `frames`, feeds the slot, and ends once `_stop` is set."""
 
     def __init__(self, slot: FrameSlot) -> None:

@@ -8,14 +8,14 @@ import inspect
 import json
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
 from swarmtrack.config import DroneConfig
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
+from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, TRACKERS
 from swarmtrack.tracking.parameters import CommonParameters
 
 Schema = dict[str, Any]
@@ -70,11 +70,12 @@ def _whole_schema() -> Schema:
         "TrackerSection": [kind.Parameters for kind in TRACKERS.values()],
         "IdentitySection": [IdentityParameters],
     }
+    agents: dict[str, dict[str, Any]] = {"TrackerSection": AGENT_PARAMETERS, "IdentitySection": {}}
     for section, parameters in kinds.items():
         table = definitions[section]
         table["additionalProperties"] = False
         for kind in parameters:
-            for key, entry in _parameters(kind).items():
+            for key, entry in _parameters(kind, agents[section]).items():
                 known = table["properties"].setdefault(key, entry)
                 if known.get("default") != entry.get("default"):
                     # Each tracker has its own.
@@ -107,11 +108,15 @@ def reference() -> str:
 def _tracker_tables(definitions: Schema) -> Iterator[str]:
     name = definitions["TrackerSection"]["properties"]["name"]
     yield _table([_row("name", name, definitions)])
-    common = _parameters(CommonParameters)
+    common = _parameters(CommonParameters, AGENT_PARAMETERS)
     yield "All trackers have:\n"
     yield _table(_row(key, entry, definitions) for key, entry in common.items())
     for tracker, kind in TRACKERS.items():
-        own = {key: entry for key, entry in _parameters(kind.Parameters).items() if entry != common.get(key)}
+        own = {
+            key: entry
+            for key, entry in _parameters(kind.Parameters, AGENT_PARAMETERS).items()
+            if entry != common.get(key)
+        }
         if own:
             note = " (the default)" if tracker == DEFAULT_TRACKER else ""
             yield f"`{tracker}`{note} has its own keys or other defaults for:\n"
@@ -188,14 +193,16 @@ def _bounds(entry: Schema) -> str:
 # ── from the models ──────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _parameters(kind: type[Any]) -> Schema:
-    """The schema of each field of a dataclass, described by the docstring below it."""
+def _parameters(kind: type[Any], agents: Mapping[str, Any]) -> Schema:
+    """The schema of each field of a dataclass, described by the docstring below it. agents: other defaults."""
     entries: Schema = TypeAdapter(kind).json_schema()["properties"]
     said = _docstrings(kind)
     for key, entry in entries.items():
         entry.pop("title", None)
         if key in said:
             entry["description"] = said[key]
+        if key in agents:
+            entry["default"] = agents[key]
     return entries
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -31,6 +31,11 @@ class Airframe:
     body_top: float = -0.055
     body_bottom: float = 0.055
     legs_z: float = 0.075
+
+    def scaled(self, span: float) -> Airframe:
+        """The same shape with another span [m]."""
+        factor = span / self.span
+        return Airframe(**{name: factor * length for name, length in asdict(self).items()})
 
     @property
     def motors(self) -> Array:

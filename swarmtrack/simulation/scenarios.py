@@ -2,14 +2,14 @@
 
 A scenario is a value. `swarmtrack.scenario_file` reads one from TOML with the builders below. All drones hover until
 world time `HOVER_S`, and at every negative time: however slowly processes start, the announced poses fit what is seen.
-Then they move, without end.
+Then they move, without end. In errands they stand on the ground first.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -17,9 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.messages import Array
+from swarmtrack.simulation.errands import Errand, fly_errands
+from swarmtrack.simulation.followed import FollowedDrone
+from swarmtrack.simulation.guided import GuidedDrone
+from swarmtrack.simulation.response import ARDUPILOT, PX4, Response
 from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.trajectory import (
     Facing,
@@ -34,13 +39,30 @@ from swarmtrack.simulation.trajectory import (
     YawProfile,
     wander,
 )
-from swarmtrack.simulation.world import World
+from swarmtrack.simulation.world import Drawn, World
 
 HOVER_S = 4.5  # s: an agent needs one to start, and one to see and name everyone
 DEPARTURE_S = 5.0  # s: from hover into the flight proper
+SKEWS = (1e-4, 2e-4)  # s/s
+LOCKSTEP_SKEW = -0.011  # s/s, as measured: a simulator that cannot quite follow
+BESIDE = 0.15  # rad: from a drone to a ghost behind it, one sigma
 DRIFT_M = 0.03  # m RMS an axis: how well a drone holds its position
+ORIGIN = Geodetic.from_degrees(47.397742, 8.545594, 488.0)  # where PX4's simulators fly
 CAMERA = PinholeCamera(fx=430.0, fy=430.0, cx=319.5, cy=239.5, width=640, height=480)
 BODY_FROM_CAMERA = Pose(BODY_FROM_FORWARD_CAMERA, np.array([0.1, 0.0, 0.0]))
+
+
+class AutopilotKind(StrEnum):
+    """Whose manners a drone's autopilot has."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
+    PX4_LOCKSTEP = "px4-lockstep"  # as in PX4's own simulators by default: time moves in steps, and 1 % slow
+
+    @property
+    def response(self) -> Response:
+        """How it flies what it is told."""
+        return ARDUPILOT if self is AutopilotKind.ARDUPILOT else PX4
 
 
 class FaultKind(StrEnum):
@@ -85,6 +107,26 @@ class Radio:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Ghost:
+    """A fixed point of the world, (3,) m, on which the detector fires with a probability per frame: part of a house, a
+    pole, a tree. size_m: of the box, at the ghost's distance; score: from … to.
+    """
+
+    position_m: Array
+    size_m: float
+    p_detection: float
+    score: tuple[float, float]
+
+
+class ScenarioEvent(NamedTuple):
+    """What a drone is told, at world time t [s]."""
+
+    t: float
+    drone_id: int
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class AnnouncedStart:
     """Where a drone's config says that it starts: measured, hence off by about `position_sigma_m` per axis.
 
@@ -100,13 +142,17 @@ class AnnouncedStart:
 class Scenario:
     """A world, the camera that every drone in it carries, and what its agents and their machines are like.
 
+    origin: where the world's origin lies on the Earth, its height above mean sea level.
     seconds is its natural length. starts_s: when a drone's agent is started, in world time; 0: before the flight
     begins. utc_offset_s: how wrong its companion's wall clock is. autopilot_skew: how much faster than true time its
-    autopilot's clock runs (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. Drones that a
-    mapping leaves out start at 0, with right clocks, an autopilot that was switched on at world time 0 included.
+    autopilot's clock runs (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. camera_offset_s:
+    by how much its camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an
+    ArduPilot that was switched on at world time 0. ghosts are for detectors that are not shown pictures; the pictures
+    have houses, poles and trees.
     """
 
     world: World
+    origin: Geodetic = ORIGIN
     name: str = "unnamed"
     about: str = ""
     seconds: float = 30.0
@@ -122,6 +168,10 @@ class Scenario:
     utc_offset_s: Mapping[int, float] = field(default_factory=dict)
     autopilot_skew: Mapping[int, float] = field(default_factory=dict)
     autopilot_boot_s: Mapping[int, float] = field(default_factory=dict)
+    autopilots: Mapping[int, AutopilotKind] = field(default_factory=dict)
+    camera_offset_s: Mapping[int, float] = field(default_factory=dict)
+    ghosts: tuple[Ghost, ...] = ()
+    events: tuple[ScenarioEvent, ...] = ()
     radio: Radio = Radio()
     faults: tuple[ScenarioFault, ...] = ()
 
@@ -139,10 +189,29 @@ class Scenario:
         """world_from_body at world time 0, by drone."""
         return {drone_id: self.world.pose(drone_id, 0.0) for drone_id in self.world.drones}
 
+    def autopilot(self, drone_id: int) -> AutopilotKind:
+        """Whose manners the drone's autopilot has."""
+        return self.autopilots.get(drone_id, AutopilotKind.ARDUPILOT)
+
+    def extra_clutter(self, drone_id: int, t: float) -> float:
+        """False detections to expect in a frame exposed at world time t, beyond the detector's own."""
+        return sum(f.value for f in self.faults if f.kind is FaultKind.CLUTTER and f.concerns(drone_id, t))
+
     @property
     def needs_radio(self) -> bool:
         """Whether its links lose, delay or part: it then needs a network of its own."""
         return self.radio != Radio() or any(fault.kind in RADIO_FAULTS for fault in self.faults)
+
+
+def as_told(scenario: Scenario) -> tuple[Scenario, dict[int, FollowedDrone]]:
+    """The scenario for who does not fly it: where a guided drone is cannot be computed there, it must be told."""
+    followed = {
+        drone_id: FollowedDrone(keep_s=math.inf)
+        for drone_id, drone in scenario.world.drones.items()
+        if isinstance(drone, GuidedDrone)
+    }
+    world = replace(scenario.world, drones={**scenario.world.drones, **followed})
+    return replace(scenario, world=world), followed
 
 
 # --- who flies where -------------------------------------------------------------------------------
@@ -150,31 +219,93 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Hover at `start` (3,) m; at `departs_s`, unless `flight` is None, go over into it."""
+    """Hover at `start` (3,) m; at `departs_s`, unless `flight` is None, go over into it.
+
+    guided: instead, stand there on the ground until somebody flies it by MAVLink, and respond as this autopilot does.
+    """
 
     start: ArrayLike
     view: YawProfile
     flight: Path | None = None
     departs_s: float = HOVER_S
+    guided: Response | None = None
 
 
 def fly(seed: int, plans: Mapping[int, Plan], drift_m: float = DRIFT_M) -> World:
     """The world in which each drone follows its plan, give or take the drift of a drone that holds its position."""
     chance = World(seed, {}).chance
-    drones = {}
+    drones: dict[int, Drawn] = {}
     for drone_id, plan in plans.items():
         path: Path = Hover(plan.start)
+        drift = wander(chance("wander", drone_id), drift_m)
+        if plan.guided is not None:
+            north, east, down = np.asarray(plan.start, dtype=float).tolist()
+            yaw, _ = plan.view.yaw(0.0, path.derivatives(0.0))
+            drones[drone_id] = GuidedDrone((north, east, down), yaw, plan.guided, drift)
+            continue
         if plan.flight is not None:
             path = Handover(path, plan.flight, plan.departs_s, DEPARTURE_S)
-        drift = wander(chance("wander", drone_id), drift_m)
         drones[drone_id] = Trajectory(Together((path, drift)), plan.view)
     return World(seed, drones)
+
+
+def run_errands(
+    world: World, ids: Sequence[int], errand: Errand, sway_m: float, responses: Mapping[int, Response]
+) -> tuple[World, tuple[ScenarioEvent, ...]]:
+    """The world with these drones on errands, and what they are told when."""
+    flights, orders = fly_errands(world, ids, errand, responses, sway_m)
+    events = (
+        ScenarioEvent(order.t, drone_id, order.words) for drone_id, told in orders.items() for order in told
+    )
+    drones = dict(sorted({**world.drones, **flights}.items()))
+    return replace(world, drones=drones), tuple(sorted(events))
+
+
+def drawn_skews(world: World, ids: Sequence[int]) -> dict[int, float]:
+    """Of the autopilots' clocks, s/s: 100 to 200 ppm, either way, as measured."""
+    skews = {}
+    for drone_id in ids:
+        chance = world.chance("autopilot skew", drone_id)
+        skews[drone_id] = float(chance.choice((-1.0, 1.0)) * chance.uniform(*SKEWS))
+    return skews
+
+
+def haunt(
+    world: World,
+    count: int,
+    *,
+    p_detection: tuple[float, float],
+    score: tuple[float, float],
+    distance_m: tuple[float, float],
+    height_m: tuple[float, float],
+    size_m: tuple[float, float],
+) -> tuple[Ghost, ...]:
+    """Ghosts in the directions in which drones look for each other: each behind one as another one sees it.
+
+    Give or take `BESIDE`. distance_m from the observer, height_m above the ground and size_m are drawn from ranges, and
+    so is each ghost's own probability; all of them have scores from the range.
+    """
+    ghosts = []
+    drones = list(world.drones)
+    for k in range(count if len(drones) > 1 else 0):
+        chance = world.chance("ghost", k)
+        observer, other = (
+            world.flown(d).position(0.0) for d in chance.choice(drones, 2, replace=False).tolist()
+        )
+        north, east, _ = other - observer
+        bearing = math.atan2(east, north) + chance.normal(0.0, BESIDE)
+        distance = chance.uniform(*distance_m)
+        place = observer + distance * np.array([math.cos(bearing), math.sin(bearing), 0.0])
+        place[2] = -chance.uniform(*height_m)
+        ghosts.append(Ghost(place, chance.uniform(*size_m), chance.uniform(*p_detection), score))
+    return tuple(ghosts)
 
 
 def announced_starts(world: World, position_sigma_m: float) -> dict[int, AnnouncedStart]:
     """What the drones' configs say of their starts, measured with errors of that standard deviation per axis."""
     starts = {}
-    for drone_id, trajectory in world.drones.items():
+    for drone_id in world.drones:
+        trajectory = world.flown(drone_id)
         error = position_sigma_m * world.chance("start", drone_id).standard_normal(3)
         starts[drone_id] = AnnouncedStart(
             trajectory.position(0.0) + error, trajectory.yaw(0.0), position_sigma_m

@@ -215,22 +215,31 @@ class Figure:
 
 
 class Scenery:
-    """Trees, poles and houses: upright figures at fixed places, facing the observer, drawn farthest first."""
+    """Trees, poles and houses: upright figures at fixed places, facing the observer, drawn farthest first.
+
+    Each kind stands all around, one in each equal part of the horizon: no view is without a house.
+    """
 
     def __init__(self, world: World, haze_m: float) -> None:
         rng = world.chance("scenery")
         places: list[Array] = []
         figures: list[Figure] = []
-        for build, count, nearest, farthest in (
-            (_tree, 110, 38.0, 120.0),
-            (_pole, 16, 30.0, 80.0),
-            (_house, 12, 45.0, 110.0),
+        self.places: dict[str, Array] = {}
+        """(n, 2) m from the origin, by kind."""
+        for kind, build, count, nearest, farthest in (
+            ("tree", _tree, 110, 38.0, 120.0),
+            ("pole", _pole, 16, 30.0, 80.0),
+            ("house", _house, 12, 45.0, 110.0),
         ):
-            for _ in range(count):
-                azimuth, distance = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(nearest, farthest)
+            standing = []
+            for k in range(count):
+                azimuth = 2.0 * math.pi * (k + rng.uniform(0.0, 1.0)) / count
+                distance = rng.uniform(nearest, farthest)
                 parts = build(rng)
                 figures += parts
-                places += [distance * np.array([math.cos(azimuth), math.sin(azimuth)])] * len(parts)
+                standing.append(distance * np.array([math.cos(azimuth), math.sin(azimuth)]))
+                places += [standing[-1]] * len(parts)
+            self.places[kind] = np.array(standing)
         self._places = np.array(places)  # (n, 2) m
         self._outlines = np.array([figure.outline for figure in figures])
         self._colours = np.array([figure.colour for figure in figures])

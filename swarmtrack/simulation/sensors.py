@@ -17,11 +17,14 @@ import numpy as np
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Array, Detections, EgoPose, ImuSample
+from swarmtrack.messages import Array, Detections, EgoPose, FlightState, ImuSample
 from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.trajectory import Motion
 from swarmtrack.simulation.world import World
 
+NOISE_BLOCK = (
+    256  # samples whose noise is drawn at once: a generator costs as much as a hundred of its numbers
+)
 OCCLUDED = 0.7  # share of a box that nearer boxes must cover for its drone to count as hidden
 MERGING = 0.3  # share of a box that a nearer one must cover for a detector to take both for one thing
 
@@ -30,15 +33,30 @@ MERGING = 0.3  # share of a box that a nearer one must cover for a detector to t
 class ImuParameters:
     """Errors of an IMU. Biases and scale errors are drawn once for each drone, with these standard deviations.
 
-    White noise of a sample has the standard deviation density · √rate, as in Kalibr's IMU noise model.
+    White noise of a sample has the standard deviation density · √rate, as in Kalibr's IMU noise model. filter_hz: of
+    the autopilot's two-pole low-pass (ArduPilot's INS_GYRO_FILTER), 0: none. window_s: a sample is the mean of so long
+    (PX4's integration interval).
     """
 
     rate_hz: float = 200.0
+    filter_hz: float = 20.0
+    window_s: float = 0.0
     gyro_noise_density: float = 2e-4  # rad/s/√Hz: a MEMS gyro on a vibrating frame
     gyro_bias_sigma: float = 0.01  # rad/s: what is left after the autopilot's own calibration
     gyro_scale_sigma: float = 0.0  # relative
     accel_noise_density: float = 3e-3  # m/s²/√Hz
     accel_bias_sigma: float = 0.05  # m/s²
+
+    @property
+    def delay_s(self) -> float:
+        """By which a sample is older than its stamp [s]: the filter's and the window's delay.
+
+        A two-pole Butterworth filter H(s) = 1 / (1 + √2 s/ω + s²/ω²) has log H = −√2 s/ω + O(s³): to second order it
+        is a pure delay of √2/ω. A drone turns at a few hertz, so of a filter of 20 Hz nothing else is left to see.
+        """
+        return (
+            math.sqrt(2.0) / (2.0 * math.pi * self.filter_hz) if self.filter_hz else 0.0
+        ) + self.window_s / 2.0
 
 
 class Imu:
@@ -51,17 +69,28 @@ class Imu:
         self._gyro_scale = 1.0 + p.gyro_scale_sigma * world.chance("gyro scale", drone_id).standard_normal(3)
         self._accel_bias = p.accel_bias_sigma * world.chance("accel bias", drone_id).standard_normal(3)
         self._world = world
+        self._drone = world.flown(drone_id)
         self._drone_id = drone_id
+        self._block: int | None = None
+        self._noise = np.zeros((0, 2, 3))
 
     def sample(self, index: int) -> ImuSample:
-        """Sample number `index`, at world time index / rate."""
+        """Sample number `index`, at world time index / rate, stamped by somebody who knows the filter's delay."""
         t = index / self.parameters.rate_hz
-        white = self._world.chance("imu", self._drone_id, index).standard_normal((2, 3))
-        return ImuSample(t, *self.measure(self._world.drones[self._drone_id].motion(t), white))
+        block, row = divmod(index, NOISE_BLOCK)
+        if block != self._block:
+            rng = self._world.chance("imu", self._drone_id, block)
+            self._block, self._noise = block, rng.standard_normal((NOISE_BLOCK, 2, 3))
+        delay = self.parameters.delay_s
+        return ImuSample(t - delay, *self.measure(t, self._noise[row]), delay)
 
-    def measure(self, motion: Motion, white: Array) -> tuple[Array, Array]:
-        """Gyro (3,) rad/s and accelerometer (3,) m/s² of a sample. white (2, 3): unit normal numbers of its own."""
+    def measure(self, t: float, white: Array) -> tuple[Array, Array]:
+        """Gyro (3,) rad/s and accelerometer (3,) m/s² of the sample that the autopilot stamps t.
+
+        white (2, 3): unit normal numbers of its own.
+        """
         p = self.parameters
+        motion = self._drone.motion(t - p.delay_s)
         wide = math.sqrt(p.rate_hz)
         gyro = self._gyro_scale * motion.body_rate + self.gyro_bias
         accel = motion.specific_force + self._accel_bias
@@ -73,28 +102,63 @@ class Imu:
 
 @dataclass(frozen=True, slots=True)
 class EgoParameters:
-    """Errors of the autopilot's own estimate: white, one standard deviation per axis."""
+    """Errors of the autopilot's own estimate: white ones, with one standard deviation per axis, and lasting ones.
+
+    heading_error_deg: on the ground, from … to, either sign. Some seconds after take-off, from … to, the autopilot
+    aligns itself in flight; from then on the error is at most aligned_error_deg. As ArduCopter's was measured.
+    height_error_m: from … to, either sign, as barometers and GPS have it.
+    """
 
     rate_hz: float = 50.0
     position_sigma: float = 0.02  # m
     attitude_sigma: float = 0.005  # rad
+    heading_error_deg: tuple[float, float] = (1.0, 3.0)
+    aligned_error_deg: float = 1.0
+    aligns_after_s: tuple[float, float] = (10.0, 25.0)
+    height_error_m: tuple[float, float] = (0.05, 0.12)
 
 
-def ego_pose(world: World, drone_id: int, index: int, parameters: EgoParameters) -> EgoPose:
-    """Estimate number `index` of the drone's autopilot, at world time index / rate.
+class Ego:
+    """What one drone's autopilot believes of its pose."""
 
-    As of an autopilot without GPS, the origin is where it started (world time 0); the axes are north, east, down.
-    """
-    t = index / parameters.rate_hz
-    truth = world.pose(drone_id, t)
-    error = world.chance("ego", drone_id, index).standard_normal((2, 3))
-    return EgoPose(
-        t=t,
-        position=truth.position - world.drones[drone_id].position(0.0) + parameters.position_sigma * error[0],
-        world_from_body=truth.rotation @ rotation.exp(parameters.attitude_sigma * error[1]),
-        position_sigma=parameters.position_sigma,
-        attitude_sigma=parameters.attitude_sigma,
-    )
+    def __init__(self, world: World, drone_id: int, parameters: EgoParameters | None = None) -> None:
+        self.parameters = p = parameters or EgoParameters()
+        chance = world.chance("ego errors", drone_id)
+        signs = chance.choice((-1.0, 1.0), 2)
+        self._heading = math.radians(signs[0] * chance.uniform(*p.heading_error_deg))
+        self._aligned = math.radians(chance.uniform(-p.aligned_error_deg, p.aligned_error_deg))
+        self._aligns_after_s = chance.uniform(*p.aligns_after_s)
+        self.height_error: float = signs[1] * chance.uniform(*p.height_error_m)
+        """m, down, as long as it flies."""
+        self._world = world
+        self._drone = world.flown(drone_id)
+        self._drone_id = drone_id
+        self.origin = self._drone.position(0.0)
+        """(3,) m: where its local frame begins, as without GPS: where it was at world time 0."""
+
+    def heading_error(self, t: float) -> float:
+        """Rad, at world time t. Of a drone that was in the air before, small all the time."""
+        return self._aligned if t >= self._drone.takes_off_s + self._aligns_after_s else self._heading
+
+    def flight_state(self, t: float) -> FlightState:
+        """Whether it flies at world time t, as heartbeats tell it."""
+        takes_off = self._drone.takes_off_s
+        return FlightState(t, takes_off if t >= takes_off else None)
+
+    def estimate(self, motion: Motion, t: float, white: Array) -> tuple[Array, Array]:
+        """Position (3,) m in its local frame and world_from_body (3, 3) at t. white (2, 3): unit normal numbers."""
+        p = self.parameters
+        position = motion.position - self.origin + p.position_sigma * white[0]
+        position[2] += self.height_error
+        turned = rotation.exp(np.array([0.0, 0.0, self.heading_error(t)])) @ motion.attitude
+        return position, turned @ rotation.exp(p.attitude_sigma * white[1])
+
+    def pose(self, index: int) -> EgoPose:
+        """Estimate number `index`, at world time index / rate, with the errors that an agent assumes of autopilots."""
+        t = index / self.parameters.rate_hz
+        white = self._world.chance("ego", self._drone_id, index).standard_normal((2, 3))
+        position, attitude = self.estimate(self._drone.motion(t), t, white)
+        return EgoPose(t=t, position=position, world_from_body=attitude)
 
 
 @cache

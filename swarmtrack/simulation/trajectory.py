@@ -59,10 +59,11 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """A path and a yaw profile: everything about one drone's motion."""
+    """A path and a yaw profile: everything about one drone's motion. takes_off_s: −inf of one that was in the air."""
 
     path: Path
     yaw_profile: YawProfile
+    takes_off_s: float = -math.inf
 
     def position(self, t: float) -> Array:
         """(3,) m, NED."""
@@ -217,7 +218,7 @@ def circle(centre: ArrayLike, radius: float, period: float, phase: float = 0.0) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wander:
-    """The drift of a drone that holds its position: a few slow sinusoids per axis, about zero.
+    """The sway of a drone that holds its position in the wind: sinusoids per axis, about zero.
 
     amplitudes, frequencies, phases (n, 3) in m, Hz, rad. Build it with `wander`.
     """
@@ -231,14 +232,95 @@ class Wander:
         return np.asarray(_sinusoid(self.amplitudes, omega, omega * t + self.phases).sum(axis=1))
 
 
-def wander(rng: np.random.Generator, amplitude: float = 0.03, terms: int = 3) -> Wander:
-    """A `Wander` with RMS `amplitude` [m] an axis and periods of 2 to 10 s."""
-    share = rng.dirichlet(np.ones(terms), size=3).T  # of the variance
+def wander(rng: np.random.Generator, amplitude: float = 0.03, terms: int = 6) -> Wander:
+    """A `Wander` with RMS `amplitude` [m] an axis, from slow gusts to the trembling of the controller.
+
+    One sinusoid in each of the equal bands (by logarithm) that make up 0.05 to 1 Hz. Its variance falls with the square
+    of the frequency: a multirotor tilts by a degree or so for all of them, and does not shake.
+    """
+    slowest, fastest = 0.05, 1.0  # Hz
+    band = (np.arange(terms)[:, None] + rng.uniform(0.0, 1.0, (terms, 3))) / terms
+    frequencies = slowest * (fastest / slowest) ** band
+    share = rng.exponential(size=(terms, 3)) / frequencies**2
+    share /= share.sum(axis=0)
     return Wander(
         amplitudes=amplitude * np.sqrt(2.0 * share),
-        frequencies=rng.uniform(0.1, 0.5, size=(terms, 3)),
+        frequencies=frequencies,
         phases=rng.uniform(0.0, 2.0 * math.pi, size=(terms, 3)),
     )
+
+
+def _hermite(derivatives: int) -> Array:
+    """Coefficients, highest last, of the polynomial on 0…1 with so many derivatives given at 0 and then at 1."""
+    n = 2 * derivatives
+    conditions = np.zeros((n, n))
+    for order in range(derivatives):
+        conditions[order, order] = math.factorial(order)
+        conditions[derivatives + order, order:] = [math.perm(k, order) for k in range(order, n)]
+    return np.asarray(np.linalg.inv(conditions))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """Numbers that were computed ahead, and as many derivatives as were computed with them, continuous at the samples.
+
+    samples (n, d, m): value and derivatives at begins + k · every [s]. At rest before the first and after the last.
+    """
+
+    begins: float
+    every: float
+    samples: Array
+    _coefficients: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        d = self.samples.shape[1]
+        scaled = self.samples * self.every ** np.arange(d)[:, None]
+        ends = np.concatenate([scaled[:-1], scaled[1:]], axis=1)
+        object.__setattr__(self, "_coefficients", np.einsum("ij,njm->nim", _hermite(d), ends))
+
+    def at(self, t: float) -> Array:
+        """(d, m)."""
+        d = self.samples.shape[1]
+        place = (t - self.begins) / self.every
+        k = math.floor(place)
+        if not 0 <= k < len(self._coefficients):
+            still = np.zeros(self.samples.shape[1:])
+            still[0] = self.samples[0 if k < 0 else -1, 0]
+            return still
+        factors, exponents = _DIFFERENTIATE[d]
+        powers = factors * (place - k) ** exponents / self.every ** np.arange(d)[:, None]
+        return np.asarray(powers @ self._coefficients[k])
+
+
+# By number of derivatives: (d, 2 d) factors and exponents that a polynomial's terms have after so many of them.
+_DIFFERENTIATE = {
+    d: (
+        np.array([[math.perm(k, order) for k in range(2 * d)] for order in range(d)], dtype=float),
+        np.array([[max(k - order, 0) for k in range(2 * d)] for order in range(d)]),
+    )
+    for d in (3, DERIVATIVES)
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledPath:
+    """A `Path` that was computed ahead: position, velocity, acceleration and jerk, (n, 4, 3)."""
+
+    samples: Sampled
+
+    def derivatives(self, t: float) -> Array:
+        return self.samples.at(t)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledYaw:
+    """A `YawProfile` that was computed ahead: yaw, its rate and its acceleration, (n, 3, 1)."""
+
+    samples: Sampled
+
+    def yaw(self, t: float, flat: Array) -> tuple[float, float]:
+        yaw, rate, _ = self.samples.at(t)[:, 0].tolist()
+        return yaw, rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,17 +377,21 @@ class Handover:
             return self.before.derivatives(t)
         if t >= self.start + self.duration:
             return self.after.derivatives(t)
-        s = _smooth_step((t - self.start) / self.duration) / self.duration ** np.arange(DERIVATIVES)
+        s = smooth_step((t - self.start) / self.duration) / self.duration ** np.arange(DERIVATIVES)
         old = self.before.derivatives(t)
-        change = self.after.derivatives(t) - old
-        blend = np.zeros((DERIVATIVES, 3))
-        for order in range(DERIVATIVES):  # Leibniz: the derivatives of s(t) · change(t)
-            for k in range(order + 1):
-                blend[order] += math.comb(order, k) * s[k] * change[order - k]
-        return np.asarray(old + blend)
+        return np.asarray(old + scaled(s, self.after.derivatives(t) - old))
 
 
-def _smooth_step(x: float) -> Array:
+def scaled(factor: Array, flat: Array) -> Array:
+    """The derivatives (4, 3) of a path's `flat` (4, 3) times a number with the derivatives `factor` (4,): Leibniz."""
+    product = np.zeros((DERIVATIVES, 3))
+    for order in range(DERIVATIVES):
+        for k in range(order + 1):
+            product[order] += math.comb(order, k) * factor[k] * flat[order - k]
+    return product
+
+
+def smooth_step(x: float) -> Array:
     """From 0 to 1 on 0…1 by the polynomial of degree 7 that is flat to third order at both ends.
 
     Value and three derivatives, (4,).
@@ -355,7 +441,7 @@ class SwingingYaw:
         omega = 2.0 * math.pi / self.period
         amplitude = self.peak_rate / omega
         angle = omega * (t - self.start)
-        s = _smooth_step((t - self.start) / self.ramp)
+        s = smooth_step((t - self.start) / self.ramp)
         yaw = self.heading + amplitude * s[0] * math.sin(angle)
         return yaw, amplitude * (s[1] / self.ramp * math.sin(angle) + s[0] * omega * math.cos(angle))
 

@@ -6,16 +6,49 @@ starts at 0 s. The world frame is the team's NED frame with the ground at z = 0;
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 from swarmtrack.simulation.airframe import Airframe
-from swarmtrack.simulation.trajectory import Trajectory
+from swarmtrack.simulation.followed import FollowedDrone
+from swarmtrack.simulation.trajectory import Motion
+
+
+class Drawn(Protocol):
+    """A drone as a picture and a judge need it: they ask nothing else."""
+
+    def pose(self, t: float) -> Pose:
+        """world_from_body."""
+        ...
+
+    def position(self, t: float) -> Array:
+        """(3,) m, NED."""
+        ...
+
+
+@runtime_checkable
+class OwnDrone(Drawn, Protocol):
+    """A drone that we fly ourselves, so that sensors of ours can measure how it moves."""
+
+    @property
+    def takes_off_s(self) -> float:
+        """World time, s; −inf of a drone that was in the air before, inf of one that stays on the ground."""
+        ...
+
+    def yaw(self, t: float) -> float:
+        """Rad, from north, clockwise seen from above."""
+        ...
+
+    def motion(self, t: float) -> Motion:
+        """Everything at once."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +56,7 @@ class World:
     """Drones, by their ID, on their trajectories; `seed` decides everything that is left to chance."""
 
     seed: int
-    drones: Mapping[int, Trajectory]
+    drones: Mapping[int, Drawn]
     airframes: Mapping[int, Airframe] = field(default_factory=dict)
 
     def airframe(self, drone_id: int) -> Airframe:
@@ -33,13 +66,22 @@ class World:
         """world_from_body."""
         return self.drones[drone_id].pose(t)
 
+    @property
+    def told_until(self) -> float:
+        """Up to which time all poses are known [s]: inf where we fly everybody ourselves."""
+        told = (drone.newest for drone in self.drones.values() if isinstance(drone, FollowedDrone))
+        return min(told, default=math.inf)
+
+    def flown(self, drone_id: int) -> OwnDrone:
+        """The drone, where it is one of ours to fly."""
+        drone = self.drones[drone_id]
+        if not isinstance(drone, OwnDrone):
+            raise TypeError(f"drone {drone_id}: is flown by others, who alone know how it moves")
+        return drone
+
     def body_rate(self, drone_id: int, t: float) -> Array:
         """(3,) rad/s in body axes."""
-        return self.drones[drone_id].body_rate(t)
-
-    def specific_force(self, drone_id: int, t: float) -> Array:
-        """(3,) m/s² in body axes: (0, 0, -9.81) in hover."""
-        return self.drones[drone_id].specific_force(t)
+        return self.flown(drone_id).motion(t).body_rate
 
     def chance(self, purpose: str, *numbers: int) -> np.random.Generator:
         """The generator for one purpose and index. Equal arguments draw equal numbers, in whatever order asked."""

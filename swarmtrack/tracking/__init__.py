@@ -15,7 +15,7 @@ from swarmtrack.tracking.kalman import Kalman
 from swarmtrack.tracking.mbm import Mbm
 from swarmtrack.tracking.sensor_model import SensorModel
 
-__all__ = ["DEFAULT_TRACKER", "TRACKERS", "Scan", "Tracker", "create_tracker"]
+__all__ = ["AGENT_PARAMETERS", "DEFAULT_TRACKER", "TRACKERS", "Scan", "Tracker", "create_tracker"]
 
 DEFAULT_TRACKER = "mbm"
 TRACKERS: dict[str, type[Filter]] = {  # a visible table: add a tracker by its module and one line here
@@ -24,6 +24,8 @@ TRACKERS: dict[str, type[Filter]] = {  # a visible table: add a tracker by its m
     "gmphd": GmPhd,
     "mbm": Mbm,
 }
+# What an agent tells its tracker, unless its config says otherwise: nobody measured this detector on this flight.
+AGENT_PARAMETERS: dict[str, Any] = {"adapt_noise": True}
 
 
 def create_tracker(name: str, *, camera: PinholeCamera, **parameters: Any) -> Tracker:

@@ -12,24 +12,29 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
+from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.smoothing import FixedLag
 from swarmtrack.tracking.table import TrackColumns, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
 
+# rad/s: a change of the camera's rate from scan to scan, below which a clock 10 ms off moves nothing by half a pixel
+STEADY = 0.1
+
 
 class Explained(NamedTuple):
     """What a filter makes of a scan.
 
-    nis (k,): squared Mahalanobis distances of detections from the confirmed tracks that surely made them, before the
-    update; clutter: the expected number of detections that no target made.
+    pairs: the detections that confirmed tracks surely made, as they fitted before the update; clutter: the expected
+    number of detections that no target made.
     """
 
-    nis: Array
+    pairs: SurePairs
     clutter: float
 
 
@@ -80,6 +85,7 @@ class Tracker:
         )
         self._surely_placed = lifecycle.largest_variance(camera)
         self._smoother = FixedLag(sensor.parameters.lag_s, camera, TURNS[sensor.parameters.profile])
+        self._rate, self._steady = np.zeros(3), False
         self._t: float | None = None
         self._last_scan: float | None = None
         self._late_scans = 0
@@ -95,7 +101,8 @@ class Tracker:
         if self._t is None:
             return ()
         table = self._filter.table
-        return self._show().tracks(self._t, table.mean.copy(), table.cov.copy())  # filters write into theirs
+        # copies: filters write into theirs
+        return self._show().tracks(self._t, table.mean.copy(), self._sensor.with_lasting_error(table.cov))
 
     def _show(self) -> TrackColumns:
         if self._shown is None:
@@ -118,6 +125,11 @@ class Tracker:
         detected. Of a noise that was told too small it says so, although `learn_noise` mends it."""
         return self._innovations.consistency()
 
+    @property
+    def measured_noise(self) -> MeasuredNoise | None:
+        """What was learned of the noise; None while too little, and where it is not learned both ways."""
+        return self._sensor.noise.measured
+
     def measurement_noise(self, size: Array, score: Array | None) -> Array:
         """R (m, 2, 2) px² that it gives to detections without; size (m, 2) px, score (m,)."""
         return self._sensor.measurement_noise(size, score)
@@ -139,10 +151,19 @@ class Tracker:
         if not np.isfinite(t) or (self._t is not None and t < self._t):
             return  # to the time of a late scan, which `update` will refuse: the rotation leads away from our state
         dt = 0.0 if self._t is None else t - self._t
+        self._note_turn(dt, rotation)
         self._smoother.move(self._filter.table, dt, rotation)
         self._shown = None
         self._filter.predict(dt, rotation, rotation_variance)
         self._t = t
+
+    def _note_turn(self, dt: float, rotation: Array | None) -> None:
+        """Whether the camera goes on turning as it did."""
+        if dt <= 0.0:
+            return
+        rate = np.zeros(3) if rotation is None else turned_by(rotation) / dt
+        self._steady = bool(np.abs(rate - self._rate).max() < STEADY)
+        self._rate = rate
 
     def update(self, scan: Scan) -> bool:
         """Fold in a scan. One that is older than the last, or the same again, is refused (False) and counted."""
@@ -155,13 +176,20 @@ class Tracker:
         self._last_scan = scan.t
         self._smoother.expect(self._filter.table)
         self._shown = None
-        explained = self._filter.update(scan.t, self._sensor.usable(scan))
+        measured = self._sensor.usable(scan)
+        explained = self._filter.update(scan.t, measured)
         self._smoother.note(scan.t, self._filter.table)
-        # The window judges what was told, not what was learned.
-        self._innovations.add((explained.nis * self._sensor.noise_scale).tolist())
+        # The window judges what was told, unless all was learned.
+        nis = explained.pairs.nis
+        self._innovations.add((nis * self._sensor.noise_scale).tolist())
         self._sensor.learn_clutter(explained.clutter, scan.coverage)
-        self._sensor.learn_noise(explained.nis.tolist())
+        self._sensor.learn_noise(explained.pairs, measured.size, steady=self._steady)
         return True
+
+    def vouch(self, track_id: int) -> None:
+        """Something else than its looks says that a weak look-alike is a target: it may be confirmed."""
+        table = self._filter.table
+        table.fit[table.id == track_id] = True
 
     def at(
         self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0
@@ -170,6 +198,7 @@ class Tracker:
         if self._t is None:
             return ()
         mean, cov = self._filter.extrapolated(t - self._t, rotation, rotation_variance)
+        cov = self._sensor.with_lasting_error(cov)
         tracks = self._show().tracks(t, mean, cov)
         if np.abs(mean).max(initial=0.0) < self._surely_before and cov.max(initial=0.0) < self._surely_placed:
             return tracks

@@ -13,10 +13,11 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 
-WINDOW = 200  # detections: at 7 Hz and four targets, seven seconds
+WINDOW = 100  # detections: at 7 Hz a quarter of a minute of one target, or four seconds of four
 FEWEST = 30
 NORMAL_99 = 2.5758293035489004  # the standard normal's 99.5 % quantile
 SURELY_THERE = 0.95  # existence, before the scan, of a track whose lone detection is taken for its own
@@ -31,15 +32,16 @@ class Consistency(NamedTuple):
     high: float
 
 
-def of_sure_pairs(distance: Array, log_ratio: Array, existence: Array) -> Array:
-    """Squared distances (k,) of the n tracks and m detections that have nobody else in their gates.
+def sure_pairs(log_ratio: Array, existence: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows (k,) and columns (k,) of the n tracks and m detections that have nobody else in their gates.
 
-    distance (n, m); log_ratio (n, m), −inf beyond the gate; existence (n,) before the scan. Only what was known before
-    the scan picks them: a choice by how well they fit would make every filter look better than it is.
+    log_ratio (n, m), −inf beyond the gate; existence (n,) before the scan. Only what was known before the scan picks
+    them: a choice by how well they fit would make every filter look better than it is.
     """
     gated = log_ratio > -np.inf
     alone = gated & (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
-    return np.asarray(distance[alone & (existence > SURELY_THERE)[:, None]])
+    rows, columns = np.nonzero(alone & (existence > SURELY_THERE)[:, None])
+    return rows, columns
 
 
 class InnovationWindow:

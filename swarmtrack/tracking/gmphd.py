@@ -29,10 +29,11 @@ from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.association import Indices
 from swarmtrack.tracking.base import Explained
-from swarmtrack.tracking.consistency import of_sure_pairs
+from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian_tracks import GaussianTracks
 from swarmtrack.tracking.marginals import SMALL, beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
+from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import FADED
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
@@ -158,9 +159,10 @@ class GmPhd(GaussianTracks):
         table, prior, labels = self.table, self.mixture, blocks(self.mixture.label)
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         size = table.size.take(labels.row, axis=0)
-        distance, log_ratio = self._sensor.likelihoods(prior.mean, prior.cov, size, measured)
+        log_ratio = self._sensor.likelihoods(prior.mean, prior.cov, size, measured).log_ratio
         is_gaussian = np.bincount(labels.row) == 1
-        nis = of_sure_pairs(distance, log_ratio, (is_gaussian * table.existence)[labels.row])
+        rows = sure_pairs(log_ratio, (is_gaussian * table.existence)[labels.row])
+        pairs = pairs_of(prior.label, (prior.mean, prior.cov), (measured.z, measured.R), rows)
         newcomer = self._sensor.birth_existence(measured.odds)
         weight, shares = self._reweighed(labels, visibility.p_detection, log_ratio, newcomer)
 
@@ -181,7 +183,7 @@ class GmPhd(GaussianTracks):
         table.mean, table.cov = moments(self.mixture, blocks(self.mixture.label))
         births = np.where(self._population.shadowed(t, measured, seen), 0.0, shares.free * newcomer)
         self._join_twins(seen)
-        return births, Explained(nis, float((shares.free * (1.0 - newcomer)).sum()))
+        return births, Explained(pairs, float((shares.free * (1.0 - newcomer)).sum()))
 
     def _reweighed(
         self, labels: Blocks, p_detection: Array, log_ratio: Array, newcomer: Array

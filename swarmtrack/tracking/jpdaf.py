@@ -25,11 +25,12 @@ import numpy as np
 from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.base import Explained
-from swarmtrack.tracking.consistency import of_sure_pairs
+from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian import inverse
 from swarmtrack.tracking.gaussian_tracks import GaussianTracks
 from swarmtrack.tracking.marginals import beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
+from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import FADED
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
@@ -82,8 +83,9 @@ class Jpdaf(GaussianTracks):
         """Give each track its shares, and update; returns the probability (m,) of a new target at each detection."""
         table = self.table
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
-        distance, log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured)
-        nis = of_sure_pairs(distance, log_ratio, table.confirmed * table.existence)
+        log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured).log_ratio
+        sure = sure_pairs(log_ratio, table.confirmed * table.existence)
+        pairs = pairs_of(table.id, (table.mean, table.cov), (measured.z, measured.R), sure)
         newcomer = self._sensor.birth_existence(measured.odds)
         detectable = table.existence * visibility.p_detection
         share = self._shares(log_ratio + np.log1p(-newcomer), detectable)
@@ -106,7 +108,7 @@ class Jpdaf(GaussianTracks):
         self._population.judge(t, seen, visibility)
         unexplained = np.maximum(1.0 - share.sum(axis=0), 0.0)
         births = np.where(self._population.shadowed(t, measured, seen), 0.0, unexplained * newcomer)
-        return births, Explained(nis, float((unexplained * (1.0 - newcomer)).sum()))
+        return births, Explained(pairs, float((unexplained * (1.0 - newcomer)).sum()))
 
     def _doubles(self, existence: Array) -> tuple[list[int], list[int]]:
         """Rows of confirmed tracks, older and younger, that are in one place and share the existence of one target.

@@ -16,9 +16,10 @@ from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
-from swarmtrack.tracking.consistency import of_sure_pairs
+from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.gaussian_tracks import GaussianTracks
+from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements
 
@@ -46,8 +47,9 @@ class Kalman(GaussianTracks):
         table, z, R = self.table, measured.z, measured.R
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         p_detection = visibility.p_detection
-        distance, log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured)
-        nis = of_sure_pairs(distance, log_ratio, table.existence)
+        log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured).log_ratio
+        sure = sure_pairs(log_ratio, table.existence)
+        pairs = pairs_of(table.id, (table.mean, table.cov), (measured.z, measured.R), sure)
         with np.errstate(divide="ignore"):
             odds_of_detection = np.log(p_detection / (1.0 - p_detection))
         rows, columns = self._match(log_ratio + odds_of_detection[:, None])
@@ -61,7 +63,7 @@ class Kalman(GaussianTracks):
         seen[rows], taken[columns] = True, True
         self._population.judge(t, seen, visibility)
         clutter = len(z) - float(table.existence[rows].sum())
-        return taken | self._population.shadowed(t, measured, seen), Explained(nis, clutter)
+        return taken | self._population.shadowed(t, measured, seen), Explained(pairs, clutter)
 
     def _match(self, log_ratio: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Confirmed tracks choose first, weighed by their existence; tentative ones share what is left."""

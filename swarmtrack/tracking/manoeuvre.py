@@ -12,7 +12,7 @@ acceleration moves nothing: it is what the target would start to manoeuvre with,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import Turn, add_flow_of_error, turn_exactly
+from swarmtrack.tracking.noise import SurePairs, whitened
 
 CALM, AGILE = 0, 1
 KINEMATIC = slice(0, 4)
@@ -64,6 +65,10 @@ class Manoeuvres:
         total = self.calm_s + self.agile_s
         return np.array([self.calm_s / total, self.agile_s / total])
 
+    def calmed(self, scale: float) -> Manoeuvres:
+        """The calm model's noise times a scale. How hard drones can manoeuvre, a calm one does not tell."""
+        return self if scale == 1.0 else replace(self, calm_psd=scale * self.calm_psd)
+
 
 class ModeMixture(NamedTuple):
     """n targets, each with a Gaussian for each of two modes: mean (n, 2, 6), cov (n, 2, 6, 6), mode (n, 2) their
@@ -75,6 +80,25 @@ class ModeMixture(NamedTuple):
 
     def take(self, rows: NDArray[np.intp]) -> ModeMixture:
         return ModeMixture(self.mean[rows], self.cov[rows], self.mode[rows])
+
+
+class ModeInnovations(NamedTuple):
+    """Of k updates: calm (k, 2), those of the calm mode, whitened; share (k,): of R in their covariance;
+    weight (k,): that the target was calm; nis (k,): the squared Mahalanobis distances in both modes, weighed by how
+    likely each is after the update. If the mixture is right its mean is 2, as exactly as with a single Gaussian."""
+
+    calm: Array
+    share: Array
+    weight: Array
+    nis: Array
+
+    def pairs(
+        self, track: NDArray[np.int64], detection: NDArray[np.intp], rows: NDArray[np.intp]
+    ) -> SurePairs:
+        """Of some rows (…,); track (k,) ids, detection (k,) rows of the scan."""
+        return SurePairs(
+            track[rows], detection[rows], self.calm[rows], self.share[rows], self.weight[rows], self.nis[rows]
+        )
 
 
 NOBODY = ModeMixture(np.empty((0, 2, 6)), np.empty((0, 2, 6, 6)), np.empty((0, 2)))
@@ -141,9 +165,8 @@ def predict(
     return ModeMixture(mean, cov, mode)
 
 
-def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, Array]:
-    """Fold measurement z (n, 2) with R (n, 2, 2) into target n; also the innovations' distances (n,), squared
-    Mahalanobis, by the merged prediction.
+def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, ModeInnovations]:
+    """Fold measurement z (n, 2) with R (n, 2, 2) into target n; also how well it fitted.
 
     Each mode's Kalman update is in Joseph form, (I − K H) P (I − K H)ᵀ + K R Kᵀ, which H, two rows of the identity,
     makes two products of rank two: B = P − K H P, then B + (K R − B Hᵀ) Kᵀ.
@@ -158,13 +181,16 @@ def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, Array
     B = mixture.cov - K @ mixture.cov[:, :, 0:4:2]
     cov = B + (K @ R - B[..., 0:4:2]) @ K.swapaxes(2, 3)
     cov = 0.5 * (cov + cov.swapaxes(2, 3))
-    log_likelihood = -0.5 * (_squared_length(y, S, determinant) + np.log(determinant))
+    distance = _squared_length(y, S, determinant)
+    log_likelihood = -0.5 * (distance + np.log(determinant))
     fitted = mixture.mode * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     mode = fitted / fitted.sum(axis=1, keepdims=True)
     mode = LEAST_MODE + (1.0 - 2.0 * LEAST_MODE) * mode
-    y, S = _one_gaussian(mixture.mode, y, S)
-    distance = _squared_length(y, S, S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)
-    return ModeMixture(mixture.mean + step, cov, mode), distance
+    of_R = 0.5 * (R[:, 0, [0, 1], [0, 1]] / S[:, CALM, [0, 1], [0, 1]]).sum(axis=1)
+    fit = ModeInnovations(
+        whitened(y[:, CALM], S[:, CALM]), of_R, mode[:, CALM], (mode * distance).sum(axis=1)
+    )
+    return ModeMixture(mixture.mean + step, cov, mode), fit
 
 
 def _squared_length(y: Array, S: Array, determinant: Array) -> Array:

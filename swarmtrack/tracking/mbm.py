@@ -34,7 +34,7 @@ from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
-from swarmtrack.tracking.manoeuvre import Manoeuvres, ModeMixture
+from swarmtrack.tracking.manoeuvre import Manoeuvres, ModeInnovations, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, propagate
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import Population, blend_sizes
@@ -47,6 +47,11 @@ Indices = NDArray[np.intp]
 LARGEST_LOG_RATIO = 300.0  # of a tentative track's claim: nothing is as certain, and doubles end at 709
 LEAST_AVAILABLE = 1e-3  # a detection that the confirmed tracks take more surely than that is nobody else's
 SAME = 0.25  # standard deviations within which two leaves of a track say the same
+OUTLIERS = 0.05  # share of detections that are off by more than their noise
+ORDINARY_FLOW = (
+    1.0  # px: by which the gyro's noise moves a target from scan to scan; beyond it something was wrong
+)
+LEAST_OVERLAP = 1e-9  # of a track with all others: below it, nobody is near
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +107,10 @@ class MbmParameters(CommonParameters):
                 )
 
     @property
+    def has_calm_model(self) -> bool:
+        return self.interacting
+
+    @property
     def manoeuvres(self) -> Manoeuvres:
         if not self.interacting:
             return Manoeuvres(
@@ -136,13 +145,14 @@ class Leaves(NamedTuple):
 class Weighed(NamedTuple):
     """A scan of m detections as L leaves of n tracks see it.
 
-    visibility: of the tracks; shift (n, 2, 2) px²: how far a detection may lie off because it is of two targets; ratio
-    (L, m): log-likelihood of a detection as the leaf's over its being clutter; gain (L, m): of having made it, over
-    having made none; missed (L,): log-probability of having made none.
+    visibility: of the tracks; shift (n, 2, 2) px²: how far a detection of two targets lies off; merged (L, m): that it
+    is one; ratio (L, m): log-likelihood of a detection as the leaf's over its being clutter; gain (L, m): of having
+    made it, over having made none; missed (L,): log-probability of having made none.
     """
 
     visibility: Visibility
     shift: Array
+    merged: Array
     ratio: Array
     gain: Array
     missed: Array
@@ -173,8 +183,8 @@ class Mbm:
         self._sensor = sensor
         self._parameters = parameters
         self._manoeuvres = parameters.manoeuvres
-        self._psd = np.array([self._manoeuvres.calm_psd, self._manoeuvres.agile_psd])
         self._turn = TURNS[parameters.profile]
+        self._ordinary = (ORDINARY_FLOW / sensor.camera.fx) ** 2
         self._depth = -math.log(parameters.least_weight)
         self._population = Population(sensor, parameters)
         self._leaves = Leaves(np.empty(0, np.intp), manoeuvre.NOBODY, np.empty(0), np.empty((0, 2)))
@@ -192,14 +202,14 @@ class Mbm:
         return ids
 
     def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
-        leaves = self._leaves
+        leaves, scale = self._leaves, self._sensor.noise.motion
         motion = manoeuvre.predict(
             leaves.motion,
             dt,
-            self._manoeuvres,
+            self._manoeuvres.calmed(scale),
             camera=self._sensor.camera,
             rotation=rotation,
-            rotation_variance=rotation_variance,
+            rotation_variance=self._learned(rotation_variance),
             turn=self._turn,
         )
         existence = lifecycle.survive(leaves.existence, dt, self._parameters.p_survival)
@@ -213,7 +223,8 @@ class Mbm:
     def extrapolated(
         self, dt: float, rotation: Array | None, rotation_variance: float
     ) -> tuple[Array, Array]:
-        published = self._published()
+        published, scale = self._published(), self._sensor.noise.motion
+        psd = np.array([scale * self._manoeuvres.calm_psd, self._manoeuvres.agile_psd])
         position, velocity = manoeuvre.acceleration_reach(dt, self._manoeuvres)
         # Such that constant velocity brings it where the acceleration does.
         reach = np.array([position - dt * velocity, velocity])
@@ -223,12 +234,17 @@ class Mbm:
             mean,
             self.table.cov,
             dt,
-            psd=published.mode @ self._psd,
+            psd=published.mode @ psd,
             camera=self._sensor.camera,
             rotation=rotation,
-            rotation_variance=rotation_variance,
+            rotation_variance=self._learned(rotation_variance),
             turn=self._turn,
         )
+
+    def _learned(self, rotation_variance: float) -> float:
+        """What the gyro ordinarily does not know of a turn is learned with the motion's noise; a gap in it is not."""
+        ordinary = min(rotation_variance, self._ordinary)
+        return self._sensor.noise.motion * ordinary + rotation_variance - ordinary
 
     def update(self, t: float, measured: Measurements) -> Explained:
         self._drop(t)
@@ -244,15 +260,10 @@ class Mbm:
     def _weigh(self, measured: Measurements) -> Weighed:
         table, leaves = self.table, self._leaves
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
-        shift = self._shift_of_merged(visibility.overlap)
-        mean, cov, mode = leaves.motion
-        cov = cov[:, :, manoeuvre.KINEMATIC, manoeuvre.KINEMATIC].copy()
-        cov[:, :, POSITION, POSITION] += shift[leaves.owner][:, None]
-        mean = mean[:, :, manoeuvre.KINEMATIC].reshape(-1, 4)
-        size = np.repeat(leaves.size, 2, axis=0)
-        by_mode = self._sensor.likelihoods(mean, cov.reshape(-1, 4, 4), size, measured).log_ratio
-        by_mode = by_mode.reshape(len(leaves.owner), 2, len(measured.z)) + np.log(mode)[:, :, None]
-        ratio = np.logaddexp(by_mode[:, manoeuvre.CALM], by_mode[:, manoeuvre.AGILE])
+        ratio = self._with_outliers(self._log_ratio(measured), measured)
+        shift, merged = np.zeros((len(table), 2, 2)), np.zeros_like(ratio)
+        if visibility.overlap.any() and ratio.size:
+            ratio, merged, shift = self._with_merged(ratio, visibility.overlap, measured)
         p_detected = leaves.existence * visibility.p_detection[leaves.owner]
         missed = np.log1p(-p_detected)
         with np.errstate(divide="ignore"):
@@ -263,15 +274,68 @@ class Mbm:
         claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
         gain[confirmed] -= np.log1p(p_detected[~confirmed] @ claim)
         gain[gain < -self._depth] = -np.inf  # to have made none is likelier by more than what is kept
-        return Weighed(visibility, shift, ratio, gain, missed)
+        return Weighed(visibility, shift, merged, ratio, gain, missed)
+
+    def _log_ratio(self, measured: Measurements, shift: Array | None = None) -> Array:
+        """(L, m) by both modes; shift (n, 2, 2) px² of each track's detections."""
+        leaves = self._leaves
+        mean, cov, mode = leaves.motion
+        cov = cov[:, :, manoeuvre.KINEMATIC, manoeuvre.KINEMATIC]
+        if shift is not None:
+            cov = cov.copy()
+            cov[:, :, POSITION, POSITION] += shift[leaves.owner][:, None]
+        mean = mean[:, :, manoeuvre.KINEMATIC].reshape(-1, 4)
+        size = np.repeat(leaves.size, 2, axis=0)
+        by_mode = self._sensor.likelihoods(mean, cov.reshape(-1, 4, 4), size, measured).log_ratio
+        by_mode = by_mode.reshape(len(leaves.owner), 2, len(measured.z)) + np.log(mode)[:, :, None]
+        return np.asarray(np.logaddexp(by_mode[:, manoeuvre.CALM], by_mode[:, manoeuvre.AGILE]))
+
+    def _with_outliers(self, ratio: Array, measured: Measurements) -> Array:
+        """The log-ratios (L, m) where some detections scatter as was told, and not as little as was measured.
+
+        Only who made what is so asked: a box that jumps is still the target's. The update follows it, as it would with
+        the noise that was told, whose gain is no smaller.
+        """
+        if measured.widest is None:
+            return ratio
+        wide = self._log_ratio(measured._replace(R=measured.widest))
+        return np.asarray(np.logaddexp(math.log1p(-OUTLIERS) + ratio, math.log(OUTLIERS) + wide))
+
+    def _with_merged(
+        self, ratio: Array, overlap: Array, measured: Measurements
+    ) -> tuple[Array, Array, Array]:
+        """Where a detection may also be one of two targets: the log-ratios (L, m), that it is one (L, m), and `shift`.
+
+        Two explanations stay two. As one wide noise they would tell a sharp track to ignore a sharp detection, because
+        of a neighbour that it is merged with once in twenty scans.
+        """
+        overlap = overlap * self.table.existence
+        shift = self._shift_of_merged(overlap)
+        p = (1.0 - (1.0 - self._alone_in_scan(ratio)[None] * overlap[:, :, None]).prod(axis=1))[
+            self._leaves.owner
+        ]
+        p[p < self._parameters.least_weight] = 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            merged = np.log(p) + self._log_ratio(measured, shift)
+            total = np.logaddexp(np.log1p(-p) + ratio, merged)
+            return total, np.where(total > -np.inf, np.exp(merged - total), 0.0), shift
+
+    def _alone_in_scan(self, ratio: Array) -> NDArray[np.bool_]:
+        """(n, m) whether a track has no other detection that is rather its own than clutter: who has, was not merged
+        into this one."""
+        first = np.searchsorted(self._leaves.owner, np.arange(len(self.table)))
+        own = np.maximum.reduceat(ratio, first, axis=0) > 0.0
+        return np.asarray(own.sum(axis=1, keepdims=True) - own == 0)
 
     def _shift_of_merged(self, overlap: Array) -> Array:
-        """(n, 2, 2) px²: where two targets may give one detection it lies between them, half their distance off."""
-        if not overlap.any():
-            return np.zeros((len(self.table), 2, 2))
+        """(n, 2, 2) px²: a detection of two targets lies between them, half their distance off. They are no further
+        apart than what is not resolved, whatever the tracks say, which may have been lost."""
         position = self.table.mean[:, POSITION]
-        half = 0.5 * (position[None] - position[:, None])
-        return np.asarray((overlap[:, :, None] * half).swapaxes(1, 2) @ half)
+        resolution = self._sensor.resolutions(self.table.size)
+        reach = 0.25 * (resolution[None] + resolution[:, None])
+        half = np.clip(0.5 * (position[None] - position[:, None]), -reach, reach)
+        share = overlap / np.maximum(overlap.sum(axis=1, keepdims=True), LEAST_OVERLAP)
+        return np.asarray((share[:, :, None] * half).swapaxes(1, 2) @ half)
 
     # --- who made what ------------------------------------------------------------------------------
 
@@ -400,14 +464,15 @@ class Mbm:
         _, disputed, taken = explanation
         associations = [Association(cluster.leaf, column) for cluster, column in disputed]
         told, rows = _distinct([explanation.settled, started, *associations], *weighed.gain.shape)
-        leaves, distance = self._continued(told, measured, weighed, taken)
+        leaves, fit = self._continued(told, measured, weighed, taken)
         undisputed = np.concatenate(rows[:2])
         continued = [
             cluster._replace(leaf=leaf) for (cluster, _), leaf in zip(disputed, rows[2:], strict=True)
         ]
         hit = told.column >= 0
         confirmed_before = self.table.confirmed[leaves.owner]
-        nis = distance[self._alone(weighed)[told.leaf[hit], told.column[hit]]]
+        sure = np.flatnonzero(self._alone(weighed)[told.leaf[hit], told.column[hit]])
+        pairs = fit.pairs(self.table.id[leaves.owner[hit]], told.column[hit], sure)
         tentative = hit & ~confirmed_before
         free = 1.0 - taken
         free[told.column[tentative]] = 0.0
@@ -422,7 +487,7 @@ class Mbm:
         free[self._population.shadowed(t, measured, seen)] = 0.0
         self._population.give_birth(t, measured.select(free > 0.5))
         self._grow_leaves()
-        return Explained(nis, float(clutter))
+        return Explained(pairs, float(clutter))
 
     def _alone(self, weighed: Weighed) -> NDArray[np.bool_]:
         """(L, m) detections in the gate of one confirmed track only, which has one leaf, and no other in it: it
@@ -435,13 +500,14 @@ class Mbm:
 
     def _continued(
         self, told: Association, measured: Measurements, weighed: Weighed, taken: Array
-    ) -> tuple[Leaves, Array]:
-        """The leaves after the scan, and of those that made a detection its squared Mahalanobis distance."""
+    ) -> tuple[Leaves, ModeInnovations]:
+        """The leaves after the scan, and of those that made a detection how well it fitted."""
         before = self._leaves.take(told.leaf)
         hit = np.flatnonzero(told.column >= 0)
         column, owner = told.column[hit], before.owner
-        R = measured.R[column] + weighed.shift[owner[hit]]
-        updated, distance = manoeuvre.update(before.motion.take(hit), measured.z[column], R)
+        merged = weighed.merged[told.leaf[hit], column]
+        R = measured.R[column] + merged[:, None, None] * weighed.shift[owner[hit]]
+        updated, fit = manoeuvre.update(before.motion.take(hit), measured.z[column], R)
         motion = before.motion
         for old, new in zip(motion, updated, strict=True):
             old[hit] = new  # `take` made copies
@@ -458,7 +524,7 @@ class Mbm:
         existence[confirmed] = np.maximum(existence[confirmed], lifecycle.MIN_CONFIRMED_EXISTENCE)
         # The hypotheses' weights tell whether it made it.
         existence[hit[confirmed[hit]]] = lifecycle.MAX_EXISTENCE
-        return Leaves(owner, motion, existence, size), distance
+        return Leaves(owner, motion, existence, size), fit
 
     def _weigh_existence(self, shown: Association, weighed: Weighed, taken: Array) -> None:
         """Of each track, as its published association tells it; under other hypotheses its target may be another's.

@@ -37,6 +37,9 @@ class CommonParameters:
     """Learn the rate of false detections, within a factor of ten of `clutter_per_scan`."""
     learn_noise: bool = True
     """Where detections scatter more than they should, assume more noise, up to ten times R."""
+    adapt_noise: bool = False
+    """Learn from the innovations, both ways, how much detections scatter per class of box sizes and how calmly targets
+    fly (`tracking/noise.py`). Needs `learn_noise`. Trackers made without an agent do not, unless told to."""
     gate_probability: float = 0.999
     """Probability that a true detection falls inside its target's gate."""
     birth_per_scan: float = 0.02
@@ -45,7 +48,8 @@ class CommonParameters:
     """px/s per axis, of a target just found."""
     birth_score: float = 0.55
     """A track is confirmed only with a detection of at least this score. Weaker look-alikes are followed, so that
-    their detections do not disturb other tracks, but they are not reported as drones."""
+    their detections do not disturb other tracks, but they are not reported as drones, unless a teammate should be
+    there."""
     confirm_probability: float = 0.99
     """Existence above which a tentative track is confirmed."""
     max_coast_s: float = 1.0
@@ -61,6 +65,11 @@ class CommonParameters:
     overlap by half or more."""
     lag_s: float = 0.0
     """Delay of the smoothed estimates behind their scan, s (`Tracker.smoothed`). 0 turns them off."""
+
+    @property
+    def has_calm_model(self) -> bool:
+        """Whether the noise of calm flight can be learned, because another model is there for manoeuvres."""
+        return False
 
     def __post_init__(self) -> None:
         if self.profile not in PROFILES:

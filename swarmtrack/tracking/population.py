@@ -18,6 +18,9 @@ SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxe
 UNKNOWN_BOX_SIGMAS = 6.0  # side of a box that no detector told, in sigmas of its centre
 SURELY_SEEN = 0.997  # existence, after a detection, that says the track was there: clutter keeps nobody alive
 DOUBT = 0.9  # of `max_coast_s`, that a doubtful detection is counted as older than it is
+JUMP_S = (
+    0.25  # for which a track may be off its own box: as long as the detector sees but a part of its drone
+)
 ROUNDING_S = 1e-6  # of times that are sums of frame periods
 # times the gate, in squared sigmas: up to here a detection may be the track's own although it seemed not to be
 OUTLYING = 4.0
@@ -106,10 +109,12 @@ class Population:
         if startled.any():
             distance, _ = innovations(table.mean[startled], table.cov[startled], z, measured.R)
             outlying = np.asarray((distance < OUTLYING * self._gate).any(axis=0))
-        found = seen & table.confirmed
+        # Also of a track that was just lost: a box that jumps within itself is around a part of the drone.
+        jumped = table.confirmed & ~seen & (t - table.last_seen < JUMP_S)
         unknown = UNKNOWN_BOX_SIGMAS * self._parameters.measurement_sigma
-        half = 0.5 * np.where(np.isnan(table.size[found]), unknown, table.size[found])
-        inside = np.abs(z[None] - table.mean[found][:, None, POSITION]) < half[:, None]
+        side = np.where(np.isnan(table.size), np.where(jumped, 0.0, unknown)[:, None], table.size)
+        near = np.flatnonzero((seen & table.confirmed) | jumped)
+        inside = np.abs(z[None] - table.mean[near][:, None, POSITION]) < 0.5 * side[near][:, None]
         return np.asarray(outlying | inside.all(axis=2).any(axis=0))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from swarmtrack.messages import Array, Scan
 from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.lifecycle import probability_in_view
+from swarmtrack.tracking.noise import LEAST_SIGMA, NoiseScales, SurePairs
 from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 
@@ -34,16 +34,20 @@ NOISE_BOUND = 10.0
 
 class Measurements(NamedTuple):
     """What can be used of a scan: z (m, 2), R (m, 2, 2), size (m, 2), odds (m,) of being no clutter, fit (m,) to
-    start a track."""
+    start a track; widest (m, 2, 2): R of outliers, None where no detection is off by more than by R."""
 
     z: Array
     R: Array
     size: Array
     odds: Array
     fit: NDArray[np.bool_]
+    widest: Array | None = None
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
-        return Measurements(self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.fit[rows])
+        widest = None if self.widest is None else self.widest[rows]
+        return Measurements(
+            self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.fit[rows], widest
+        )
 
 
 class Visibility(NamedTuple):
@@ -76,9 +80,12 @@ class SensorModel:
         self._scans_learned = min(PRIOR_SCANS, PRIOR_CLUTTER / parameters.clutter_per_scan)
         self._learns = parameters.learn_clutter and parameters.profile != "paper"
         self.noise_scale = 1.0
-        """By which every R is multiplied, as learned until now."""
+        """By which every R is multiplied, as learned until now, where it is learned upwards only."""
         self._detections_learned = PRIOR_DETECTIONS
         self._learns_noise = parameters.learn_noise and parameters.profile != "paper"
+        self._adapts = parameters.adapt_noise and self._learns_noise
+        self.noise = NoiseScales(motion=self._adapts and parameters.has_calm_model)
+        """Where it is learned both ways."""
         self.parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
         self._uses_boxes = parameters.profile != "paper"
@@ -105,9 +112,13 @@ class SensorModel:
             R, sound = _sound_covariances(scan.R, largest=float((high - low).max()))
             good &= sound
         self.counters["unusable_detections"] += m - int(good.sum())
-        if self.noise_scale > 1.0:
+        widest = None
+        if self._adapts:
+            told_R, R = R, self.noise.applied(R, size)
+            widest = np.maximum(told_R, R)
+        elif self.noise_scale > 1.0:
             R = R * self.noise_scale
-        measured = Measurements(scan.z, R, size, odds, fit)
+        measured = Measurements(scan.z, R, size, odds, fit, widest)
         return measured if good.all() else measured.select(good)
 
     def measurement_noise(self, size: Array, score: Array | None) -> Array:
@@ -126,6 +137,14 @@ class SensorModel:
             side = np.clip(np.where(known, size, 0.0), 0.0, high - low)
             R[:, [0, 1], [0, 1]] += side**2 * share[:, None]
         return R
+
+    def with_lasting_error(self, cov: Array) -> Array:
+        """A copy of covariances (n, 4, 4) px², where noise is measured with an error of the centre that lasts: boxes
+        have edges of whole pixels, and more boxes of a target that hovers round them the same way."""
+        cov = cov.copy()
+        if self._adapts:
+            cov[:, [0, 2], [0, 2]] += LEAST_SIGMA**2
+        return cov
 
     def visibility(
         self, mean: Array, cov: Array, size: Array | None = None, existence: Array | None = None
@@ -149,7 +168,11 @@ class SensorModel:
         and box sizes (n, 2) px, NaN while unknown."""
         if not self._occludes:
             return np.zeros((len(mean), len(mean)))
-        return unresolved(mean, cov, resolutions(size, self.parameters.resolution_px))
+        return unresolved(mean, cov, self.resolutions(size))
+
+    def resolutions(self, size: Array) -> Array:
+        """(n, 2) px: how close another may come before the two are one detection; see `occlusion.resolutions`."""
+        return resolutions(size, self.parameters.resolution_px)
 
     def likelihoods(self, mean: Array, cov: Array, size: Array, measured: Measurements) -> Likelihoods:
         """Of targets with means (n, 4), covariances (n, 4, 4) and box sizes (n, 2), NaN while unknown."""
@@ -172,16 +195,20 @@ class SensorModel:
         learned = self.clutter_per_scan + (found - coverage * self.clutter_per_scan) / self._scans_learned
         self.clutter_per_scan = min(max(learned, told / CLUTTER_BOUND), told * CLUTTER_BOUND)
 
-    def learn_noise(self, nis: Iterable[float]) -> None:
-        """Squared Mahalanobis distances of detections from the targets that made them, of which 2 is expected.
+    def learn_noise(self, pairs: SurePairs, size: Array, *, steady: bool) -> None:
+        """From who surely made which detections of a scan; size (m, 2) px of them; steady: see `NoiseScales.learn`.
 
-        Stochastic approximation (Robbins & Monro, 1951) of the scale of R that makes them so, as far as R is what they
-        depend on. Never below what was told: too large an R makes tracks sluggish, too small a one loses targets; and
-        the noise of real detectors has a small core and heavy tails, which a scale fitted to the core would cut off.
+        Both ways where parameters say so. Else upwards only: stochastic approximation (Robbins & Monro, 1951) of the
+        scale of R that makes squared Mahalanobis distances of the expected 2, as far as R is what they depend on. Too
+        large an R makes tracks sluggish, too small a one loses targets; and the noise of real detectors has a small
+        core and heavy tails, which one scale fitted to the core would cut off where there is no agile model.
         """
         if not self._learns_noise:
             return
-        for distance in nis:
+        if self._adapts:
+            self.noise.learn(pairs, size, steady=steady)
+            return
+        for distance in pairs.nis.tolist():
             self._detections_learned = min(self._detections_learned + 1.0, NOISE_MEMORY_DETECTIONS)
             learned = self.noise_scale * (1.0 + (0.5 * distance - 1.0) / self._detections_learned)
             self.noise_scale = min(max(learned, 1.0), NOISE_BOUND)

@@ -70,6 +70,18 @@ class ConsistencyHealth(Record, frozen=True):
     high: Quantity
 
 
+class NoiseHealth(Record, frozen=True):
+    """What the flight says of the noise that was told, as factors on standard deviations; null: not (yet) known.
+
+    found, remedy: where the tracks do not know how wrong they are, for people; empty where they do.
+    """
+
+    detections: Quantity | None
+    motion: Quantity | None
+    found: Line
+    remedy: Line
+
+
 class ReadinessHealth(Record, frozen=True):
     """Whether the drone could fly now, and if not, why."""
 
@@ -102,6 +114,7 @@ class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
     gyro_bias: GyroBiasHealth | None = None
     consistency: ConsistencyHealth | None = None
     readiness: ReadinessHealth | None = None
+    noise: NoiseHealth | None = None
 
 
 def link_health(status: LinkStatus) -> LinkHealth:

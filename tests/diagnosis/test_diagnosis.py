@@ -25,9 +25,11 @@ from swarmtrack.diagnosis.sources import (
     AutopilotFacts,
     CameraFacts,
     ImuFacts,
+    PoseFacts,
     check_autopilot,
     check_camera,
     check_imu,
+    check_pose,
 )
 from swarmtrack.diagnosis.surroundings import (
     DetectorFacts,
@@ -38,8 +40,10 @@ from swarmtrack.diagnosis.surroundings import (
     check_disk,
     check_heat,
     check_network,
+    check_tracks,
     in_words,
 )
+from swarmtrack.diagnosis.tracking import check_tracking
 from swarmtrack.doctor import machine
 from swarmtrack.doctor.team import _multicast
 from swarmtrack.geometry import rotation
@@ -49,6 +53,8 @@ from swarmtrack.messages import IdClash, LinkStatus, PeerDeparted, StampKind
 from swarmtrack.motion.hand_eye import Agreement, HandEye
 from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
+from swarmtrack.tracking.consistency import Consistency
+from swarmtrack.tracking.noise import MeasuredNoise
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import HealthMessage
 
@@ -107,6 +113,7 @@ def late(age_ms):
     return {"fps": 30.0, "frames": 100, "age_p50_ms": age_ms}
 
 
+RIGHT = Consistency(2.0, 1.5, 2.5)
 PRODUCED = {
     "camera.address": lambda: check_camera(CameraFacts(8.0, 0.5, refused="camera source x: unknown scheme")),
     "camera.missing": lambda: camera("/dev/video7 is not there, and no other /dev/video*", ok=False, frames=0),
@@ -140,6 +147,8 @@ PRODUCED = {
     "autopilot.too_slow": lambda: autopilot(imu_rate_hz=20.0),
     "autopilot.losing": lambda: autopilot(imu_lost=100),
     "autopilot.clock": lambda: autopilot(clock_sigma_s=0.05),
+    "autopilot.drift": lambda: autopilot(clock_skew_ppm=11122, clock_drift_ppm=11200, clock_restarts=3),
+    "autopilot.unsteady": lambda: autopilot(clock_restarts=5, clock_sigma_s=0.02),
     "imu.upside_down": lambda: imu((0.0, 0.0, 9.81)),
     "imu.tilted": lambda: imu((3.0, 0.0, -9.3)),
     "imu.gravity": lambda: imu((0.0, 0.0, -7.0)),
@@ -165,6 +174,9 @@ PRODUCED = {
     "detector.provider": lambda: check_detector(DetectorFacts(refused="detector providers: none of cuda is installed")),
     "detector.fallback": lambda: check_detector(DetectorFacts(providers=("cuda", "cpu"), runs_on=("cpu",))),
     "detector.slow": lambda: check_detector(DetectorFacts(ms=90.0, fps=30.0)),
+    "tracking.noisy": lambda: check_tracking(RIGHT, MeasuredNoise(2.1, 0.5)),
+    "tracking.sure": lambda: check_tracking(Consistency(9.0, 1.5, 2.5), None),
+    "tracking.careful": lambda: check_tracking(Consistency(0.2, 1.5, 2.5), None),
     "network.closed": lambda: network(refused="network: cannot listen on tcp/127.0.0.1:7447: Address already in use"),
     "network.router": lambda: network(refused="network: no router answers at tcp/10.0.0.1:7447"),
     "network.address": lambda: network(absent_hosts=("10.0.0.1",)),
@@ -195,6 +207,67 @@ def test_every_sentence_comes_from_facts_that_deserve_it(name: str):
     assert finding.level == FAULTS[name].level
     assert finding.remedy
     assert "{" not in finding.found + finding.remedy
+
+
+PX4, ARDUPILOT = 12, 3
+UDP, TCP, SERIAL = "udpin:0.0.0.0:14540", "tcp:127.0.0.1:5760", "serial:/dev/ttyAMA0:921600"
+ADVISED = {
+    "autopilot.slow": {"imu_rate_hz": 124.0},
+    "autopilot.too_slow": {"imu_rate_hz": 20.0},
+    "autopilot.losing": {"imu_lost": 200},
+}
+
+
+def advice(name: str, link: str, kind: int) -> str:
+    (finding,) = autopilot(f"{link}: streaming: IMU", autopilot_kind=kind, **ADVISED[name])
+    assert finding.fault == name
+    return finding.remedy
+
+
+@pytest.mark.parametrize("name", ADVISED)
+@pytest.mark.parametrize("link", [UDP, TCP, SERIAL])
+@pytest.mark.parametrize("kind", [PX4, ARDUPILOT, 0])
+def test_advice_is_of_the_autopilot_and_of_the_link_at_hand(name, link, kind):
+    remedy = advice(name, link, kind)
+    assert ("baud" in remedy or "flow control" in remedy) == (link == SERIAL)
+    assert ("BRD_SERn_RTSCTS" in remedy) == (
+        link == SERIAL and kind == ARDUPILOT and name == "autopilot.losing"
+    )
+    assert ("IMU_INTEG_RATE" in remedy) == (kind == PX4 and name != "autopilot.losing")
+
+
+def test_a_port_that_is_no_uart_is_not_told_of_baud_rates():
+    said = {
+        link: autopilot(f"{link}: searching: bytes but no valid frame", ok=False)[0] for link in (UDP, SERIAL)
+    }
+    assert "baud" not in said[UDP].remedy
+    assert "baud" in said[SERIAL].remedy
+
+
+@pytest.mark.parametrize(
+    ("consistency", "noise"),
+    [
+        (None, None),
+        (RIGHT, None),
+        (RIGHT, MeasuredNoise(0.15, 0.1)),
+        (Consistency(3.9, 1.5, 2.5), MeasuredNoise(1.9, None)),
+        (Consistency(0.5, 1.5, 2.5), MeasuredNoise(1.0, None)),
+    ],
+)
+def test_tracks_that_know_how_wrong_they_are_are_not_spoken_of(consistency, noise):
+    """Nor is a detector that is better than told: the tracker has learned it."""
+    assert check_tracking(consistency, noise) == []
+
+
+def test_doctor_repeats_what_running_agents_say_of_their_tracks():
+    said = {1: ("detections scatter 2.1 times more than told", "look"), 3: ("detections lie off", "check")}
+    findings = check_tracks(NetworkFacts(1, "swarm", tracks_say=said))
+    assert [finding.found for finding in findings] == [
+        "detections scatter 2.1 times more than told",
+        "drone 3: detections lie off",
+    ]
+    assert all(finding.level is Level.WARNING and finding.remedy for finding in findings)
+    assert check_tracks(NetworkFacts(1, "swarm")) == []
 
 
 def test_the_page_lists_every_sentence_as_doctor_says_it():
@@ -328,3 +401,20 @@ def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
     assert health.readiness().reasons[-1] == "another agent speaks as this drone (boots aaaaaaaa)"
     health.on_membership(PeerDeparted(1, "aaaaaaaa"))
     assert "another agent" not in health.readiness().reasons[-1]
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "words"),
+    [
+        (
+            (),
+            "heading taken as ±3° on the ground, ±1.5° in flight (autopilot.heading_sigma_deg, drone.start)",
+        ),
+        ((0.9, 1.78), "in flight; position ±0.9 m, height ±1.8 m ("),
+        ((0.1, None), "in flight; position ±0.1 m, height ±0.1 m ("),
+    ],
+)
+def test_how_well_the_pose_is_known_is_said(sigmas, words):
+    (finding,) = check_pose(PoseFacts(3.0, 1.5, *sigmas))
+    assert finding.level is Level.OK
+    assert words in finding.found

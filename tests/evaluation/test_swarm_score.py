@@ -93,6 +93,28 @@ def test_an_id_on_a_track_that_is_nobody_is_wrong_while_its_drones_own_track_has
     assert flight.score.wrong == 1.0
 
 
+def test_the_surest_wrong_name_is_told_with_its_probability():
+    flight = Flight()
+    flight.show(0, 20, {2: LEFT}, (track(9, 2, *LEFT),))
+    assert math.isnan(flight.score.wrong_max_probability)
+    flight.show(20, 25, {2: LEFT, 3: RIGHT}, (track(9, 2, *LEFT), track(8, 4, *RIGHT, probability=0.999)))
+    assert math.isnan(flight.score.wrong_max_probability), "drone 3 has its second"
+    flight.show(25, 35, {2: LEFT, 3: RIGHT}, (track(9, 2, *LEFT), track(8, 4, *RIGHT, probability=0.7)))
+    assert flight.score.wrong_max_probability == 0.7
+    flight.show(35, 40, {2: LEFT}, (track(9, None, *LEFT), track(5, 2, 500.0, 400.0, probability=0.8)))
+    assert flight.score.wrong_max_probability == 0.8
+
+
+def test_a_house_with_the_name_of_a_teammate_that_is_behind_is_sure_of_a_wrong_name_too():
+    flight = Flight()
+    house = track(5, 3, 500.0, 400.0, probability=0.93)
+    flight.show(0, 20, {2: LEFT}, (track(9, 2, *LEFT), house), hidden={3: RIGHT})
+    assert math.isnan(flight.score.wrong_max_probability), "it has drifted off"
+    flight.show(20, 30, {2: LEFT}, (track(9, 2, *LEFT), house))
+    assert flight.score.wrong_max_probability == 0.93
+    assert flight.score.wrong == 0.0
+
+
 def test_a_track_that_has_drifted_off_its_drone_is_false_but_no_wrong_name():
     flight = Flight()
     flight.show(0, 20, {2: LEFT}, (track(7, 2, 150.0, 100.0),))
@@ -309,6 +331,7 @@ GOOD_SCORE = SwarmScore(
     time_to_identify_s={1: 0.4, 2: 0.9},
     correct=0.99,
     wrong=0.0,
+    wrong_max_probability=math.nan,
     unknown=0.01,
     agreement=1.0,
     rmse_px={1: 1.2, 2: 1.4},
@@ -411,6 +434,7 @@ def test_the_limits_are_the_scenarios():
 def test_what_cannot_be_said_is_null_in_json():
     nothing = replace(GOOD, score=replace(GOOD_SCORE, agreement=math.nan), agents=())
     assert nothing.as_record()["identity"]["agreement"] is None
+    assert nothing.as_record()["identity"]["wrong_max_probability"] is None
 
 
 # --- many of them ---------------------------------------------------------------------------------

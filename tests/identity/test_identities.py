@@ -24,8 +24,14 @@ def observer():
 
 
 def test_a_drone_is_named_where_it_said_it_is_once_its_track_is_confirmed_and_seen_thrice(observer):
-    assert observer.sees(1.0, tentative="ab", a=LEFT, b=RIGHT) == {"a": None, "b": None}
     assert observer.sees(2 * SCAN_S, a=LEFT, b=RIGHT) == {"a": None, "b": None}
+    assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_a_weak_look_alike_is_vouched_for_where_a_drone_should_be_and_named_once_it_is_confirmed(observer):
+    away = (320.0, 40.0)
+    assert observer.sees(1.0, tentative="abc", a=LEFT, b=RIGHT, c=away) == {"a": None, "b": None, "c": None}
+    assert observer.identities.take_vouched() == (1, 2)
     assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
 
@@ -115,7 +121,7 @@ def test_an_announcement_from_where_it_is_seen_confirms_an_id(observer):
 
 
 def test_an_announcement_from_elsewhere_withdraws_it_and_names_who_is_there(observer):
-    observer.sees(1.0, a=LEFT, b=RIGHT, c=MIDDLE)
+    observer.sees(1.0, a=LEFT, b=RIGHT)
     observer.hears(2, MIDDLE, sequence=2)
     names = observer.sees(1.5, a=LEFT, b=RIGHT, c=MIDDLE)
     assert (names["a"], names["c"]) == (None, 2)
@@ -245,7 +251,9 @@ def test_whoever_answers_is_named_and_not_asked_again():
     observer = Observer()
     observer.hears(2, LEFT)
     observer.hears(3, shifted(LEFT, right=2.0))
-    observer.sees(2.0, a=LEFT, b=shifted(LEFT, right=60.0))
+    observer.sees(2.0, a=LEFT, b=shifted(LEFT, right=3.0))
+    for step in range(20):
+        observer.sees(SCAN_S, a=LEFT, b=shifted(LEFT, right=3.0 + 3.0 * step))
     observer.hears(2, LEFT, sequence=2)
     observer.hears(3, shifted(LEFT, right=60.0), sequence=2)
     assert observer.sees(1.0, a=LEFT, b=shifted(LEFT, right=60.0)) == {"a": 2, "b": 3}

@@ -18,6 +18,8 @@ IMPOSSIBLE = {
     (Standing.SETTLED, Event.OUT_OF_VIEW),
     (Standing.SETTLED, Event.DETECTED_AGAIN),
     (Standing.CHALLENGED, Event.DETECTED_AGAIN),
+    (Standing.HIDDEN, Event.RIVALLED),
+    (Standing.DOUBTED, Event.RIVALLED),
     (Standing.HIDDEN, Event.CONFIRMED),
     (Standing.HIDDEN, Event.REFUTED),
     (Standing.HIDDEN, Event.OUT_OF_VIEW),
@@ -55,6 +57,12 @@ def let_happen(observer, standing, event):
             observer.sees(SCAN_S, a=LEFT, b=RIGHT)
         case Event.CONFIRMED:
             observer.sees(1.0, a=LEFT, b=RIGHT)
+        case Event.RIVALLED:
+            # A newcomer stands where the drone said it is while the named track has moved on a little; or the drone
+            # says that it is between the two.
+            if standing is Standing.CHALLENGED:
+                observer.hears(2, shifted(LEFT, right=6.0), sequence=3)
+            observer.sees(1.0, a=shifted(LEFT, right=12.0), b=RIGHT, c=LEFT)
         case Event.REFUTED:
             observer.hears(2, shifted(MIDDLE, down=-220.0), boot="0000000b")
             observer.sees(1.0, a=LEFT, b=RIGHT)
@@ -83,6 +91,8 @@ def expected(standing, event):
             return Standing.DOUBTED
         case Event.CONFIRMED:
             return Standing.SETTLED
+        case Event.RIVALLED:
+            return Standing.DOUBTED
         case Event.OUT_OF_VIEW:
             return Standing.SETTLED if standing is Standing.CHALLENGED else None
         case _:

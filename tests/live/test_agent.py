@@ -14,6 +14,7 @@ import cv2
 import pytest
 
 from support.clips import shorten
+from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
@@ -25,7 +26,6 @@ from swarmtrack.wire.health import GyroBiasHealth, HealthMessage, TimeOffsetHeal
 CLIP = ROOT.parent / "shared" / "data" / "drones_real" / "tracks" / "V_DRONE_106.mp4"
 TLOG = ROOT.parent / "shared" / "data" / "mavlink" / "ardupilot_sitl.tlog"
 LENS = "intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }"
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 FRAMES = 60  # of the clip's 304: pace and outputs say no more with all of them
 
@@ -154,11 +154,13 @@ def test_the_simulation_shows_every_teammate_by_its_id(tmp_path):
     config = write(
         tmp_path, f'extends = "{ROOT}/configs/sim.toml"\noutput.jsonl = "{tmp_path}/tracks.jsonl"\n'
     )
-    result = run(config, "--seconds", "5")
+    result = run(config, "--seconds", "8")
     assert result.returncode == 0, result.stderr
     assert "announced teammates: 2, 3" in result.stdout
-    last = json.loads((tmp_path / "tracks.jsonl").read_text().splitlines()[-1])
-    assert {t["identity"] for t in last["tracks"] if t["status"] == "confirmed"} >= {2, 3}
+    scans = [json.loads(line)["tracks"] for line in (tmp_path / "tracks.jsonl").read_text().splitlines()]
+    named = [{track["identity"] for track in tracks} >= {2, 3} for tracks in scans]
+    # In front of a house a name may be doubted for a moment.
+    assert sum(named) > 0.5 * len(named)
 
 
 def test_sigterm_ends_it_cleanly_and_systemd_is_told(tmp_path):

@@ -179,7 +179,8 @@ def test_drones_find_each_other_by_their_services_names_and_speak_by_keys():
 
 def test_the_drones_configs_say_what_the_simulator_flies():
     told = parse(command_lines(SERVICES["simulator"])[0])
-    scenario = load_scenario(told.scenario, seed=told.seed, drones=told.drones)
+    seed = simulator.DEFAULT_SEED if told.seed is None else told.seed
+    scenario = load_scenario(told.scenario, seed=seed, drones=told.drones)
     for drone_id in scenario.members:
         config = load_config(DOCKER / "swarm" / f"drone-{drone_id}.toml")
         assert config.drone.id == drone_id

@@ -23,6 +23,7 @@ import pytest
 from support.drone_on_the_bench import SMALL, SOURCE, Server, TurnedAutopilot, camera_at, free_port, written
 from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.network_of_keys import Drone, Team, announcement, free_addresses, now
+from support.patience import PATIENCE
 from support.places import ROOT, V4L2_STAND_IN
 from swarmtrack.agents import doctor
 from swarmtrack.clock import SystemClock
@@ -35,11 +36,11 @@ from swarmtrack.doctor import examination, team
 from swarmtrack.doctor.examination import examine
 from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.geometry import rotation
+from swarmtrack.simulation.channel import Channel
 from swarmtrack.simulation.hand_turned import HandTurned, Room
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 STAND_IN = V4L2_STAND_IN / "stand_in.c"
 CC = shutil.which("cc") or shutil.which("gcc")
 
@@ -135,8 +136,10 @@ def test_a_usb_camera_that_is_busy_hangs_or_has_one_size_only(tmp_path):
 class Sluggish(FakeAutopilot):
     """Grants every rate, and sends 20 Hz."""
 
-    def set_interval(self, message_id: float, interval_us: float, now: float) -> int:
-        return super().set_interval(message_id, max(interval_us, 50_000.0), now)
+    def set_interval(
+        self, message_id: float, interval_us: float, now: float, channel: Channel | None = None
+    ) -> int:
+        return super().set_interval(message_id, max(interval_us, 50_000.0), now, channel)
 
 
 async def watched_autopilot(folder: Path, link: str, more: str = "", seconds: float = 5.0) -> set[str]:

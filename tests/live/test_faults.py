@@ -22,8 +22,8 @@ from swarmtrack.localswarm.radio import RadioError
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-# Between two drones there are two links, and the second comes up after they know each other. A cut in that moment is
-# not healed in one of five cases: one end keeps a session that the other has dropped, and declares nothing again.
+# A cut within about a second of the first link is not healed now and then: one end keeps a session that the other has
+# dropped, and declares nothing again (docs/swarm.md, "Faults").
 SETTLED_S = 3.0
 LONG = pytest.mark.long
 PARTITIONS_S = (8.0, pytest.param(30.0, marks=LONG))  # 4 and 15 leases

@@ -18,22 +18,25 @@ from aiohttp import web
 from aiohttp.test_utils import TestServer
 
 from support.pair_scenario import is_fair, pair
+from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents import simulator
 from swarmtrack.localswarm.configs import Sources, write_configs
 from swarmtrack.scenario_file import load_scenario
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
 def free_ports(count: int) -> int:
-    """The first of so many that follow each other, free for TCP and UDP a moment ago."""
+    """The first of so many that follow each other, free for TCP and UDP a moment ago.
+
+    And so were those 1000 higher, where the autopilots' second ports are.
+    """
     while True:
         first = 20000 + secrets.randbelow(10000)
         try:
-            for port in range(first, first + count):
+            for port in (*range(first, first + count), *range(first + 1000, first + 1000 + count)):
                 for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
                     with socket.socket(socket.AF_INET, kind) as probe:
                         probe.bind(("127.0.0.1", port))
@@ -105,6 +108,8 @@ def test_a_simulator_with_a_port_listens_where_the_configs_expect_it_and_says_wh
         assert drones[2] == {
             "camera": f"detections://127.0.0.1:{port}/2",
             "autopilot": f"udpout:127.0.0.1:{port + 2}",
+            "ground": f"udpout:127.0.0.1:{port + 1002}",
+            "truth": f"udpout:127.0.0.1:{port + 2002}",
         }
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE) as response:
             told = json.load(response)
@@ -167,22 +172,37 @@ def test_who_is_missing_is_said(tmp_path, team):
     assert "FAILED" in out
 
 
+def test_drones_that_a_ground_station_flies_are_not_judged_from_outside(team):
+    port = free_ports(3)
+    with simulated(port, "guided"):
+        code, _, err = judge(port, team)
+    assert code == 1
+    assert "its drones 1, 2 are flown by a ground station" in err
+
+
 def test_without_a_simulator_there_is_no_verdict(team):
     code, _, err = judge(free_ports(1), team, "--patience", 1)
     assert code == 1
     assert "is a simulator there" in err
 
 
-async def test_another_server_is_no_simulator(team):
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ({"hello": "world"}, "is no simulator of ours"),
+        ({"world": "sitl.toml", "seed": 1, "world_time_s": 3.0}, "draws drones that others fly"),
+    ],
+)
+async def test_a_server_that_flies_no_scenario_is_said(team, told, expected):
     async def hello(_: web.Request) -> web.Response:
-        return web.json_response({"hello": "world"})
+        return web.json_response(told)
 
     application = web.Application()
     application.router.add_get("/", hello)
     async with TestServer(application) as server:
         code, _, err = await asyncio.to_thread(judge, server.port, team)
     assert code == 1
-    assert "is no simulator of ours" in err
+    assert expected in err
 
 
 @pytest.mark.parametrize("url", ["simulator", "tcp/127.0.0.1:8100", ""])

@@ -11,12 +11,12 @@ import signal
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 import aiohttp
 import pytest
 
-from support.browser import PATIENCE, browser_page, needs_chromium, until_said
+from support.browser import browser_page, needs_chromium, until_said
+from support.patience import PATIENCE, eventually
 from support.places import ROOT
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
@@ -68,13 +68,6 @@ async def monitor(team: str, *arguments: str) -> AsyncIterator[Monitor]:
 @pytest.fixture
 def team() -> str:
     return f"test-{secrets.token_hex(4)}"
-
-
-async def until(condition: Any, what: str) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110 - of another process
-            await asyncio.sleep(0.05)
-    assert condition(), what
 
 
 # --- the page in a browser ------------------------------------------------------------------------
@@ -193,9 +186,9 @@ async def test_a_drone_is_watched_only_while_a_page_shows_it(team: str) -> None:
             await until_listed(socket, 2)
             assert (one.is_watched, two.is_watched) == (False, False)
             await watch(socket, 2)
-            await until(lambda: two.is_watched, "drone 2 is watched")
+            await eventually(lambda: two.is_watched, "drone 2 is watched")
             assert not one.is_watched
-        await until(lambda: not two.is_watched, "nobody looks any more")
+        await eventually(lambda: not two.is_watched, "nobody looks any more")
 
 
 async def test_a_page_that_draws_nothing_is_sent_nothing_more(team: str) -> None:
@@ -208,7 +201,7 @@ async def test_a_page_that_draws_nothing_is_sent_nothing_more(team: str) -> None
     ):
         await until_listed(socket, 1)
         await watch(socket, 1)
-        await until(lambda: drone.pictures > 10, "pictures are sent")
+        await eventually(lambda: drone.pictures > 10, "pictures are sent")
         heard = 0
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(1.5):

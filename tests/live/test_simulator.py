@@ -17,11 +17,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common
 
 from support.autopilot_flight import RealFlight
+from support.patience import PATIENCE, eventually
 from support.places import ROOT
 from support.streams import first
 from swarmtrack.clock import SystemClock
+from swarmtrack.geometry.geodesy import Geodetic, to_ned
+from swarmtrack.localswarm.truth_feed import follow_truth
 from swarmtrack.messages import Detections, Frame
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.sensors.base import Camera, DetectionSource
@@ -29,9 +34,8 @@ from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.cameras import open_camera
 from swarmtrack.sensors.detection_stream import DetectionStream
 from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.simulation.scenarios import as_told
 from swarmtrack.simulation.sensors import Imu, visible
-
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 # Detections that are exactly the truth, from drones that turn and fly from the start.
 EXACT = """
@@ -74,6 +78,7 @@ class Simulator:
         assert first, self.process.communicate()[1]
         told = json.loads(first)
         assert told["ready"] is True
+        self.truth: str | None = told.get("truth")
         self.drones: dict[int, dict[str, str]] = {int(n): where for n, where in told["drones"].items()}
 
     def world_time(self, t: float) -> float:
@@ -95,12 +100,6 @@ def exact(tmp_path: Path) -> Path:
     path = tmp_path / "exact.toml"
     path.write_text(EXACT)
     return path
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110 (what is waited for happens in another process)
-            await asyncio.sleep(0.02)
 
 
 @asynccontextmanager
@@ -174,7 +173,7 @@ async def test_the_autopilot_streams_what_was_asked_on_its_own_clock_and_tells_t
     scenario = load_scenario(exact)
     with simulator(exact, "--detector", "oracle", epoch=time.monotonic() - 20.0) as simulated:
         async with RealFlight(simulated.drones[1]["autopilot"]) as pilot:
-            await until(lambda: len(pilot.listener.imu) > 1200 and len(pilot.listener.poses) > 200)
+            await eventually(lambda: len(pilot.listener.imu) > 1200 and len(pilot.listener.poses) > 200)
             assert pilot.unit.status().ok
             imu, poses = pilot.listener.imu[-200:], pilot.listener.poses[-50:]
     # By their stamps: when they are read is the machine's.
@@ -232,7 +231,7 @@ async def test_faults_come_at_their_times_to_whom_they_concern_and_are_healed(tm
         ):
             over = lambda taken: simulated.world_time(taken[-1].t) > 15.0  # noqa: E731
             seen, seen_by_second = await asyncio.gather(scans(stalled, over), scans(fine, over))
-            await until(lambda: simulated.world_time(now()) > 16.0 and first.unit.status().ok)
+            await eventually(lambda: simulated.world_time(now()) > 16.0 and first.unit.status().ok)
             assert (first.listener.reboots, second.listener.reboots) == (1, 0)
             assert second.count["gaps"] >= 1
             imu = np.array([simulated.world_time(sample.t) for sample in second.listener.imu])
@@ -249,6 +248,77 @@ async def test_faults_come_at_their_times_to_whom_they_concern_and_are_healed(tm
     assert max(count for t, count in counts if 12.0 <= t < 14.0) > 5
 
 
+async def test_a_ground_station_listens_beside_the_agent_and_is_told_the_truth(exact: Path) -> None:
+    scenario = load_scenario(exact)
+    with simulator(exact, "--detector", "oracle", epoch=time.monotonic() - 20.0) as simulated:
+        where = simulated.drones[2]
+        async with RealFlight(where["autopilot"]) as agent:
+            await eventually(lambda: len(agent.listener.imu) > 100)
+            station = mavutil.mavlink_connection(where["ground"], dialect="common")
+            station.mav.heartbeat_send(6, 8, 0, 0, 4)
+            assert await asyncio.to_thread(station.wait_heartbeat, timeout=PATIENCE)
+            interval = common.MAV_CMD_SET_MESSAGE_INTERVAL
+            station.mav.command_long_send(
+                2, 1, interval, 0, common.MAVLINK_MSG_ID_SIM_STATE, 20_000, 0, 0, 0, 0, 0
+            )
+            told = await asyncio.to_thread(
+                station.recv_match, type="SIM_STATE", blocking=True, timeout=PATIENCE
+            )
+            t = simulated.world_time(time.monotonic())
+            place = Geodetic.from_degrees(1e-7 * told.lat_int, 1e-7 * told.lon_int, told.alt)
+            seen = len(agent.listener.imu)
+            await eventually(lambda: len(agent.listener.imu) > seen + 200)
+            station.close()
+    truth = scenario.world.pose(2, t).position
+    np.testing.assert_allclose(to_ned(place, scenario.origin), truth, atol=0.5)
+
+
+def fly_up(address: str, system: int, height: float) -> None:
+    """What a ground station does with pymavlink: arm in GUIDED, take off, and wait until the autopilot is up there."""
+    station = mavutil.mavlink_connection(address, dialect="common")
+    station.mav.heartbeat_send(6, 8, 0, 0, 4)
+    assert station.wait_heartbeat(timeout=PATIENCE)
+
+    def order(command: int, *values: float) -> None:
+        station.mav.command_long_send(system, 1, command, 0, *values, *[0.0] * (7 - len(values)))
+        ack = station.recv_match(type="COMMAND_ACK", blocking=True, timeout=PATIENCE)
+        assert (ack.command, ack.result) == (command, common.MAV_RESULT_ACCEPTED)
+
+    order(common.MAV_CMD_SET_MESSAGE_INTERVAL, common.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 100_000)
+    order(common.MAV_CMD_DO_SET_MODE, 1, 4)
+    order(common.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    order(common.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        told = station.recv_match(type="LOCAL_POSITION_NED", blocking=True, timeout=PATIENCE)
+        if told.z < -height + 0.3:
+            station.close()
+            return
+    raise AssertionError("it never came up")
+
+
+async def test_a_ground_station_flies_a_drone_which_the_others_camera_and_the_judge_then_see_up_there() -> (
+    None
+):
+    scenario, followed = as_told(load_scenario("guided"))
+    with simulator("guided", "--detector", "oracle") as simulated:
+        assert simulated.truth is not None
+        following = asyncio.create_task(follow_truth(simulated.truth, followed, print))
+        async with opened(simulated.drones[2]["camera"]) as source:
+            below = await scans(source, lambda taken: len(taken) == 5)
+            await asyncio.to_thread(fly_up, simulated.drones[1]["ground"], 1, 2.0)
+            above = await scans(source, lambda taken: len(taken) == 5)
+        t = simulated.world_time(time.monotonic())
+        await eventually(lambda: followed[1].newest > t)
+        following.cancel()
+        places = {n: scenario.world.drones[n].position(t) for n in (1, 2)}
+    assert places[1][2] == pytest.approx(-2.09, abs=0.4)
+    np.testing.assert_allclose(places[2], (7.0, 1.0, -0.09), atol=1e-6)
+    # 2 m at 7 m: 120 px further up, which are the smaller numbers.
+    rows = [np.median([scan.centre[:, 1].min() for scan in seen if len(scan)]) for seen in (below, above)]
+    assert rows[0] - rows[1] == pytest.approx(430.0 * 2.0 / 6.9, rel=0.25)
+
+
 async def test_garbage_and_strangers_on_the_port_change_nothing_and_a_restarted_agent_is_answered(
     exact: Path,
 ) -> None:
@@ -256,17 +326,17 @@ async def test_garbage_and_strangers_on_the_port_change_nothing_and_a_restarted_
         link = simulated.drones[1]["autopilot"]
         host, port = link.removeprefix("udpout:").split(":")
         async with RealFlight(link) as pilot:
-            await until(lambda: len(pilot.listener.imu) > 20)
+            await eventually(lambda: len(pilot.listener.imu) > 20)
             noise = random.Random(11)
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
                 for _ in range(500):
                     stranger.sendto(noise.randbytes(noise.randrange(300)), (host, int(port)))
                 seen = len(pilot.listener.imu)
-                await until(lambda: len(pilot.listener.imu) > seen + 100)
+                await eventually(lambda: len(pilot.listener.imu) > seen + 100)
                 with pytest.raises(BlockingIOError):
                     stranger.recv(1, socket.MSG_DONTWAIT)
         async with RealFlight(link) as restarted:
-            await until(lambda: len(restarted.listener.imu) > 100)
+            await eventually(lambda: len(restarted.listener.imu) > 100)
         assert simulated.process.poll() is None
 
 
@@ -289,7 +359,7 @@ async def test_a_client_that_leaves_in_mid_frame_harms_nobody_and_a_second_one_s
         assert {frame.t for frame in ours} & {frame.t for frame in theirs}
         async with opened(f"http://{host}:{port}/77") as nobody:
             watching = asyncio.create_task(frames(nobody, 1))
-            await until(lambda: "HTTP 404" in nobody.status().text)
+            await eventually(lambda: "HTTP 404" in nobody.status().text)
             await nobody.close()
             assert await watching == []
         assert simulated.process.poll() is None

@@ -16,7 +16,9 @@ from urllib.request import urlopen
 
 import pytest
 
+from support.launcher import finish, living, pid_of, start
 from support.pair_scenario import PAIR, is_fair, is_judged, pair
+from support.patience import PATIENCE, until
 from support.places import ROOT
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
@@ -27,53 +29,7 @@ from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
 from swarmtrack.localswarm.processes import Children
 from swarmtrack.scenario_file import load_scenario
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 LENGTHS = ("4", "16", "64")  # s: the next one where the machine is so busy that the flight was over too soon
-
-
-def environment(folder: Path) -> dict[str, str]:
-    """Temporary files go into `folder`, where a test can look for what is left."""
-    return {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder)}
-
-
-def start(folder: Path, *arguments: str, program: str = "swarmtrack.agents.main") -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", program, "sim", *arguments],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment(folder),
-        cwd=ROOT,
-    )
-
-
-def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
-    out, err = process.communicate(timeout=PATIENCE)
-    return process.returncode, out, err
-
-
-def living(folder: Path) -> list[str]:
-    """Command lines of all processes that were started with temporary files in `folder`."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit() or int(entry.name) == os.getpid():
-            continue
-        try:
-            if f"TMPDIR={folder}".encode() in (entry / "environ").read_bytes():
-                found.append((entry / "cmdline").read_bytes().replace(b"\0", b" ").decode())
-        except OSError:  # it ended just now, or is somebody else's
-            continue
-    return found
-
-
-def until(condition, what: str):
-    """What `condition` says once it is true."""
-    deadline = time.monotonic() + PATIENCE
-    while not (value := condition()):
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
-    return value
 
 
 # --- the parts ------------------------------------------------------------------------------------
@@ -176,7 +132,9 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     ]  # fmt: skip
     assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, float(seconds))
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
-    assert list(result["identity"]) == ["time_to_identify_s", "correct", "wrong", "unknown", "agreement"]
+    assert list(result["identity"]) == [
+        "time_to_identify_s", "correct", "wrong", "wrong_max_probability", "unknown", "agreement",
+    ]  # fmt: skip
     assert set(result["identity"]["time_to_identify_s"]) <= {"1", "2"}
     assert list(result["tracking"]) == ["rmse_px", "recall", "false_tracks_per_s", "switches"]
     assert set(result["tracking"]["rmse_px"]) <= {"1", "2"}
@@ -311,18 +269,3 @@ def test_whatever_ends_the_launcher_nothing_is_left(tmp_path, number):
     assert ("interrupted" in complained) == (number != signal.SIGKILL)
     until(lambda: not living(tmp_path), "all processes have ended")
     until(lambda: not list(tmp_path.iterdir()), "the folder is removed")
-
-
-def pid_of(folder: Path, argument: str) -> int | None:
-    """The process with temporary files in `folder` whose command line ends with a path to `argument`."""
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            ours = f"TMPDIR={folder}".encode() in (entry / "environ").read_bytes()
-            words = (entry / "cmdline").read_bytes().decode().split("\0")
-        except OSError:
-            continue
-        if ours and any(word.endswith(f"/{argument}") for word in words):
-            return int(entry.name)
-    return None

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from support.patience import PATIENCE
 from support.places import ROOT
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
@@ -26,7 +27,6 @@ from swarmtrack.transport.zenoh_transport import ZenohTransport
 from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import tracks_message
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 PROGRAM = (
     "import argparse, sys; from swarmtrack.agents import echo; p = argparse.ArgumentParser();"
     "echo.add_arguments(p); sys.exit(echo.run(p.parse_args()))"

@@ -24,11 +24,10 @@ from typing import Any
 
 import pytest
 
+from support.patience import PATIENCE
 from support.places import PYTHONPATH
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
-
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 class Process:

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import pytest
 
+from support.patience import PATIENCE
 from support.places import PYTHONPATH, ROOT
 from swarmtrack.localswarm.radio import RadioEmulator, RadioError, mac_address
 from swarmtrack.localswarm.radio_switch import MAX_WAITING, RadioChannel, Switch
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 PORT = 9000
 EVERYBODY = b"\xff" * 6
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -16,10 +16,12 @@ from pathlib import Path
 import aiohttp
 import pytest
 
+from support.patience import PATIENCE
+
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from support.browser import PATIENCE, browser_page, needs_chromium, until_said
+from support.browser import browser_page, needs_chromium, until_said
 from support.places import ROOT
 from support.recorded_flight import fly
 from support.recorded_swarm import TEAM, UTC, record_swarm

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common
 
 from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, serve_udp
+from support.patience import PATIENCE
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError
@@ -23,13 +24,13 @@ from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.console import Console
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
-from swarmtrack.simulation.autopilot import DroneSenses, GpsFix, SimulatedArduPilot
+from swarmtrack.simulation.autopilot import SimulatedArduPilot
+from swarmtrack.simulation.senses import DroneSenses, GpsFix
 from swarmtrack.simulation.trajectory import Lissajous, SteadyYaw, Trajectory
 from swarmtrack.simulation.world import World
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
 ORIGIN = Geodetic.from_degrees(47.3977, 8.5456, 488.0)
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 GLOBAL = {common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, common.MAVLINK_MSG_ID_GPS_RAW_INT}
 LOCAL = {common.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 
@@ -60,6 +61,20 @@ async def test_what_the_user_states_goes_before_what_the_receiver_says():
     async with Flight(autopilot, gps=GlobalPosition(ORIGIN, 0.05)) as flight:
         flight.fly(3.0)
         assert positions(flight)[-1].position_sigma == 0.05
+
+
+@pytest.mark.parametrize(
+    ("h_acc", "v_acc", "sigmas"),
+    [(900, 1780, (0.9, 1.78)), (900, 0, (0.9, 0.9)), (0, 1780, (1.78, 1.78)), (0, 0, (1.5, 1.5))],
+)
+def test_north_and_east_are_as_sure_as_the_receiver_says_and_the_height_too(h_acc, v_acc, sigmas):
+    fix = common.MAVLink_gps_raw_int_message(0, 3, 0, 0, 0, 0, 0, 0, 0, 9, h_acc=h_acc, v_acc=v_acc)
+    gps = GlobalPosition(ORIGIN)
+    gps.on_fix(1.0, fix)
+    assert (gps.sigma, gps.vertical_sigma) == pytest.approx(sigmas)
+    stated = GlobalPosition(ORIGIN, 0.05)
+    stated.on_fix(1.0, fix)
+    assert (stated.sigma, stated.vertical_sigma) == (0.05, 0.05)
 
 
 @pytest.mark.parametrize(
@@ -271,7 +286,7 @@ def test_what_a_start_by_gps_needs_is_named_where_it_is_missing(tmp_path, old, n
 )
 async def test_a_drone_that_is_found_flying_is_told_of_once(armed, status, flying):
     autopilot = FakeAutopilot()
-    autopilot.armed, autopilot.status = armed, status
+    autopilot.pilot.armed, autopilot.pilot.status = armed, status
     async with Flight(autopilot) as flight:
         flight.fly(3.5)
     assert flight.listener.found_flying == flying

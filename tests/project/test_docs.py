@@ -19,12 +19,13 @@ from typing import NamedTuple
 
 import pytest
 
+from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents import bench, main, vehicle
 from swarmtrack.config import load_config, load_team_config
+from swarmtrack.localswarm.world_file import load_world
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 PROGRAMS = ("swarmtrack", "swarmtrack-agent")
 BEFORE = ("sudo", "nohup", "exec", "nice", "-u", "-n")  # with the options of sudo and nice that take a word
 # Of these all actions are over in a moment and touch nothing but the folder they are told.
@@ -283,7 +284,10 @@ def test_the_page_of_benchmarks_names_every_one():
 )
 def test_every_piece_of_a_config_fits_a_config(tmp_path, page, text):
     """A piece lacks what it does not speak of: a drone and a camera are put beneath it."""
-    del page
+    if "[world]" in text:
+        (tmp_path / "world.toml").write_text(text, encoding="utf-8")
+        assert load_world(tmp_path / "world.toml").scenario.members, page
+        return
     shutil.copy(ROOT / "configs" / "usb-camera.yaml", tmp_path / "cam1.yaml")
     (tmp_path / "base.toml").write_text(
         'drone.id = 1\n[camera]\nsource = "v4l2:///dev/video0"\n'

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from support.patience import PATIENCE
 from support.places import ROOT
 
 INTRINSICS = "{ fx = 430.0, fy = 430.0, cx = 319.5, cy = 239.5, width = 640, height = 480 }"
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 LOADED = """
 import json, sys
 from swarmtrack.clock import SystemClock

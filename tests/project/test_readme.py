@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.config import load_config
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BENCHMARKS_PAGE = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 def block(mark):

@@ -10,6 +10,7 @@ import random
 import struct
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -29,6 +30,7 @@ from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
     EgoPose,
+    FlightState,
     IdClash,
     ImuSample,
     PeerArrived,
@@ -53,9 +55,13 @@ EYE = np.eye(3)
 AWKWARD = [0.1, 1e-300, -0.0, 2.0**53 + 2, math.pi]
 
 EVENTS = [
-    ImuSample(0.1 + 0.2, np.array([1 / 3, -0.0, 5e-324]), np.array([math.nan, math.inf, -math.inf])),
+    ImuSample(0.1 + 0.2, np.array([1 / 3, -0.0, 5e-324]), np.array([math.nan, math.inf, -math.inf]), 0.1),
     EgoPose(1e9 + 1e-6, np.array(AWKWARD[:3]), EYE, 0.1, 0.02),
     EgoPose(2.0, None, EYE, math.inf, math.nan),
+    EgoPose(2.5, np.array(AWKWARD[:3]), EYE, 0.9, 0.02, 1.8),
+    FlightState(2.6, None),
+    FlightState(2.7, -math.inf),
+    FlightState(2.8, 1 / 3),
     AutopilotRebooted(),
     Detections(3.3, 2**40, np.empty((0, 2)), np.empty((0, 2)), np.empty(0), None, 0.25),
     Detections(
@@ -95,6 +101,13 @@ def test_every_kind_of_input_has_an_example_here():
     assert {type(event) for event in EVENTS} == set(inputs.FORM_OF_KIND)
 
 
+def test_a_pose_that_was_recorded_before_it_told_of_its_height_is_as_sure_on_all_axes():
+    data = msgspec.json.decode(inputs.encode(1, EVENTS[1]))
+    del data["vertical_sigma_m"]
+    _, pose = inputs.decode("/ego", msgspec.json.encode(data))
+    assert bits(pose) == bits(EVENTS[1])
+
+
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: type(event).__name__)
 def test_an_input_comes_back_bit_for_bit(event):
     data = inputs.encode(4711, event)
@@ -108,6 +121,13 @@ def test_an_input_comes_back_bit_for_bit(event):
 def test_any_float_survives(numbers):
     sample = ImuSample(numbers[0], np.array(numbers[1:]), np.array(numbers[1:]))
     assert bits(inputs.decode("/imu", inputs.encode(1, sample))[1]) == bits(sample)
+
+
+def test_a_gyro_recorded_before_its_delay_was_known_had_nothing_taken_off():
+    _, sample = inputs.decode(
+        "/imu", b'{"n":1,"t_s":2.5,"gyro_rad_s":[1,2,3],"accel_m_s2":["nan","nan","nan"]}'
+    )
+    assert (sample.t, sample.gyro_delay) == (2.5, 0.0)
 
 
 def test_arrays_of_other_layouts_are_put_into_one_before_anything_is_computed_with_them():

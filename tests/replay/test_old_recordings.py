@@ -14,9 +14,9 @@ from swarmtrack.recording.settings import read_settings
 from swarmtrack.replay.replayer import Replayer
 
 FLIGHTS = SHARED / "sitl_flights"
-# Of two drones flown by ArduPilot, as commit cbe4b40 tracked them. Whoever changes a tracker, the camera's clock or who
-# is who, so that old flights come out otherwise, replaces these and says so.
-DIGESTS = {"D_gps/drone-2": (236, "8aab6276a0f458d3"), "B_gps/drone-1": (243, "b67b2f4e72a938e7")}
+# Of two drones flown by ArduPilot, as they are tracked now. Whoever changes a tracker, the camera's clock or who is
+# who, so that old flights come out otherwise, replaces these and says so.
+DIGESTS = {"D_gps/drone-2": (236, "2f4fbff100b92fcf"), "B_gps/drone-1": (243, "f76fadf24665de9a")}
 
 
 def digest(scans) -> str:

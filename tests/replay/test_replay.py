@@ -17,6 +17,7 @@ import pytest
 
 from support.clips import shorten
 from support.pair_scenario import PAIR
+from support.patience import PATIENCE, until
 from support.places import ROOT
 
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
@@ -34,7 +35,6 @@ from swarmtrack.replay.replayer import Replayer
 
 DATA = ROOT.parent / "shared" / "data"
 REPLAY = [sys.executable, "-m", "swarmtrack.agents.main", "replay"]
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 LOST_S = 1.0  # what kill -9 may cost
 
 
@@ -177,6 +177,20 @@ def test_a_changed_parameter_changes_the_tracks(flown, capsys):
     assert "they part at" in capsys.readouterr().out
 
 
+def test_a_replay_moves_the_gyro_to_where_it_belongs_and_only_on_request(flown):
+    recording = recordings_below(flown[0])[0]
+    samples = [inputs.decode(m.topic, m.data)[1] for m in recording.messages(["/imu"])]
+    last = samples[-1]
+
+    def newest(*changes):
+        replayer = Replayer(recording, read_settings(recording, changes=changes)[0])
+        replayer.run()
+        return replayer._door.perceived.gyro.newest
+
+    assert newest() == last.t
+    assert newest("motion.gyro_delay_s=0.02") == pytest.approx(last.t + last.gyro_delay - 0.02, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -235,14 +249,6 @@ def agent(
         stderr=subprocess.PIPE,
         text=True,
     )
-
-
-def until(condition):
-    deadline = time.monotonic() + PATIENCE
-    while not (value := condition()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return value
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -11,12 +11,11 @@ import time
 
 import pytest
 
+from support.patience import PATIENCE, until
 from support.places import ROOT
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents.healthy import HEALTHY, UNHEALTHY
 from swarmtrack.runtime.health_file import ENVIRONMENT, HealthFile
-
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 @pytest.fixture
@@ -44,14 +43,6 @@ def healthy(capsys, *arguments):
     code = swarmtrack.main(["healthy", *map(str, arguments)])
     said = capsys.readouterr()
     return code, said.out + said.err
-
-
-def wait_for(condition):
-    end = time.monotonic() + PATIENCE
-    while not (found := condition()):
-        assert time.monotonic() < end
-        time.sleep(0.1)
-    return found
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -167,12 +158,12 @@ def test_an_agent_is_healthy_while_it_flies_not_while_it_hangs_and_not_when_it_h
 ):
     path = tmp_path / "health.json"
     agent = start(env={ENVIRONMENT: str(path)})
-    wait_for(lambda: healthy(capsys, path)[0] == HEALTHY)
+    until(lambda: healthy(capsys, path)[0] == HEALTHY)
     agent.send_signal(signal.SIGSTOP)
     time.sleep(1.5)
     assert "last heard" in healthy(capsys, path, "--max-age", "1")[1]
     agent.send_signal(signal.SIGCONT)
-    wait_for(lambda: healthy(capsys, path, "--max-age", "2")[0] == HEALTHY)
+    until(lambda: healthy(capsys, path, "--max-age", "2")[0] == HEALTHY)
     agent.send_signal(signal.SIGTERM)
     assert agent.wait(PATIENCE) == 0
     assert not path.exists()
@@ -184,5 +175,5 @@ def test_the_config_names_the_file_before_the_environment_does(start, tmp_path, 
         env={ENVIRONMENT: str(tmp_path / "other.json")},
         config=f'extends = "{ROOT}/configs/sim.toml"\noutput.health = "{named}"\n',
     )
-    wait_for(named.exists)
+    until(named.exists)
     assert not (tmp_path / "other.json").exists()

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from support.patience import PATIENCE
+
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.benchmarks.lone_agent import agent_process
@@ -25,7 +27,6 @@ from swarmtrack.wire.fields import MAX_BYTES
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.video import VideoMessage, lens_message
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 LENS = PinholeCamera(600.0, 600.0, 320.0, 256.0, 640, 512)
 VIEW = VideoMessage(1, 1.7e9, 0.05, 1, 640, 512, b"", lens_message(LENS), None, None)
 

@@ -65,9 +65,9 @@ class Ground(FakeAutopilot):
         super().__init__(**options)
         self.heard = []
 
-    def understand(self, message, now):
+    def understand(self, message, now, channel):
         self.heard.append(message)
-        super().understand(message, now)
+        super().understand(message, now, channel)
 
     def of(self, kind):
         return [m for m in self.heard if m.get_type() == kind]
@@ -131,7 +131,7 @@ async def test_the_ground_station_reads_who_we_are_that_we_are_ready_and_how_man
     assert math.isnan(box.radius)
     # Nothing else: what moves a vehicle is never among it.
     assert {m.get_type() for m in ground.heard} <= {
-        *("HEARTBEAT", "TIMESYNC", "COMMAND_LONG"),
+        *("PARAM_REQUEST_READ", "HEARTBEAT", "TIMESYNC", "COMMAND_LONG"),
         *("STATUSTEXT", "NAMED_VALUE_FLOAT", "CAMERA_TRACKING_IMAGE_STATUS"),
     }
 
@@ -379,7 +379,12 @@ async def test_with_an_empty_list_only_our_heartbeat_goes_out(tmp_path):
         told.fly(6.0, [2, 3])
         told.notices.on_peer(PeerDeparted(3, "0000000a"))
         await asyncio.wait_for(told.notices.run(), 1.0)  # nobody to tell: done
-    assert {m.get_type() for m in told.ground.heard} == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG"}
+    assert {m.get_type() for m in told.ground.heard} == {
+        "HEARTBEAT",
+        "TIMESYNC",
+        "COMMAND_LONG",
+        "PARAM_REQUEST_READ",
+    }
 
 
 async def test_nothing_is_said_into_a_recording():

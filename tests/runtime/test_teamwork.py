@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.patience import PATIENCE
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
-from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted
+from swarmtrack.messages import Announcement, HeadingNews, IdClash, PeerArrived, PeerDeparted
 from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import EVENTS_KEPT
 from swarmtrack.runtime.teamwork import LINES
+from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
 CONFIG = """
 drone.id = 1
@@ -79,3 +81,40 @@ def test_a_teammate_that_floods_fills_no_log_and_what_the_others_do_is_still_tol
     assert health.drops["events_untold"] >= len(flood) - 2 * LINES
     assert health.events[-1] == "drone 3 is alive (boot 0000000b)"
     assert len(health.events) == EVENTS_KEPT
+
+
+@pytest.mark.parametrize(
+    ("news", "line"),
+    [
+        (HeadingNews(5.0, -0.035), "our heading stepped by -2.0° against the gyro: announced again"),
+        (HeadingNews(5.0, 0.0), "our heading has been aligned in flight: announced again"),
+    ],
+)
+async def test_a_heading_that_is_known_otherwise_is_announced_again_and_said_in_one_line(parts, news, line):
+    hub = MemoryHub()
+    transport = MemoryTransport(hub, "swarm", 1, parts.boot, parts.clock)
+    listener = MemoryTransport(hub, "swarm", 9, "00000009", parts.clock)
+    ours = replace(parts, transport=transport)
+    health = make_health(ours)
+    team = make_teamwork(ours, health, make_notices(ours), ours.door.tell)
+    await listener.open()
+    await transport.open()
+    # Before the first announcement there is nothing to say again.
+    team.on_heading(news)
+    assert list(health.events) == []
+    announcing = asyncio.create_task(team.announce())
+    heard = []
+    async with asyncio.timeout(PATIENCE):
+        async for event in listener.events():
+            if isinstance(event, Announcement):
+                heard.append(event.sequence)
+                if len(heard) == 1:
+                    team.on_heading(news)
+                else:
+                    break
+    announcing.cancel()
+    await asyncio.gather(announcing, return_exceptions=True)
+    await transport.close()
+    await listener.close()
+    assert heard == [1, 2]
+    assert list(health.events) == [line]

@@ -18,18 +18,18 @@ from typing import Any
 
 import pytest
 
+from support.patience import PATIENCE, eventually
+
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 import zenoh
 
 from support.network_of_keys import (
     CLOCK,
-    PATIENCE,
     Drone,
     Team,
     announcement,
     announcements,
-    eventually,
     free_addresses,
     now,
 )

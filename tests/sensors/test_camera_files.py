@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.patience import PATIENCE, eventually
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, StampKind
@@ -57,15 +58,6 @@ async def all_frames(camera: Camera) -> list[Frame]:
     return frames
 
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
-
-
-async def until(holds) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not holds():  # noqa: ASYNC110
-            await asyncio.sleep(0.01)
-
-
 def counters(camera: Camera) -> dict[str, float]:
     return dict(camera.status().counters)
 
@@ -89,7 +81,7 @@ async def test_at_pace_realtime_pictures_come_at_their_time_and_the_late_consume
     clock.set(START + 0.101)
     assert number(await pending) == 1  # not before its time: the clock stood still until now
     clock.set(START + 1.001)
-    await until(lambda: counters(camera)["dropped"] == 8)
+    await eventually(lambda: counters(camera)["dropped"] == 8)
     frame = await anext(frames)
     assert (frame.sequence, number(frame)) == (10, 10)
     assert frame.t == pytest.approx(START + 1.0, abs=1e-3)
@@ -119,7 +111,7 @@ async def test_a_cancelled_consumer_leaves_a_camera_that_closes_at_once(source: 
             pass
 
     consumer = asyncio.create_task(consume())
-    await until(lambda: counters(camera)["frames"] > 2)
+    await eventually(lambda: counters(camera)["frames"] > 2)
     consumer.cancel()
     with pytest.raises(asyncio.CancelledError):
         await consumer

@@ -13,7 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from support.streams import PATIENCE, Send, StreamServer, counters, first, sending, stream_server
+from support.patience import PATIENCE
+from support.streams import (
+    Send,
+    StreamServer,
+    counters,
+    first,
+    sending,
+    stream_server,
+)
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import StampKind
 from swarmtrack.sensors.base import Camera

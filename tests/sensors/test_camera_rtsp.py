@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
+from support.patience import PATIENCE
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.sensors.base import Camera
 from swarmtrack.sensors.cameras import open_camera
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 PERIOD = 1 / 30
 
 

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
-from swarmtrack.sensors.mavlink.clock_map import HARD_RESYNC, MAX_SLEW, ClockMap, supporting_line
+from swarmtrack.sensors.mavlink.clock_map import (
+    CROSSING,
+    HARD_RESYNC,
+    MAX_SLEW,
+    ClockMap,
+    Exchange,
+    slopes_through,
+    supporting_line,
+)
 
 OFFSET = 958.0  # s: our clock at the autopilot's boot
 RATE = 200.0
@@ -110,6 +120,97 @@ def test_after_a_reboot_nothing_of_the_old_clock_remains():
     clock_map.observe(0.5, 5000.5)
     assert clock_map.to_ours(0.5) == pytest.approx(5000.5)
     assert clock_map.skew == 0.0
+
+
+def lockstep(clock_map: ClockMap, rate, seconds: float, *, step: float = 4e-3):
+    """A simulator whose time passes at `rate(t)` of ours and stands still within a step, as a UDP link carries it.
+
+    Return our times, what the map was off by then, and when something was first said of it [s].
+    """
+    rng = np.random.default_rng(9)
+    ours = np.arange(0.0, seconds, 1 / RATE)
+    theirs = 40.0 + np.concatenate([[0.0], np.cumsum(rate(ours[:-1]) / RATE)])
+    errors, said, next_exchange, exchanges = [], math.inf, 0.0, 0
+    for t, stamp in zip(ours, step * np.floor(theirs / step), strict=True):
+        clock_map.observe(stamp, t + 3e-4 + rng.exponential(3e-4))
+        errors.append(clock_map.to_ours(stamp) - np.interp(stamp, theirs, ours))
+        if t >= next_exchange:
+            exchanges += 1
+            next_exchange += 0.2 if exchanges < 10 else 1.0
+            at = t + 3e-4 + rng.exponential(3e-4)
+            stamped = step * math.floor(np.interp(at, ours, theirs) / step)
+            clock_map.exchange(t, stamped, at + 3e-4 + rng.exponential(3e-4))
+        if clock_map.in_words:
+            said = min(said, t)
+    return ours, np.array(errors), said
+
+
+@pytest.mark.parametrize("rate", [0.989, 0.997, 1.011, 1.05, 0.9])
+def test_a_simulators_clock_is_followed_and_said(rate):
+    clock_map = ClockMap()
+    ours, errors, said = lockstep(clock_map, lambda t: np.full_like(t, rate), 40.0)
+    assert said < 10.0
+    assert f"{100 * abs(1 - rate):.1f} % {'slow' if rate < 1 else 'fast'}: a simulator?" in clock_map.in_words
+    assert np.abs(errors[ours > 20.0]).max() < 3e-3
+    assert clock_map.sigma < 3e-3
+    assert clock_map.skew == pytest.approx(1 / rate - 1, abs=1e-4)
+
+
+def test_px4_in_lockstep_is_known_to_milliseconds_within_ten_seconds():
+    clock_map = ClockMap()
+    lockstep(clock_map, lambda t: np.full_like(t, 0.989), 10.0)
+    assert clock_map.sigma < 3e-3
+
+
+def test_a_simulator_that_gets_up_to_speed_is_an_ordinary_clock_again():
+    clock_map = ClockMap()
+    ours, errors, _ = lockstep(clock_map, lambda t: np.where(t < 20.0, 0.989, 1.0), 150.0)
+    assert clock_map.drift == 0.0
+    assert clock_map.in_words == ""
+    assert clock_map.sigma < 3e-3
+    assert np.abs(errors[ours > 40.0]).max() < 3e-3
+
+
+def test_a_clock_that_no_rate_explains_is_said_and_its_sigma_owns_up():
+    clock_map = ClockMap()
+    rates = np.random.default_rng(1).uniform(0.8, 1.0, 100)
+    _, _, said = lockstep(clock_map, lambda t: rates[(2 * t).astype(int)], 40.0)
+    assert said < 10.0
+    assert "jumps against ours" in clock_map.in_words
+    assert clock_map.sigma >= CROSSING
+
+
+@pytest.mark.parametrize("step", [0.03, 0.05, 0.3, -0.03, -0.05, -0.3])
+@pytest.mark.parametrize("at", [3.0, 6.0, 20.0])
+def test_a_step_is_no_drift(step, at):
+    clock_map = ClockMap()
+    # All in one sample: time stands still, or leaps.
+    ours, errors, _ = lockstep(
+        clock_map, lambda t: np.where(np.abs(t - at) < 0.4 / RATE, 1 - step * RATE, 1.0), 40.0
+    )
+    assert clock_map.restarts == 1
+    assert clock_map.drift == 0.0
+    assert clock_map.in_words == ""
+    assert np.abs(errors[ours > 35.0]).max() < 3e-3
+
+
+def test_slopes_through_bounds_are_those_of_brute_force():
+    rng = np.random.default_rng(10)
+    for _ in range(30):
+        stamps = np.sort(rng.uniform(0.0, 10.0, 8))
+        centre = 0.01 * stamps + rng.normal(0.0, 2e-3, 8)
+        half = rng.uniform(1e-3, 4e-3, 8)
+        found = slopes_through(
+            [Exchange(*e) for e in zip(stamps, centre - half, centre + half, strict=True)], 1e-3
+        )
+        slopes = np.linspace(0.0, 0.02, 2001)
+        floor = (centre - half - 1e-3 - slopes[:, None] * stamps).max(axis=1)
+        ceiling = (centre + half + 1e-3 - slopes[:, None] * stamps).min(axis=1)
+        possible = slopes[floor <= ceiling]
+        if found is None:
+            assert possible.size == 0
+        elif possible.size:
+            assert found == pytest.approx((possible[0], possible[-1]), abs=2e-5)
 
 
 def test_the_supporting_line_is_the_best_of_all_lines_below_the_points():

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from support.patience import PATIENCE
 from support.places import ROOT
 from support.streams import (
-    PATIENCE,
     Script,
     Send,
     StreamServer,

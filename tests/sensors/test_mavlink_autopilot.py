@@ -19,15 +19,17 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega, common
 
 from support.autopilot_flight import Flight, Listener, RealFlight
-from support.fake_autopilot import FakeAutopilot, serve_udp
+from support.fake_autopilot import FakeAutopilot, FakePx4, imu_report, serve_udp
 from support.places import SHARED
 from swarmtrack.clock import ManualClock
+from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.links import records
+from swarmtrack.simulation.channel import Channel
 
 SHARED = SHARED / "mavlink"
 TIMEOUT = 180.0  # s: ends a hang, and says nothing of speed
@@ -49,7 +51,7 @@ async def test_gyro_and_pose_arrive_at_the_rates_asked_in_our_time():
         last = flight.listener.imu[-1]
         np.testing.assert_allclose(last.gyro, autopilot.gyro, rtol=1e-6)
         np.testing.assert_allclose(last.accel, autopilot.accel, rtol=1e-6)
-        assert last.t == pytest.approx(flight.clock.now(), abs=6e-3)
+        assert last.t + last.gyro_delay == pytest.approx(flight.clock.now(), abs=6e-3)
         steps = np.diff([s.t for s in flight.listener.imu])
         assert np.abs(steps - 5e-3).max() < 0.02 * 5e-3 + 1e-6  # smooth: within the slew bound
         pose = flight.listener.poses[-1]
@@ -106,7 +108,8 @@ async def test_a_reboot_is_survived_counted_and_followed_by_new_requests():
         flight.fly(8.0)
         assert flight.count["reboots"] == 1
         assert flight.unit.status().ok
-        assert flight.listener.imu[-1].t == pytest.approx(flight.clock.now(), abs=6e-3)
+        last = flight.listener.imu[-1]
+        assert last.t + last.gyro_delay == pytest.approx(flight.clock.now(), abs=6e-3)
         assert (np.diff([s.t for s in flight.listener.imu]) > 0).all()
 
 
@@ -117,6 +120,66 @@ async def test_a_stream_that_was_slowed_down_by_others_is_asked_for_again():
         autopilot.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 40_000, flight.clock.now())
         flight.fly(5.0)
         assert flight.count["imu_rate_hz"] == pytest.approx(200.0, abs=1.0)
+
+
+def rates_asked(autopilot: FakeAutopilot) -> list[float]:
+    """Of HIGHRES_IMU [Hz]."""
+    asked = (us for message, us in autopilot.commands if message == common.MAVLINK_MSG_ID_HIGHRES_IMU)
+    return [1e6 / us for us in asked]
+
+
+async def test_a_granted_rate_that_does_not_come_is_asked_for_once_at_double_and_kept_where_that_helps():
+    autopilot = FakePx4(boot_at=60.0)
+    async with Flight(autopilot) as flight:
+        flight.fly(4.0)
+        assert flight.count["imu_rate_hz"] == pytest.approx(125.0, abs=2.0)
+        flight.fly(5.0)
+        assert rates_asked(autopilot) == [200.0, 400.0]
+        assert flight.count["imu_rate_hz"] == pytest.approx(250.0, abs=2.0)
+        autopilot.commands.clear()
+        autopilot.reboot(flight.clock.now())
+        flight.fly(20.0)
+        assert set(rates_asked(autopilot)) == {400.0}
+        assert flight.count["imu_rate_hz"] == pytest.approx(250.0, abs=2.0)
+
+
+async def test_a_double_that_was_in_vain_is_taken_back_and_not_tried_again():
+    autopilot = FakePx4(boot_at=60.0)
+    autopilot.parameters.values["IMU_INTEG_RATE"] = 125
+    async with Flight(autopilot) as flight:
+        flight.fly(60.0)
+        assert rates_asked(autopilot)[:3] == [200.0, 400.0, 200.0]
+        assert set(rates_asked(autopilot)[3:]) == {200.0}
+        assert "200 Hz asked, 125 Hz got" in flight.text
+        (finding,) = check_autopilot(AutopilotFacts(60.0, status=flight.unit.status()))
+        assert finding.found == "125 gyro samples per second, 200 requested"
+        assert (
+            finding.remedy == "PX4 sends at most IMU_INTEG_RATE: set autopilot.imu_rate_hz to it, or raise it"
+        )
+
+
+class Px4ThatDenies(FakePx4):
+    """What would be faster than 333 Hz, as ArduPilot does."""
+
+    def grant(self, message_id: int, interval_us: float, stamp: float, channel: Channel) -> int:
+        if 0.0 < interval_us < 3000.0:
+            return int(common.MAV_RESULT_DENIED)
+        return super().grant(message_id, interval_us, stamp, channel)
+
+
+async def test_a_double_that_is_denied_does_not_lower_the_rate():
+    autopilot = Px4ThatDenies(boot_at=60.0)
+    async with Flight(autopilot) as flight:
+        flight.fly(20.0)
+        assert rates_asked(autopilot)[:3] == [200.0, 400.0, 200.0]
+        assert flight.count["imu_rate_granted_hz"] == 200.0
+
+
+async def test_a_line_that_would_not_carry_the_double_is_not_asked_for_it():
+    autopilot = FakePx4(boot_at=60.0)
+    async with Flight(autopilot, bytes_per_second=30_000.0) as flight:
+        flight.fly(20.0)
+        assert set(rates_asked(autopilot)) == {200.0}
 
 
 @pytest.mark.parametrize(
@@ -234,6 +297,22 @@ async def test_lost_samples_are_counted_by_their_stamps():
         assert flight.count["imu_lost"] == pytest.approx(10, abs=1)
 
 
+async def test_a_granted_rate_is_no_loss_from_its_first_sample_on():
+    autopilot = FakeAutopilot(boot_at=60.0)
+    async with Flight(imu_rate_hz=50.0) as flight:
+        # Another program has asked for more before us, and what we say is not heard yet.
+        autopilot.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 4000, flight.clock.now())
+        for _ in range(500):
+            flight.fly(1e-3)
+            for data in autopilot.step(flight.clock.now()):
+                flight.unit.received(flight.clock.now(), data)
+        flight.autopilots = (autopilot,)
+        for _ in range(20):
+            flight.fly(0.1)
+            assert flight.count["gaps"] == 0
+        assert autopilot.commands
+
+
 async def test_their_timesync_is_answered_and_ours_gives_the_clock_a_sigma():
     autopilot = FakeAutopilot(boot_at=60.0)
     async with Flight(autopilot) as flight:
@@ -248,29 +327,86 @@ async def test_their_timesync_is_answered_and_ours_gives_the_clock_a_sigma():
         assert flight.count["clock_offset_s"] == pytest.approx(60.0, abs=2e-3)
 
 
+async def test_an_autopilot_in_lockstep_that_runs_slow_is_followed_and_said(caplog):
+    autopilot = FakePx4(boot_at=60.0, skew=-0.011)
+    async with Flight(autopilot) as flight:
+        flight.fly(10.0)
+        assert "runs 1.1 % slow: a simulator?" in flight.text
+        assert "the autopilot's clock runs 1.1 % slow: a simulator?" in caplog.text
+        assert flight.count["clock_sigma_s"] < 3e-3
+        assert flight.count["clock_restarts"] >= 1
+        flight.fly(20.0)
+        assert flight.listener.imu[-1].t == pytest.approx(flight.clock.now(), abs=8e-3)
+        assert flight.unit.status().ok
+
+
 async def test_more_than_the_line_carries_is_warned_of(caplog):
     async with Flight(FakeAutopilot(), bytes_per_second=11520.0) as flight:
         flight.fly(1.5)
         assert "% of what the line carries" in caplog.text
 
 
-async def test_with_a_key_an_unsigned_autopilot_is_refused_by_name(tmp_path):
+@pytest.fixture
+def key_file(tmp_path: Path) -> Path:
     path = tmp_path / "key"
     path.write_bytes(KEY)
     path.chmod(0o600)
-    async with Flight(FakeAutopilot(), signing_key=path) as flight:
+    return path
+
+
+async def test_with_a_key_an_unsigned_autopilot_is_refused_by_name(key_file):
+    async with Flight(FakeAutopilot(), signing_key=key_file) as flight:
         flight.fly(4.0)
         assert "1/1 speaks unsigned, and we hold a signing key" in flight.text
         assert not flight.listener.imu
         assert flight.count["unsigned"] >= 4
-    async with Flight(FakeAutopilot(key=bytes(32)), signing_key=path) as flight:
+    async with Flight(FakeAutopilot(key=bytes(32)), signing_key=key_file) as flight:
         flight.fly(4.0)
         assert "1/1 signs with another key" in flight.text
-    async with Flight(FakeAutopilot(key=KEY), signing_key=path) as flight:
+    async with Flight(FakeAutopilot(key=KEY), signing_key=key_file) as flight:
         flight.fly(4.0)
         assert flight.unit.status().ok  # so it took our signed requests, too
         assert flight.count["signed_good"] > 200
         assert flight.count["signed_bad"] == flight.count["unsigned"] == 0
+
+
+def signed_frames(autopilot: FakeAutopilot) -> list[bytes]:
+    """Three samples, then the heartbeat that tells whose they were."""
+    imu = [imu_report(autopilot, 40.0 + 5e-3 * i) for i in range(3)]
+    return [autopilot.frame(m) for m in (*imu, autopilot._heartbeat())]
+
+
+async def test_signed_frames_that_came_before_the_first_heartbeat_are_verified_once(key_file, caplog):
+    async with Flight(signing_key=key_file) as flight:
+        for data in signed_frames(FakeAutopilot(key=KEY)):
+            flight.unit.received(flight.clock.now(), data)
+            flight.unit.tick(flight.clock.now())
+            assert ": lost:" not in flight.text
+        assert (flight.count["signed_good"], flight.count["signed_old"], flight.count["signed_bad"]) == (
+            4,
+            0,
+            0,
+        )
+        assert len(flight.listener.imu) == 3
+        assert not [r for r in caplog.records if r.levelno >= logging.WARNING]
+
+
+async def test_a_replayed_frame_is_refused_once_and_forgotten_by_the_reason_for_a_later_silence(key_file):
+    autopilot = FakeAutopilot(key=KEY)
+    async with Flight(autopilot, signing_key=key_file) as flight:
+        first, *others = signed_frames(autopilot)
+        for data in (first, *others, first):
+            flight.unit.received(flight.clock.now(), data)
+        assert (flight.count["signed_good"], flight.count["signed_old"]) == (4, 1)
+        flight.fly(2.0)
+        autopilot.mute = True
+        flight.fly(4.0)
+        assert "lost: nothing from autopilot 1 for 4 s" in flight.text
+        flight.unit.received(flight.clock.now(), first)
+        assert (
+            "lost: nothing valid from autopilot 1 for 4 s: 1/1 signs with another key or an old"
+            in flight.text
+        )
 
 
 async def test_a_tcp_connection_that_fell_silent_is_dropped_to_be_made_anew():
@@ -306,6 +442,7 @@ async def test_every_change_of_state_is_one_line_in_the_log(caplog):
     assert [line.split(" (")[0][:38] for line in lines] == [
         "searching: port open, 0 bytes",
         "found autopilot 1",
+        "gyro taken to be 11.3 ± 1.0 ms late: I",
         "streaming: IMU 200 Hz asked, 200 Hz go",
         "lost: nothing from autopilot 1 for 3 s",
     ]

@@ -12,6 +12,7 @@ import tomllib
 
 import pytest
 
+from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents.main import main
 from swarmtrack.config import DroneConfig, load_config
@@ -20,7 +21,6 @@ from swarmtrack.setup.reference import json_schema, reference
 
 CONFIGS = ROOT / "configs"
 CALIBRATION = CONFIGS / "usb-camera.yaml"
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 @pytest.fixture

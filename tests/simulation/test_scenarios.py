@@ -19,16 +19,21 @@ from swarmtrack.simulation.sensors import Instant
 ASKED = [
     "clock-skew",
     "crossing",
+    "errand",
     "fast-yaw",
     "faults",
+    "guided",
     "hover-triangle",
     "intruder",
     "late-joiner",
     "lossy-radio",
 ]
-ASKED += ["occlusion", "thirty", "yawing-observer"]
+ASKED += ["mixed", "occlusion", "thirty", "yawing-observer"]
 FIXED = "yawing-observer"  # its three drones are described one by one
-FREE = [name for name in ASKED if name != FIXED]
+COMMANDED = "guided"  # its drones fly where somebody sends them
+ON_THE_GROUND = "errand"  # at first
+FREE = [name for name in ASKED if name not in (FIXED, COMMANDED, ON_THE_GROUND)]
+PLANNED = [name for name in ASKED if name != COMMANDED]
 SIZES = [2, 3, 4, 5, 7, 8, 13, 16, 29, 30]
 RING = "about = 'x'\nseconds = 9\n[formation]\ndrones = 3\nring = { radius_m = 3.0 }\n"
 ONE_BY_ONE = """about = "x"
@@ -97,7 +102,7 @@ def test_drones_are_always_more_than_a_metre_apart_and_above_the_ground(name, dr
         assert points[:, 2].max() < -1.0
 
 
-@pytest.mark.parametrize("name", ASKED)
+@pytest.mark.parametrize("name", PLANNED)
 def test_everybody_hovers_at_first_and_at_every_time_before(name):
     scenario = load_scenario(name, seed=2)
     for drone_id, trajectory in scenario.world.drones.items():
@@ -108,12 +113,12 @@ def test_everybody_hovers_at_first_and_at_every_time_before(name):
             assert np.linalg.norm(trajectory.body_rate(t)) < 0.4
 
 
-@pytest.mark.parametrize("name", ASKED)
+@pytest.mark.parametrize("name", PLANNED)
 def test_a_seed_decides_every_movement_and_another_seed_flies_otherwise(name):
     one, same, other = (load_scenario(name, seed=seed).world for seed in (3, 3, 4))
     for drone_id in one.drones:
-        np.testing.assert_array_equal(one.pose(drone_id, 8.0).position, same.pose(drone_id, 8.0).position)
-        assert not np.array_equal(one.pose(drone_id, 8.0).position, other.pose(drone_id, 8.0).position)
+        np.testing.assert_array_equal(one.pose(drone_id, 18.0).position, same.pose(drone_id, 18.0).position)
+        assert not np.array_equal(one.pose(drone_id, 18.0).position, other.pose(drone_id, 18.0).position)
 
 
 @pytest.mark.parametrize("name", ASKED)
@@ -311,7 +316,12 @@ def test_drones_described_one_by_one_keep_their_ids_and_are_not_multiplied(write
         (RING.replace("radius_m", "radius"), 'flight.toml:5: formation.ring.radius: unknown key, did you'),
         (RING.replace("= 3\n", '= "3"\n'), 'flight.toml:4: formation.drones: "3", expected a valid integer'),
         (RING + "weave = { reach_m = 1, period_s = [5, 9] }\n", "flight.toml:3: formation: weave with ring"),
-        (RING + "lanes = { gap_m = 5 }\n", "flight.toml:3: formation: neither or both of ring and lanes, expected"),
+        (RING + "errand = {}\n", "flight.toml:3: formation: 2 of ring, lanes and errand, expected one"),
+        (RING.replace("ring = { radius_m = 3.0 }", "errand = {}\nswing = { peak_rad_s = 1, period_s = [1, 2] }"),
+         "flight.toml:3: formation: errand with swing, expected one or the other"),
+        (RING + "[ghosts]\ncont = 3\n", 'flight.toml:7: ghosts.cont: unknown key, did you mean "count"?'),
+        (RING + "[clocks]\ncamera_offset_s = [3]\n", "flight.toml:7: clocks.camera_offset_s[0]: 3, expected less than"),
+        (RING + "lanes = { gap_m = 5 }\n", "flight.toml:3: formation: 2 of ring, lanes and errand, expected one"),
         ("about = 'x'\nseconds = 9\n", "flight.toml:1: formation: missing, expected a table [formation]"),
         (ONE_BY_ONE.replace("id = 7", "id = 3"), "flight.toml:9: drone[1].id: 3, expected an ID that no other"),
         (ONE_BY_ONE.replace("heading_deg", "heeding_deg"), 'flight.toml:11: drone[1].heeding_deg: unknown key'),
@@ -369,3 +379,41 @@ def test_names_files_and_addresses_lead_to_scenarios(write):
         load_scenario("absent.toml")
     sim = open_simulation(f"sim://{path}?drones=5&drone=5", None, ManualClock())
     assert [a.drone_id for a in sim.teammates_announcements()] == [1, 2, 3, 4]
+
+
+# --- autopilots ------------------------------------------------------------------------------------
+
+
+def test_a_formation_takes_its_autopilots_in_turn_and_a_drone_by_itself_says_its_own(write):
+    text = RING.replace("drones = 3", 'drones = 5\nautopilots = ["ardupilot", "px4", "px4-lockstep"]')
+    scenario = load_scenario(write(text + '[[drone]]\nid = 9\nposition_m = [9, 9, -3]\nautopilot = "px4"\n'))
+    kinds = [scenario.autopilot(drone_id).value for drone_id in scenario.members]
+    assert kinds == ["ardupilot", "px4", "px4-lockstep", "ardupilot", "px4"]
+    assert scenario.autopilot_skew[3] == -0.011
+    assert 1e-4 <= abs(scenario.autopilot_skew[2]) <= 2e-4
+    assert {load_scenario("hover-triangle").autopilot(n).value for n in (1, 2, 3)} == {"ardupilot"}
+
+
+def test_an_errand_is_flown_as_the_autopilot_of_each_drone_flies(write):
+    text = "about = 'x'\nseconds = 50\n[formation]\ndrones = 2\nautopilots = ['ardupilot', '{}']\nerrand = {{}}\n"
+    first, second = (load_scenario(write(text.format(kind)), seed=5).world for kind in ("ardupilot", "px4"))
+    times = np.linspace(0.0, 45.0, 200)
+    same = [np.array_equal(first.drones[1].position(t), second.drones[1].position(t)) for t in times]
+    assert all(same)
+    fastest = [max(np.linalg.norm(world.body_rate(2, t)) for t in times) for world in (first, second)]
+    assert fastest[1] > 1.3 * fastest[0]
+
+
+def test_a_guided_drone_stands_where_it_was_put_and_has_no_plan(write):
+    scenario = load_scenario("guided")
+    for drone_id, north, yaw in ((1, 0.0, 0.0), (2, 7.0, math.pi)):
+        drone = scenario.world.flown(drone_id)
+        for t in (-100.0, 0.0, 50.0):
+            assert drone.position(t)[0] == north
+            assert drone.yaw(t) == pytest.approx(yaw)
+        assert drone.takes_off_s == math.inf
+        assert seen_by(scenario, drone_id, 1.0).keys() == {3 - drone_id}
+    swings = ONE_BY_ONE + "guided = true\nswing = { peak_rad_s = 1.0, period_s = 2.0 }\n"
+    assert problems_of(write(swings)) == [
+        "flight.toml:8: drone[1]: guided with swing, expected one of them: who is guided has no plan"
+    ]

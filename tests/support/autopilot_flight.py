@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from swarmtrack.clock import ManualClock, SystemClock
-from swarmtrack.messages import EgoPose, ImuSample
+from swarmtrack.messages import EgoPose, FlightState, ImuSample
 from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.links import Receiver
@@ -23,11 +23,15 @@ class Listener:
     def __init__(self) -> None:
         self.imu: list[ImuSample] = []
         self.poses: list[EgoPose] = []
+        self.states: list[FlightState] = []
         self.reboots = 0
         self.found_flying = 0
 
     def on_found_flying(self) -> None:
         self.found_flying += 1
+
+    def on_flight_state(self, state: FlightState) -> None:
+        self.states.append(state)
 
     def on_autopilot_reboot(self) -> None:
         self.reboots += 1

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
+from support.patience import PATIENCE
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed here")

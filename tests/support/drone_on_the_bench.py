@@ -14,8 +14,9 @@ from aiohttp import web
 
 from support.fake_autopilot import FakeAutopilot
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.simulation.autopilot import SensedState
+from swarmtrack.sensors.mavlink.gyro_delay import INS_GYRO_FILTER, low_pass_delay
 from swarmtrack.simulation.hand_turned import HandTurned
+from swarmtrack.simulation.senses import SensedState
 
 SMALL = PinholeCamera(160.0, 160.0, 79.5, 59.5, 160, 120)
 NUMBERS = "{ fx = 160.0, fy = 160.0, cx = 79.5, cy = 59.5, width = 160, height = 120 }"
@@ -82,11 +83,12 @@ class Server:
 
 
 class TurnedAutopilot(FakeAutopilot):
-    """Of a drone in somebody's hands, its gyro's axes multiplied by `signs`."""
+    """Of a drone in somebody's hands, its gyro's axes multiplied by `signs`, and late by its filter."""
 
     def __init__(self, hand: HandTurned, signs: tuple[float, float, float], boot_at: float) -> None:
         super().__init__(boot_at=boot_at)
         self._hand, self._signs = hand, np.array(signs)
 
     def at(self, t: float) -> SensedState:
-        return super().at(t)._replace(gyro=self._hand.rates(np.array([t]))[0] * self._signs)
+        sensed = np.array([t - low_pass_delay(INS_GYRO_FILTER.usual_hz)])
+        return super().at(t)._replace(gyro=self._hand.rates(sensed)[0] * self._signs)

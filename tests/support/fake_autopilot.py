@@ -17,12 +17,15 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.simulation.autopilot import OFFERED, GpsFix, SensedState, SimulatedArduPilot
+from swarmtrack.simulation.autopilot import SimulatedArduPilot, SimulatedVehicle
+from swarmtrack.simulation.channel import Channel
+from swarmtrack.simulation.px4 import SimulatedPx4
+from swarmtrack.simulation.senses import GpsFix, SensedState
 
 SIGNING_BEGINS = 1_420_070_400  # s UTC: 2015-01-01
 
 
-class FakeAutopilot(SimulatedArduPilot):
+class FakeVehicle(SimulatedVehicle):
     """Senses its own public attributes. understands_intervals: False for an old firmware; key: signs with it."""
 
     def __init__(
@@ -32,12 +35,13 @@ class FakeAutopilot(SimulatedArduPilot):
         component: int = 1,
         boot_at: float = 0.0,
         skew: float = 0.0,
-        offered: tuple[int, ...] = OFFERED,
+        offered: tuple[int, ...] | None = None,
         understands_intervals: bool = True,
         key: bytes | None = None,
+        **options: Any,
     ) -> None:
         super().__init__(
-            self, system=system, component=component, boot_at=boot_at, skew=skew, offered=offered
+            self, system=system, component=component, boot_at=boot_at, skew=skew, offered=offered, **options
         )
         self.understands_intervals = understands_intervals
         self.gyro = np.array((0.1, -0.2, 0.3))
@@ -53,8 +57,12 @@ class FakeAutopilot(SimulatedArduPilot):
         self.timesync_answers: list[tuple[int, int]] = []  # (tc1, ts1) to our own requests
         self._key = key
         if key is not None:
-            self._sign(self.mav)
-            self.mav.signing.sign_outgoing = True
+            for channel in self.channels:
+                self._sign(channel.mav)
+                channel.mav.signing.sign_outgoing = True
+
+    def rebooted(self, t: float) -> None:
+        """What it senses is told by the test."""
 
     def at(self, t: float) -> SensedState:
         return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps)
@@ -71,9 +79,9 @@ class FakeAutopilot(SimulatedArduPilot):
 
     def ask_time(self, now: float) -> None:
         """PX4 asks its companion for the time."""
-        self._outbox.append(self.frame(common.MAVLink_timesync_message(0, int(self.stamp(now) * 1e9))))
+        self.channels[0].send(common.MAVLink_timesync_message(0, int(self.stamp(now) * 1e9)))
 
-    def understand(self, message: Any, now: float) -> None:
+    def understand(self, message: Any, now: float, channel: Channel) -> None:
         match message.get_type():
             case "COMMAND_LONG" if message.command == common.MAV_CMD_SET_MESSAGE_INTERVAL:
                 self.commands.append((int(message.param1), message.param2))
@@ -81,15 +89,31 @@ class FakeAutopilot(SimulatedArduPilot):
                     return
             case "REQUEST_DATA_STREAM":
                 self.streams_asked.append(message.req_stream_id)
-                if message.req_stream_id == common.MAV_DATA_STREAM_RAW_SENSORS:
-                    self.set_interval(common.MAVLINK_MSG_ID_RAW_IMU, 1e6 / message.req_message_rate, now)
             case "TIMESYNC" if message.tc1 != 0:
                 self.timesync_answers.append((message.tc1, message.ts1))
             case "HEARTBEAT":
                 self.companion_heartbeats += 1
             case "SETUP_SIGNING":
                 self.signing_setups += 1
-        super().understand(message, now)
+        super().understand(message, now, channel)
+
+
+class FakeAutopilot(FakeVehicle, SimulatedArduPilot):
+    """An ArduPilot."""
+
+
+class FakePx4(FakeVehicle, SimulatedPx4):
+    """A PX4 in lockstep: of 250 samples a second 125 go where 200 are asked for."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(lockstep=True, **options)
+
+
+def imu_report(autopilot: FakeVehicle, stamp: float) -> Any:
+    """HIGHRES_IMU of what it senses, stamped `stamp` [s]."""
+    return common.MAVLink_highres_imu_message(
+        round(stamp * 1e6), *autopilot.accel, *autopilot.gyro, 0, 0, 0, 0, 0, 0, 0, 0xFFFF
+    )
 
 
 class _Socket(asyncio.DatagramProtocol):

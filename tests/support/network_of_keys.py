@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from support.patience import PATIENCE
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement, PeerEvent
 from swarmtrack.security import names
@@ -20,8 +21,6 @@ from swarmtrack.security.loading import load_credentials
 from swarmtrack.transport import keys
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
-
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 CLOCK = SystemClock()
 
@@ -114,15 +113,6 @@ class Drone:
             async with self._news:
                 self.told.append(event)
                 self._news.notify_all()
-
-
-async def eventually(holds: Callable[[], bool]) -> None:
-    """Of counters and links, which tell nobody when they change."""
-    async with asyncio.timeout(PATIENCE):
-        while True:
-            if holds():
-                return
-            await asyncio.sleep(0.01)
 
 
 def announcement(drone_id: int, boot: str, sequence: int) -> Announcement:

@@ -1,5 +1,7 @@
 """Drone 1 and its tracks, which a test puts in the image by hand; no tracker, no camera."""
 
+import math
+
 import numpy as np
 
 from swarmtrack.geometry import rotation
@@ -7,7 +9,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Announcement, Track, TrackStatus
+from swarmtrack.messages import Announcement, SightingReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -35,9 +37,12 @@ class Observer:
             1, camera=CAMERA, body_from_camera=FORWARD, parameters=IdentityParameters(**parameters)
         )
         self.t = 0.0
+        self.attitude = np.eye(3)
         self.tracks = []
         self.coasting = {}
         self.wanted = []
+        self.sizes = {}
+        self.reports = 0
 
     def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0):
         return self.identities.announce(
@@ -46,13 +51,27 @@ class Observer:
             )
         )
 
+    def is_told(self, drone_id, pixel, boot="0000000a", metres=8.0):
+        """The drone reports whom it sees, and with it where it is."""
+        self.reports += 1
+        self.identities.on_report(
+            SightingReport(drone_id, boot, self.reports, self.t, 0.0, at(pixel, metres), 0.1, (), ())
+        )
+
+    def turn(self, degrees):
+        """To the right; what it sees from now on is in its image as the test says."""
+        self.attitude = rotation.from_euler(0.0, 0.0, math.radians(degrees)) @ self.attitude
+
     def sees(self, seconds, coasting=(), tentative=(), **tracks):
         """`a=(u, v)` is track 1 there, b track 2 … ; the IDs by name after so many seconds of scans."""
         for _ in range(max(round(seconds / SCAN_S), 1)):
             self.t = round(self.t + SCAN_S, 6)
             self.coasting = {name: self.coasting.get(name, self.t) for name in coasting}
             self.tracks = [self._track(name, pixel, name in tentative) for name, pixel in tracks.items()]
-            self.identities.observe(self.tracks, TeamPose(self.t, np.zeros(3), np.eye(3), 0.05, 0.01))
+            self.identities.observe(
+                self.tracks,
+                TeamPose(self.t, np.zeros(3), self.attitude, 0.05**2 * np.eye(3), 0.01**2 * np.eye(3)),
+            )
             self.wanted += [(self.t, drone) for drone in self.identities.take_wanted()]
         return self.names()
 
@@ -71,6 +90,6 @@ class Observer:
             cov=np.diag([4.0, 25.0, 4.0, 25.0]),
             status=TrackStatus.TENTATIVE if tentative else status,
             probability=1.0,
-            size=np.array([20.0, 20.0]),
+            size=np.array(self.sizes.get(name, (20.0, 20.0))),
             coasting_since=since,
         )

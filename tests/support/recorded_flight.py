@@ -17,6 +17,7 @@ from swarmtrack.localswarm.configs import Sources, write_configs
 from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
+    FlightState,
     Frame,
     IdClash,
     PeerArrived,
@@ -29,10 +30,11 @@ from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.flight_recorder import FlightRecorder
 from swarmtrack.runtime.perception import make_onboard
 from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.sensors import EgoParameters, Imu, ImuParameters, detect, ego_pose, visible
+from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters, detect, visible
 
 LATENCY_S = 0.08
-EGO = EgoParameters()
+# With RTK, so that pictures can be labelled by it.
+EGO = EgoParameters(heading_error_deg=(0.0, 0.0), aligned_error_deg=0.0, height_error_m=(0.0, 0.0))
 BEGIN = {1: 500.0, 2: 81234.5, 3: 7.25}  # s on each drone's own monotonic clock at world time 0
 UTC_ERROR = {1: 0.0, 2: 0.4, 3: -1.5}  # s by which each drone's wall clock is wrong
 
@@ -42,8 +44,9 @@ class Flight:
 
     def __init__(self, folder: Path, drone_id: int, scenario, extra: str) -> None:
         config_file = folder / f"drone-{drone_id}.toml"
-        if extra:
-            config_file.write_text(config_file.read_text() + extra)
+        # This autopilot's heading is no worse than its tilt.
+        heading = f"[autopilot]\nheading_sigma_deg = {np.degrees(EGO.attitude_sigma):.3f}\n"
+        config_file.write_text(config_file.read_text().replace("[autopilot]\n", heading) + extra)
         self.config = load_config(config_file)
         mounted = mount_camera(self.config.camera)
         self.drone_id, self.begin = drone_id, BEGIN[drone_id]
@@ -55,6 +58,7 @@ class Flight:
         self.recorder.open()
         self.door.listener = self.recorder
         self.imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
+        self.ego = Ego(scenario.world, drone_id, EGO)
         self.scans = []
         self.answers = []
         self.reports = 0
@@ -105,6 +109,8 @@ def fly(
             break
         flight = flights[d]
         flight.clock.set(flight.begin + t)
+        if what == "pose" and index % int(EGO.rate_hz) == 0:
+            flight.tell(FlightState(flight.begin + t, -np.inf))
         _happen(flights, flight, scenario, what, index, t)
         if rate:
             late = LATENCY_S if what == "scan" else 0.0
@@ -121,8 +127,9 @@ def _happen(flights, flight, scenario, what, index, t) -> None:
             sample = flight.imu.sample(index)
             flight.tell(dataclasses.replace(sample, t=begin + sample.t))
         case "pose":
-            pose = ego_pose(world, d, index, EGO)
-            flight.tell(dataclasses.replace(pose, t=begin + pose.t))
+            pose = flight.ego.pose(index)
+            sure = {"position_sigma": EGO.position_sigma, "attitude_sigma": EGO.attitude_sigma}
+            flight.tell(dataclasses.replace(pose, t=begin + pose.t, **sure))
         case "scan":
             exposed = index / scenario.fps
             boxes = visible(world, d, scenario.camera, scenario.body_from_camera, exposed)

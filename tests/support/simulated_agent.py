@@ -104,7 +104,7 @@ class ScriptedCamera:
 
 
 class ScriptedDetector:
-    """Sees one drone that stands still."""
+    """Sees one drone that stands still, as well as detectors do."""
 
     def warm_up(self, width: int, height: int) -> None: ...
 
@@ -113,7 +113,8 @@ class ScriptedDetector:
 
     def look(self, frame: Frame) -> Detections:
         size = np.full((1, 2), 6.0)
-        return Detections(frame.t, frame.sequence, np.array([[32.0, 24.0]]), size, np.array([0.9]))
+        scatter = 0.5 * np.random.default_rng(frame.sequence).standard_normal((1, 2))
+        return Detections(frame.t, frame.sequence, np.array([[32.0, 24.0]]) + scatter, size, np.array([0.9]))
 
     def status(self) -> LinkStatus:
         return LinkStatus("detector", True, "scripted")

@@ -9,9 +9,8 @@ from typing import TypeVar
 
 from aiohttp import web
 
+from support.patience import PATIENCE
 from swarmtrack.sensors.base import Camera, DetectionSource
-
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 Send = Callable[[bytes], Awaitable[None]]
 Script = Callable[[Send], Awaitable[None]]

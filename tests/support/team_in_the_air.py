@@ -23,6 +23,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
+from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection
@@ -41,7 +42,6 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import TracksMessage
 
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 MAX_FRAME_AGE_S = 1.0  # where processes wait for each other, a late frame is better than none
 SEED = 1
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -176,7 +176,9 @@ class Team:
         ready = await asyncio.wait_for(process.stdout.readline(), PATIENCE)
         assert ready, "\n".join(line for _, line in simulator.said)
         drones = json.loads(ready)["drones"]
-        self._sources = {int(drone): Sources(**ends) for drone, ends in drones.items()}
+        self._sources = {
+            int(drone): Sources(ends["camera"], ends["autopilot"]) for drone, ends in drones.items()
+        }
 
     async def start(self, drone: int, *, name: int | None = None, clock_off_s: float = 0.0) -> Lines:
         """Start the drone's agent. name: the ID that it is given, its own if None; clock_off_s: of its wall clock."""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.tracking import TRACKERS, Scan, Tracker, create_tracker
 from swarmtrack.tracking.kalman import Kalman, KalmanParameters
+from swarmtrack.tracking.noise import SurePairs
 from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import SensorModel
@@ -211,12 +212,19 @@ def test_noise_told_right_or_too_large_stays_as_told():
     assert learned_noise(factor=0.5, seeds=2) == [1.0, 1.0]
 
 
+def misfits(nis):
+    """Sure pairs of so large squared distances."""
+    n = len(nis)
+    none = np.zeros(n)
+    return SurePairs(np.arange(n), np.arange(n), np.zeros((n, 2)), none, none, np.array(nis))
+
+
 def test_a_larger_noise_is_that_of_every_detection():
     model = sensor(measurement_sigma=2.0)
     own = np.array([[9.0, 1.0], [1.0, 4.0]])
     scans = [Scan(0.0, np.array([[10.0, 20.0]])), Scan(0.0, np.array([[10.0, 20.0]]), R=own[None])]
     before = [model.usable(scan).R[0] for scan in scans]
-    model.learn_noise([50.0] * 100)
+    model.learn_noise(misfits([50.0] * 100), np.full((100, 2), 30.0), steady=True)
     assert model.noise_scale == 10.0
     for scan, R in zip(scans, before, strict=True):
         assert model.usable(scan).R[0] == pytest.approx(10.0 * R)
@@ -225,7 +233,7 @@ def test_a_larger_noise_is_that_of_every_detection():
 @pytest.mark.parametrize("off", [{"learn_noise": False}, {"profile": "paper"}])
 def test_learning_the_noise_can_be_switched_off(off):
     model = sensor(**off)
-    model.learn_noise([50.0] * 100)
+    model.learn_noise(misfits([50.0] * 100), np.full((100, 2), 30.0), steady=True)
     assert model.noise_scale == 1.0
 
 

@@ -302,6 +302,21 @@ def test_a_doubtful_detection_carries_a_track_on_but_confirms_none(name):
 
 
 @every_tracker
+def test_a_doubtful_look_alike_is_confirmed_once_somebody_vouches_for_it(name):
+    tracker = create_tracker(name, camera=CAMERA, birth_score=0.5)
+    for k in range(12):
+        tracker.predict(k / 15)
+        tracker.update(Scan(k / 15, np.array([[100.0, 100.0], [400.0, 300.0]]), score=np.array([0.3, 0.3])))
+        if k == 8:
+            assert confirmed(tracker.tracks) == []
+            (vouched,) = (track.id for track in tracker.tracks if track.mean[0] > 300.0)
+            tracker.vouch(vouched)
+            tracker.vouch(999)
+    (track,) = confirmed(tracker.tracks)
+    assert track.id == vouched
+
+
+@every_tracker
 def test_a_target_that_flew_out_of_the_image_is_lost_not_confirmed(name):
     tracker = create_tracker(name, camera=CAMERA)
     for k in range(20):

@@ -15,11 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from support.patience import PATIENCE, eventually
 from support.places import ROOT
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from support.network_of_keys import PATIENCE, Drone, Team, eventually, free_addresses
+from support.network_of_keys import Drone, Team, free_addresses
 from swarmtrack.config import NetworkSection, load_team_config
 from swarmtrack.errors import ConfigError, TransportError
 from swarmtrack.security.roster import Roster

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from support.patience import PATIENCE, eventually
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import TransportError
 from swarmtrack.messages import (
@@ -36,8 +37,6 @@ from swarmtrack.transport.settings import NetworkSettings, check
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message
 from swarmtrack.wire.sightings import SightingsMessage, sightings_message
-
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 def announcement(drone_id: int, boot: str, sequence: int = 0, t: float = 0.0) -> Announcement:
@@ -104,13 +103,6 @@ def heard(told: list[PeerEvent]) -> list[tuple[int, str, int]]:
 
 def reports(told: list[PeerEvent]) -> list[SightingReport]:
     return [e for e in told if isinstance(e, SightingReport)]
-
-
-async def until(holds: Callable[[], bool]) -> None:
-    """For counters, which nobody announces."""
-    async with asyncio.timeout(PATIENCE):
-        while not holds():  # noqa: ASYNC110
-            await asyncio.sleep(0.005)
 
 
 class World(Protocol):
@@ -295,7 +287,7 @@ async def test_requests_pass_once_a_second_at_both_ends(start: Start) -> None:
     curious.transport.request_announcement(2)  # held back by ourselves
     await drone.until(lambda told: AnnouncementRequested() in told)
     curious_too.transport.request_announcement(2)  # ignored by the drone: answered, but not renewed for it
-    await until(lambda: drone.counter("requests_ignored") == 1)
+    await eventually(lambda: drone.counter("requests_ignored") == 1)
     assert (curious.counter("requests"), curious.counter("requests_withheld")) == (1, 1)
     for agent in (curious, drone):
         agent.clock.set(agent.clock.now() + 1.0)
@@ -320,7 +312,7 @@ async def test_reports_of_sightings_are_told_in_order_and_once(start: Start) -> 
         await listener.until(
             lambda told, last=last: last in [r.sequence for r in reports(told)]  # type: ignore[misc]
         )
-    await until(lambda: listener.counter("sightings_repeated") == 2)
+    await eventually(lambda: listener.counter("sightings_repeated") == 2)
     assert [r.sequence for r in reports(listener.told)] == [0, 3, 4]
     assert reports(listener.told)[0].sightings[0].drone_id == 9
 
@@ -361,7 +353,7 @@ async def test_with_keys_only_genuine_announcements_count(start: Start) -> None:
     for agent in (unsigned, forger, genuine):
         await agent.announce()
     await listener.hears(2, genuine.boot)
-    await until(
+    await eventually(
         lambda: listener.counter("announcements_unsigned") > 0 < listener.counter("announcements_forged")
     )
     assert {drone_id for drone_id, _, _ in heard(listener.told)} == {2}

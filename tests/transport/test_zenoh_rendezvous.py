@@ -13,6 +13,8 @@ from collections.abc import AsyncIterator
 import numpy as np
 import pytest
 
+from support.patience import PATIENCE
+
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.clock import ManualClock
@@ -25,8 +27,6 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import bounded, close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
-
-PATIENCE = 180.0  # s: ends a hang, and says nothing of speed
 
 
 def free_ports(n: int) -> range:

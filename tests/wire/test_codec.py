@@ -41,6 +41,7 @@ from swarmtrack.wire.health import (
     GyroBiasHealth,
     HealthMessage,
     LatencyHealth,
+    NoiseHealth,
     RateHealth,
     ReadinessHealth,
     TimeOffsetHealth,
@@ -124,6 +125,7 @@ HEALTH = HealthMessage(
     gyro_bias=GyroBiasHealth(None, None, (0.5, 0.0, -0.25)),
     consistency=ConsistencyHealth(2.25, 1.5, 2.5),
     readiness=ReadinessHealth(False, ("no gyro",)),
+    noise=NoiseHealth(0.25, None, "detections scatter", "look"),
 )
 
 
@@ -197,13 +199,13 @@ def test_plain_msgpack_reads_health_by_position() -> None:
 
 def test_health_is_these_bytes_until_something_is_added_at_its_end() -> None:
     assert codec.encode(HEALTH).hex() == (
-        "dc001101cb41d954fc40000000a83031323361626364cb404e000000000000cb4016000000000000cb40580000000000"
+        "dc001201cb41d954fc40000000a83031323361626364cb404e000000000000cb4016000000000000cb40580000000000"
         "0082a3696d7592cb4069000000000000cb4068e00000000000a663616d65726192c0cb403e00000000000081a6646574"
         "65637493cb3f847ae147ae147bcb3f947ae147ae147bcb3fe0000000000000cbbfe0000000000000cb3f50624dd2f1a9"
         "fc9194a663616d657261c3a633302066707381a3667073cb403e00000000000081a66672616d65730491b063616d6572"
         "612063616d65206261636b93cb3fb0000000000000cb3f50000000000000cb000000000000000093c0c093cb3fe00000"
         "00000000cb0000000000000000cbbfd000000000000093cb4002000000000000cb3ff8000000000000cb400400000000"
-        "000092c291a76e6f206779726f"
+        "000092c291a76e6f206779726f94cb3fd0000000000000c0b2646574656374696f6e732073636174746572a46c6f6f6b"
     )
 
 

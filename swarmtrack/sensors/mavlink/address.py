@@ -10,7 +10,7 @@ from urllib.parse import parse_qsl
 
 from swarmtrack.errors import SourceError
 
-Scheme = Literal["udpin", "udpout", "tcp", "serial", "tlog", "none"]
+Scheme = Literal["udpin", "udpout", "tcp", "serial", "tlog", "ulog", "none"]
 
 DEFAULT_BAUD = 115200  # USB ports ignore it; on a UART the wrong one is named within 3 s
 # A smaller number after the last colon belongs to the name (/dev/serial/by-path/…-usb-0:1).
@@ -25,17 +25,22 @@ SCHEMES: dict[str, Scheme] = {
     "tcpout": "tcp",
     "serial": "serial",
     "tlog": "tlog",
+    "ulog": "ulog",
     "none": "none",
 }
+RECORDINGS: dict[Scheme, str] = {"tlog": ".tlog", "ulog": ".ulg"}
 EXAMPLES = (
     "udpin:0.0.0.0:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, "
-    "serial:/dev/ttyACM0:921600, tlog:flight.tlog?speed=1 or none"
+    "serial:/dev/ttyACM0:921600, tlog:flight.tlog?speed=1, ulog:flight.ulg or none"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class LinkAddress:
-    """Where the autopilot is. host, port: of udpin, udpout, tcp; path: of serial, tlog; speed 0: as fast as it goes."""
+    """Where the autopilot is. host, port: of udpin, udpout, tcp; path: of the others.
+
+    speed: of a recording; 0: as fast as it goes.
+    """
 
     scheme: Scheme
     host: str = ""
@@ -51,8 +56,8 @@ class LinkAddress:
                 return f"{self.scheme}:{host}:{self.port}"
             case "serial":
                 return f"serial:{self.path}:{self.baud}"
-            case "tlog":
-                return f"tlog:{self.path}?speed={self.speed:g}"
+            case "tlog" | "ulog":
+                return f"{self.scheme}:{self.path}?speed={self.speed:g}"
             case "none":
                 return "none"
 
@@ -64,8 +69,9 @@ def parse_address(text: str) -> LinkAddress:
         return LinkAddress("none")
     if text.startswith("/dev/"):
         return _serial(text, text)
-    if text.partition("?")[0].endswith(".tlog") and not text.startswith("tlog:"):
-        return _tlog(text, text.removeprefix("file://").removeprefix("file:"))
+    for recorded, ending in RECORDINGS.items():
+        if text.partition("?")[0].endswith(ending) and not text.startswith(f"{recorded}:"):
+            return _recording(text, recorded, text.removeprefix("file://").removeprefix("file:"))
     if re.fullmatch(r"COM\d+.*", text, re.IGNORECASE):
         raise _mistake(text, "a Windows port, expected a Linux device such as /dev/ttyACM0")
 
@@ -76,9 +82,17 @@ def parse_address(text: str) -> LinkAddress:
     rest = rest.removeprefix("//")
     if scheme == "serial":
         return _serial(text, rest)
-    if scheme == "tlog":
-        return _tlog(text, rest)
+    if scheme in RECORDINGS:
+        return _recording(text, scheme, rest)
     return _network(text, scheme, rest.rstrip("/"))
+
+
+def is_recording(text: str) -> bool:
+    """Whether an address, however it is written, is of a flight that is over."""
+    return any(
+        text.startswith(f"{scheme}:") or text.partition("?")[0].endswith(ending)
+        for scheme, ending in RECORDINGS.items()
+    )
 
 
 def _mistake(text: str, found: str) -> SourceError:
@@ -130,7 +144,7 @@ def _serial(text: str, rest: str) -> LinkAddress:
     return LinkAddress("serial", path=path, baud=int(baud))
 
 
-def _tlog(text: str, rest: str) -> LinkAddress:
+def _recording(text: str, scheme: Scheme, rest: str) -> LinkAddress:
     path, _, query = rest.partition("?")
     if not path:
         raise _mistake(text, "names no file")
@@ -144,4 +158,4 @@ def _tlog(text: str, rest: str) -> LinkAddress:
             raise _mistake(
                 text, f"found {key}={value}, expected speed=NUMBER (0: fast) or pace=realtime|fast"
             )
-    return LinkAddress("tlog", path=path, speed=speed)
+    return LinkAddress(scheme, path=path, speed=speed)

@@ -24,12 +24,14 @@ from swarmtrack.errors import SourceError
 from swarmtrack.messages import LinkStatus
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.contact import Contact, News
+from swarmtrack.sensors.mavlink.flight import FlightWatch
 from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
+from swarmtrack.sensors.mavlink.gyro_delay import GyroDelays
 from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, LinkState, State
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link
 from swarmtrack.sensors.mavlink.signing import Codec, read_key
-from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, StreamRequests
+from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, Answer, StreamRequests
 from swarmtrack.sensors.mavlink.telemetry import Telemetry
 
 log = logging.getLogger(__name__)
@@ -41,8 +43,16 @@ SILENT_TCP = 5.0  # s without a byte: the other end went without saying so
 RETRY_FIRST, RETRY_LAST = 0.5, 5.0  # s between attempts to connect, doubling
 FASTEST_IMU = 8000.0  # Hz: what the sensors themselves reach
 EARLY_FRAMES = 1000  # kept until a heartbeat tells whose they are: more than a second of a fast link
-FLYING = (common.MAV_STATE_ACTIVE, common.MAV_STATE_CRITICAL, common.MAV_STATE_EMERGENCY)
 NAMED_SOURCES = 8  # other systems remembered by name
+
+
+def _check(imu_rate_hz: float, system_id: int | None) -> None:
+    if not 0.0 < imu_rate_hz <= FASTEST_IMU:
+        raise SourceError(
+            f"autopilot imu_rate_hz: found {imu_rate_hz:g}, expected more than 0, at most {FASTEST_IMU:g}"
+        )
+    if system_id is not None and not 1 <= system_id <= 255:
+        raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
 
 
 class MavlinkAutopilot:
@@ -50,8 +60,8 @@ class MavlinkAutopilot:
 
     link: an address such as `udpin:0.0.0.0:14540`, or a link already made; system_id: the vehicle to listen to, None
     for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
-    see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame. Raises
-    `SourceError` for what can never work.
+    see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
+    gyro_delay_s: how late its gyro is, None: as it says itself. Raises `SourceError` for what can never work.
 
     Beside `run`, `opened`, `received` and `tick` are all there is to it: told the time, it needs no event loop.
     """
@@ -66,13 +76,9 @@ class MavlinkAutopilot:
         component_id: int = 191,
         signing_key: Path | None = None,
         gps: GlobalPosition | None = None,
+        gyro_delay_s: float | None = None,
     ) -> None:
-        if not 0.0 < imu_rate_hz <= FASTEST_IMU:
-            raise SourceError(
-                f"autopilot imu_rate_hz: found {imu_rate_hz:g}, expected more than 0, at most 8000"
-            )
-        if system_id is not None and not 1 <= system_id <= 255:
-            raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
+        _check(imu_rate_hz, system_id)
         self._clock = clock
         self._link = open_link(link, clock) if isinstance(link, str) else link
         key = None if signing_key is None else read_key(signing_key)
@@ -81,9 +87,23 @@ class MavlinkAutopilot:
         self._framer = Framer()
         self._contact = Contact(system_id)
         self._news = News(self._now)
-        self._requests = StreamRequests(imu_rate_hz, LOCAL_POSE if gps is None else GLOBAL_POSE)
+        self._flight = FlightWatch()
+        self._requests = StreamRequests(
+            imu_rate_hz,
+            LOCAL_POSE if gps is None else GLOBAL_POSE,
+            line=self._link.bytes_per_second,
+            signed=key is not None,
+        )
+        name = str(self._link.address)
+        self._gyro_delays = GyroDelays(gyro_delay_s, asks=not self._link.recording, name=name)
         self._telemetry = Telemetry(
-            self._requests, self._contact, self._news, gps=gps, send=self._send, name=str(self._link.address)
+            self._requests,
+            self._contact,
+            self._news,
+            gps=gps,
+            send=self._send,
+            gyro_delays=self._gyro_delays,
+            name=name,
         )
         self._link_state = LinkState(
             link=self._link,
@@ -96,10 +116,11 @@ class MavlinkAutopilot:
         )
         self._readers: dict[int, Callable[[float, Any], None]] = {
             common.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._flight.on_landed_state,
             common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             **self._telemetry.readers,
         }
-        self._early: deque[tuple[float, MavlinkFrame]] = deque(maxlen=EARLY_FRAMES)
+        self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES)
         self._next_heartbeat = self._next_tick = -math.inf
         self._greeted = False
 
@@ -166,7 +187,7 @@ class MavlinkAutopilot:
         contact = self._contact
         if contact.system is None or now - contact.heard_at > LOST_AFTER:
             return
-        for message in self._requests.tick(now, contact.system):
+        for message in self._requests.tick(now, contact.system) + self._gyro_delays.tick(now, contact.system):
             self._send(message)
         self._telemetry.ask_time(now)
 
@@ -228,17 +249,28 @@ class MavlinkAutopilot:
     def _take(self, t: float, frames: list[MavlinkFrame]) -> bool:
         ours = False
         for frame in frames:
-            if self._contact.system is None:
-                # What came before the first heartbeat is not lost, once it is known whose it was.
-                self._early.append((t, frame))
-                if self._is_autopilot(t, frame):
-                    while self._early:
-                        ours |= self._on_frame(*self._early.popleft())
-            else:
-                ours |= self._on_frame(t, frame)
+            # Decoded once, in the order of arrival: a signed frame that is decoded again counts as replayed.
+            message = self._decode(frame) if self._is_read(frame) else None
+            if self._contact.system is not None:
+                ours |= self._on_frame(t, frame, message)
+                continue
+            # What came before the first heartbeat is not lost, once it is known whose it was.
+            self._early.append((t, frame, message))
+            if self._is_autopilot(t, frame, message):
+                while self._early:
+                    ours |= self._on_frame(*self._early.popleft())
         return ours
 
-    def _on_frame(self, t: float, frame: MavlinkFrame) -> bool:
+    def _is_read(self, frame: MavlinkFrame) -> bool:
+        """Whether the frame is worth decoding: it is our autopilot's, or may turn out to be."""
+        contact = self._contact
+        if contact.system is None and frame.id == common.MAVLINK_MSG_ID_HEARTBEAT:
+            return True
+        system = contact.expected_system if contact.system is None else contact.system
+        return frame.id in self._readers and frame.component == AUTOPILOT and system in (None, frame.system)
+
+    def _on_frame(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
+        """Take a frame once the autopilot is known; message: what it decodes to, None where it was refused."""
         contact = self._contact
         if frame.component != AUTOPILOT or frame.system != contact.system:
             contact.foreign += 1
@@ -247,10 +279,10 @@ class MavlinkAutopilot:
         if reader is None:
             # Not worth decoding; but with a key, what was not verified proves nobody's presence.
             return not self._codec.has_key
-        message = self._decode(frame)
         if message is None:
             return False
         contact.heard_at = t
+        contact.signature_trouble = ""
         self._requests.arrived(frame.id)
         reader(t, message)
         return True
@@ -267,7 +299,7 @@ class MavlinkAutopilot:
 
     # ── who it is ────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _is_autopilot(self, t: float, frame: MavlinkFrame) -> bool:
+    def _is_autopilot(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
         """Whether this frame is the heartbeat of the autopilot we look for; then it is ours from now on."""
         contact = self._contact
         source = (frame.system, frame.component)
@@ -275,7 +307,6 @@ class MavlinkAutopilot:
             if len(contact.others) < NAMED_SOURCES:
                 contact.others.setdefault(source, "")
             return False
-        message = self._decode(frame)
         if message is None:
             return False
         is_autopilot = (
@@ -285,9 +316,10 @@ class MavlinkAutopilot:
         )
         if is_autopilot and contact.expected_system in (None, frame.system):
             contact.system = self._codec.system = frame.system
+            contact.kind = message.autopilot
             contact.known_at = t
-            contact.signature_trouble = ""
             log.info("%s: found autopilot %d", self._link.address, frame.system)
+            self._gyro_delays.meet(message.autopilot)
             self._check_line()
             return True
         if len(contact.others) < NAMED_SOURCES:
@@ -295,25 +327,23 @@ class MavlinkAutopilot:
         return False
 
     def _check_line(self) -> None:
-        line = self._link.bytes_per_second
-        wanted = self._requests.bytes_per_second(self._codec.has_key)
-        if line is not None and wanted > LINE_SHARE * line:
+        share = self._requests.line_share
+        if share > LINE_SHARE:
             log.warning(
                 "%s: the rates asked for need %.1f kB/s, %.0f %% of what the line carries; ask for a lower IMU rate "
                 "or set a faster baud rate",
                 self._link.address,
-                wanted * 1e-3,
-                100 * wanted / line,
+                self._requests.bytes_per_second * 1e-3,
+                100 * share,
             )
 
     def _on_heartbeat(self, t: float, m: Any) -> None:
-        """The first one tells whether the drone is on the ground; the others, that the autopilot is there."""
-        if self._greeted:
-            return
-        self._greeted = True
-        # Armed on the ground ArduPilot is in STANDBY; PX4 is ACTIVE as soon as it is armed.
-        if m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED and m.system_status in FLYING:
+        """Each tells that the autopilot is there, and whether the drone flies."""
+        state = self._flight.on_heartbeat(t, m)
+        self._telemetry.listener.on_flight_state(state)
+        if not self._greeted and state.airborne_since is not None:
             self._telemetry.listener.on_found_flying()
+        self._greeted = True
 
     def _on_ack(self, t: float, m: Any) -> None:
         codec, system = self._codec, self._contact.system
@@ -321,3 +351,6 @@ class MavlinkAutopilot:
         if m.command == common.MAV_CMD_SET_MESSAGE_INTERVAL and for_us and system is not None:
             for message in self._requests.acknowledged(m.result, t, system):
                 self._send(message)
+            imu = self._requests.imu_stream
+            if imu.answered_at == t and imu.answer is Answer.ACCEPTED:
+                self._telemetry.cadence.learn_again()

@@ -12,12 +12,20 @@ middle. A single exchange is biased (the autopilot answers only in its loop); th
 are. ArduPilot dates a request back by the time its bytes would take on a UART of the configured speed, also where there
 is no UART: 6.5 ms on UDP. So the bounds may cross a little; the difference is owned up to in sigma. If they cross by
 more, the autopilot's clock has stepped, and all that was learned is dropped.
+
+Or it does not keep time at all: a simulator that waits for each of its steps runs per cent slow, and the bounds cross
+again and again. A step leaves no straight line through the exchanges on both sides of it; a wrong rate does. So where
+one line passes through the exchanges of some seconds, and no crystal is that steep, its slope is taken out of all
+stamps as the clock's drift, and what remains is treated as any other clock.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from itertools import combinations
+from typing import NamedTuple
 
 BUCKET = 1.0  # s: one extreme is kept of each
 WINDOW = 60  # buckets: long against jitter, short against the wandering of a crystal with temperature
@@ -27,6 +35,13 @@ MAX_SLEW = 0.02  # s/s: how fast a correction is brought in, so that no sample's
 HARD_RESYNC = 0.1  # s: an error this large is corrected at once, and said
 CROSSING = 0.02  # s: bounds that cross by more mean a stepped clock, by less a request dated back
 MIN_EXCHANGES = 5  # a first reply may have been seconds under way
+DRIFT_BASELINE = (
+    4.0  # s of exchanges that one line must explain before its slope is believed: two restarts at 1 %
+)
+EXCHANGES = 20  # kept for it: the first, fast ones and ten seconds more
+# s: how far an exchange may miss the line. A simulator's stamps are those of its last step, 4 ms in PX4.
+SLACKS = (0.0, 0.5e-3, 1e-3, 2e-3, 5e-3)
+UNSTEADY = 3  # restarts within WINDOW seconds: the clock neither keeps time nor errs by a constant rate
 UNKNOWN_LATENCY = 0.005  # s: standard deviation to own up to without TIMESYNC
 
 Point = tuple[float, float]
@@ -71,23 +86,51 @@ def supporting_line(points: list[Point]) -> Point:
     return slope, y1 - slope * x1
 
 
+class Exchange(NamedTuple):
+    """One TIMESYNC stamped `stamp`: the offset was between `earliest` and `latest` [s]."""
+
+    stamp: float
+    earliest: float
+    latest: float
+
+
+def slopes_through(exchanges: Sequence[Exchange], slack: float) -> tuple[float, float] | None:
+    """(least, greatest) slope of the lines that miss no exchange by more than slack [s]; None where there is no line.
+
+    exchanges: ascending in stamp. For a slope s there is an intercept if and only if every lower end, carried along s,
+    stays below every upper end; that is one inequality for s per pair.
+    """
+    least, greatest = -math.inf, math.inf
+    for a, b in combinations(exchanges, 2):
+        elapsed = b.stamp - a.stamp
+        if elapsed <= 0.0:
+            continue
+        least = max(least, (b.earliest - a.latest - 2 * slack) / elapsed)
+        greatest = min(greatest, (b.latest - a.earliest + 2 * slack) / elapsed)
+    return (least, greatest) if least <= greatest else None
+
+
 class ClockMap:
     """Maps the autopilot's time stamps [s since its boot] to our monotonic clock [s].
 
     offset: what is added to a stamp now; sigma: one standard deviation of it, constant part included; skew: of their
-    clock against ours [s/s]; resyncs: corrections too large to be brought in slowly.
+    clock against ours [s/s], positive where it runs slow; drift: the part of it that no crystal has, 0 for a clock that
+    keeps time; resyncs: corrections too large to be brought in slowly; restarts: how often bounds crossed.
     """
 
     def __init__(self) -> None:
         self.resyncs = 0
+        self.restarts = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the autopilot has rebooted."""
         self.offset: float | None = None
         self.sigma = math.inf
-        self.skew = 0.0
+        self.skew = self.drift = 0.0
         self._newest = -math.inf
+        self._past: deque[Exchange] = deque(maxlen=EXCHANGES)
+        self._restarted: deque[float] = deque(maxlen=UNSTEADY)
         self._restart()
 
     def _restart(self) -> None:
@@ -105,19 +148,62 @@ class ClockMap:
 
     def exchange(self, sent: float, stamp: float, received: float) -> None:
         """One TIMESYNC: our request left at `sent`, was stamped `stamp`, and its answer came at `received`."""
+        exchange = Exchange(stamp, sent - stamp, received - stamp)
         self._bound_above(stamp, received)
-        x = stamp - self._reference
-        if sent - stamp > self._line(stamp) + CROSSING:
+        self._past.append(exchange)
+        if exchange.earliest > self._line(stamp) + CROSSING or self._fell_behind(exchange):
+            self.restarts += 1
+            self._restarted.append(stamp)
+            explained = self._explain()
             self._restart()
-            self._bound_above(stamp, received)
-            x = 0.0
-        self._lower.add(x, sent - stamp)
-        self._exchanges += 1
+            for known in tuple(self._past) if explained else (exchange,):
+                self._bound_above(known.stamp, known.stamp + known.latest)
+                self._bound_below(known)
+        else:
+            self._bound_below(exchange)
         if self._exchanges >= MIN_EXCHANGES:
-            width = self._width(x)
+            width = self._width(stamp - self._reference)
             self._latency = max(0.0, width) / 2
             # Uniform between the bounds, plus how far the envelope itself is uncertain.
-            self.sigma = math.hypot(width / math.sqrt(12), self._scatter())
+            self.sigma = self._sigma(width / math.sqrt(12))
+
+    @property
+    def in_words(self) -> str:
+        """What is wrong with the autopilot's clock; empty where it keeps time."""
+        if self.drift:
+            percent = 100 * self.skew / (1 + self.skew)
+            return f"runs {abs(percent):.1f} % {'slow' if percent > 0 else 'fast'}: a simulator?"
+        if self._is_unsteady:
+            return "jumps against ours: a simulator, or is this machine too busy?"
+        return ""
+
+    @property
+    def _is_unsteady(self) -> bool:
+        """Whether the bounds keep crossing, and no drift explains it."""
+        often = len(self._restarted) == UNSTEADY and self._newest - self._restarted[0] < WINDOW * BUCKET
+        return often and not self.drift
+
+    def _fell_behind(self, new: Exchange) -> bool:
+        """Whether this exchange ended before an earlier one allows, for a clock that keeps its drift."""
+        fastest = self.drift - MAX_SKEW
+        return any(
+            new.latest + CROSSING < old.earliest + fastest * (new.stamp - old.stamp) for old in self._past
+        )
+
+    def _explain(self) -> bool:
+        """After bounds have crossed: find the drift that explains it. False where it was a step, or is not known."""
+        fits = [slopes for slack in SLACKS if (slopes := slopes_through(self._past, slack)) is not None]
+        if not fits:
+            while len(self._past) > 1:
+                self._past.popleft()
+            return False
+        if self._past[-1].stamp - self._past[0].stamp < DRIFT_BASELINE:
+            return False
+        # The tightest fit is the best guess, the next one says how wrong it may be.
+        best, doubtful = fits[0], fits[min(1, len(fits) - 1)]
+        crystal = doubtful[0] <= MAX_SKEW and doubtful[1] >= -MAX_SKEW
+        self.drift = 0.0 if crystal else sum(best) / 2
+        return not crystal
 
     def to_ours(self, stamp: float) -> float:
         """Our time of the autopilot's `stamp`. Strictly increasing in the stamp, between hard resyncs."""
@@ -132,31 +218,47 @@ class ClockMap:
         if not self._upper.points:
             self._reference = stamp
         delay = arrival - stamp
-        if self._upper.add(stamp - self._reference, delay):
+        x = stamp - self._reference
+        if self._upper.add(x, delay - self.drift * x):
             self._fit()
         self._intercept -= max(0.0, self._line(stamp) - delay)
+
+    def _bound_below(self, exchange: Exchange) -> None:
+        x = exchange.stamp - self._reference
+        self._lower.add(x, exchange.earliest - self.drift * x)
+        self._exchanges += 1
+
+    @property
+    def _slope(self) -> float:
+        """Of the envelopes [s/s]: their points are kept without the drift."""
+        return self.skew - self.drift
 
     def _fit(self) -> None:
         points = list(self._upper.points)
         if len(points) < 3 or points[-1][0] - points[0][0] < SKEW_BASELINE:
-            self.skew = 0.0
+            slope = 0.0
         else:
             # The bucket that has just begun holds one sample, hardly the fastest of its second.
             slope, _ = supporting_line(points[:-1])
-            self.skew = min(max(slope, -MAX_SKEW), MAX_SKEW)
-        self._intercept = min(y - self.skew * x for x, y in points)
+            slope = min(max(slope, -MAX_SKEW), MAX_SKEW)
+        self.skew = self.drift + slope
+        self._intercept = min(y - slope * x for x, y in points)
         if self._exchanges < MIN_EXCHANGES:
-            self.sigma = math.hypot(UNKNOWN_LATENCY, self._scatter())
+            self.sigma = self._sigma(UNKNOWN_LATENCY)
+
+    def _sigma(self, latency: float) -> float:
+        """latency: standard deviation of what it may be wrong by."""
+        return math.hypot(latency, self._scatter(), CROSSING if self._is_unsteady else 0.0)
 
     def _scatter(self) -> float:
         """Median height of the seconds' fastest messages above the line [s]: what is left of the jitter."""
-        heights = sorted(y - self._intercept - self.skew * x for x, y in self._upper.points)
+        heights = sorted(y - self._intercept - self._slope * x for x, y in self._upper.points)
         return heights[len(heights) // 2]
 
     def _width(self, x: float) -> float:
-        """Distance of the two envelopes at x, the lower one carried there along the skew."""
-        upper = self._intercept + self.skew * x
-        return upper - max(y + self.skew * (x - xi) for xi, y in self._lower.points)
+        """Distance of the two envelopes at x, the lower one carried there along their slope."""
+        upper = self._intercept + self._slope * x
+        return upper - max(y + self._slope * (x - xi) for xi, y in self._lower.points)
 
     def _slew(self, stamp: float) -> None:
         target = self._line(stamp) - self._latency
@@ -165,6 +267,7 @@ class ClockMap:
         if self.offset is None:
             self.offset = target
             return
+        self.offset += self.drift * elapsed
         error = target - self.offset
         if abs(error) > HARD_RESYNC:
             self.offset = target

@@ -19,7 +19,8 @@ class Contact:
 
     expected_system: the vehicle that the user named, None for the first one heard; down: why there is no connection,
     None while there is one; frames_before: good frames of earlier connections; heard_at: when our autopilot last spoke;
-    others: (system, component) of who else speaks, and what it is; signature_trouble: why signed frames are refused.
+    others: (system, component) of who else speaks, and what it is; signature_trouble: why signed frames are refused;
+    kind: MAV_AUTOPILOT of the dialect: which firmware ours is, None until it is heard.
     """
 
     expected_system: int | None
@@ -29,6 +30,7 @@ class Contact:
     bytes: int = 0  # of this connection
     frames_before: int = 0
     system: int | None = None
+    kind: int | None = None
     known_at: float = 0.0
     heard_at: float = -math.inf
     others: dict[tuple[int, int], str] = field(default_factory=dict)

@@ -6,7 +6,8 @@ moves when its estimator starts anew and ArduPilot sets at some moment after the
 grid is nothing, beside an origin taken for another the whole frame is.
 
 Whether to believe it is told by GPS_RAW_INT: both autopilots go on sending positions without a fix, ArduPilot at
-0° N 0° E. Its `h_acc` and `v_acc` are the receiver's own standard deviations. Much of that error is the same for all
+0° N 0° E. Its `h_acc` and `v_acc` are the receiver's own standard deviations, of which the second is often twice the
+first. Much of that error is the same for all
 drones of one field and cancels between them, so the user may state a smaller one.
 
 Attitude and velocity stay with the drone's own north, which 10 km from the origin, at 45° N, is 0.1° from the team's.
@@ -35,10 +36,11 @@ class GlobalPosition:
     """Told of GPS_RAW_INT and GLOBAL_POSITION_INT.
 
     origin: of the team frame, height above mean sea level; stated_sigma: m per axis, instead of what the receiver says.
+    `sigma` [m] is that of north and of east, `vertical_sigma` [m] of down.
     """
 
     def __init__(self, origin: Geodetic, stated_sigma: float | None = None) -> None:
-        self.sigma = stated_sigma or USUAL_SIGMA
+        self.sigma = self.vertical_sigma = stated_sigma or USUAL_SIGMA
         self._origin = origin
         self._stated_sigma = stated_sigma
         self._fix_at = self._told_at = -math.inf
@@ -54,16 +56,19 @@ class GlobalPosition:
 
     def on_fix(self, t: float, m: Any) -> None:
         """GPS_RAW_INT has come at t [s]."""
-        accuracy = 1e-3 * max(m.h_acc, m.v_acc)  # 0: not told, by an old firmware
+        # 0: not told, by an old firmware.
+        told = 1e-3 * m.h_acc, 1e-3 * m.v_acc
         self._fix_at = t
         self._fix_lack = ""
         if m.fix_type < FIX_3D:
             seen = "" if m.satellites_visible == UNKNOWN else f" with {m.satellites_visible} satellites"
             self._fix_lack = f"GPS fix {m.fix_type}{seen}, expected a 3D fix (3 or more)"
-        elif accuracy > WORST_SIGMA:
-            self._fix_lack = f"GPS ±{accuracy:.1f} m, expected ±{WORST_SIGMA:g} m or better"
+        elif max(told) > WORST_SIGMA:
+            self._fix_lack = f"GPS ±{max(told):.1f} m, expected ±{WORST_SIGMA:g} m or better"
         else:
-            self.sigma = self._stated_sigma or accuracy or USUAL_SIGMA
+            horizontal, vertical = told
+            self.sigma = self._stated_sigma or horizontal or vertical or USUAL_SIGMA
+            self.vertical_sigma = self._stated_sigma or vertical or horizontal or USUAL_SIGMA
 
     def place(self, t: float, m: Any) -> tuple[Array, Array] | None:
         """Position (3,) m and velocity (3,) m/s, north, east, down, by GLOBAL_POSITION_INT that came at t; or None."""

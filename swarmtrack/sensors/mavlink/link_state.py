@@ -90,8 +90,11 @@ class LinkState:
             case State.SEARCHING:
                 return self._why_no_autopilot()
             case State.LOST:
-                why = contact.signature_trouble or f"nothing from autopilot {contact.system}"
-                return "lost", f"{why} for {now - contact.heard_at:.0f} s"
+                why, valid = (
+                    (f": {contact.signature_trouble}", " valid") if contact.signature_trouble else ("", "")
+                )
+                silence = f"nothing{valid} from autopilot {contact.system} for {now - contact.heard_at:.0f} s"
+                return "lost", silence + why
             case State.REQUESTING:
                 return "no imu", "heartbeat, no IMU" + (
                     "" if self.link.recording else f" ({self.requests.imu.name} asked for)"
@@ -126,8 +129,11 @@ class LinkState:
         telemetry = self.telemetry
         sigma = telemetry.clock_map.sigma
         clock = f", clock ±{sigma * 1e3:.1f} ms" if math.isfinite(sigma) else ""
+        if wrong := telemetry.clock_map.in_words:
+            clock += f" (it {wrong})"
+        gyro = f", gyro {telemetry.gyro_delay} late"
         asked = "" if self.link.recording else f"{self.requests.imu_stream.asked_hz:g} Hz asked, "
-        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {telemetry.imu_source.name}{clock}"
+        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {telemetry.imu_source.name}{clock}{gyro}"
 
     def trouble(self, now: float) -> str:
         """What is missing, in a few words for a pilot; a hiccup is nothing."""
@@ -152,6 +158,8 @@ class LinkState:
             "crc_failures": framer.crc_failures,
             "reconnects": self.contact.reconnects,
         }
+        if self.contact.kind is not None:
+            counters["autopilot_kind"] = self.contact.kind
         if codec.has_key:
             counters |= {
                 "signed_good": codec.signed_good,

@@ -16,7 +16,8 @@ import os
 import re
 import socket
 import termios
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -25,6 +26,7 @@ import serial
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.sensors.mavlink.address import LinkAddress, parse_address
+from swarmtrack.sensors.mavlink.ulog import read_ulog
 
 log = logging.getLogger(__name__)
 
@@ -88,6 +90,8 @@ def open_link(address: str, clock: Clock) -> Link:
             return SerialLink(parsed, clock)
         case "tlog":
             return TlogLink(parsed, clock)
+        case "ulog":
+            return UlogLink(parsed, clock)
         case "none":
             return NoLink(parsed)
 
@@ -348,8 +352,8 @@ class SerialLink(LiveLink):
             self._lost.set_result(reason)
 
 
-class TlogLink:
-    """A recording of a ground station: 8 bytes of big-endian UTC microseconds before each frame.
+class RecordingLink(ABC):
+    """What an autopilot said in a flight that is over.
 
     The first record is at clock.now() of the start and the others at the recording's own distances, so integrals over
     time stay right at any speed; `speed` only says how early they are delivered. 0: as fast as it goes.
@@ -366,22 +370,14 @@ class TlogLink:
         self.address = address
         self._clock = clock
 
-    async def run(self, receiver: Receiver) -> None:
-        with self._map() as data:
-            receiver.opened()
-            await self._play(data, receiver)
+    @abstractmethod
+    async def run(self, receiver: Receiver) -> None: ...
 
-    def _map(self) -> mmap.mmap:
-        try:
-            with Path(self.address.path).open("rb") as file:
-                return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except (OSError, ValueError) as error:  # ValueError: the file is empty
-            raise SourceError(f"autopilot link {self.address}: {error}") from error
-
-    async def _play(self, data: mmap.mmap, receiver: Receiver) -> None:
+    async def _play(self, records: Iterable[tuple[float, bytes]], receiver: Receiver) -> None:
+        """records: (time [s], bytes), ascending."""
         start = self._clock.now()
         first: float | None = None
-        for i, (stamp, record) in enumerate(records(data)):
+        for i, (stamp, record) in enumerate(records):
             first = stamp if first is None else first
             if self.address.speed:
                 wait = start + (stamp - first) / self.address.speed - self._clock.now()
@@ -391,15 +387,40 @@ class TlogLink:
                 await asyncio.sleep(0)
             receiver.received(start + stamp - first, record)
         if first is None:
-            raise SourceError(
-                f"autopilot link {self.address}: holds no record, is it a telemetry log (.tlog)?"
-            )
+            raise SourceError(f"autopilot link {self.address}: holds no record, is it a telemetry log?")
 
     def send(self, data: bytes) -> None:
         """A recording cannot be spoken to."""
+        return
 
     def drop(self, reason: str) -> None:
         """A recording ends by itself."""
+        return
+
+
+class TlogLink(RecordingLink):
+    """A recording of a ground station: 8 bytes of big-endian UTC microseconds before each frame."""
+
+    async def run(self, receiver: Receiver) -> None:
+        with self._map() as data:
+            receiver.opened()
+            await self._play(records(data), receiver)
+
+    def _map(self) -> mmap.mmap:
+        try:
+            with Path(self.address.path).open("rb") as file:
+                return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:  # ValueError: the file is empty
+            raise SourceError(f"autopilot link {self.address}: {error}") from error
+
+
+class UlogLink(RecordingLink):
+    """PX4's own log, as what it would have sent meanwhile."""
+
+    async def run(self, receiver: Receiver) -> None:
+        flight = read_ulog(Path(self.address.path))
+        receiver.opened()
+        await self._play(flight.records, receiver)
 
 
 STAMP_LENGTH = 8

@@ -15,6 +15,7 @@ from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.clock_map import ClockMap
 from swarmtrack.sensors.mavlink.contact import Contact, News
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
+from swarmtrack.sensors.mavlink.gyro_delay import GyroDelay, GyroDelays
 from swarmtrack.sensors.mavlink.streams import (
     ATTITUDE_QUATERNION,
     GLOBAL_POSITION_INT,
@@ -49,7 +50,7 @@ class Telemetry:
     """Told of our autopilot's messages, tells the listener. `readers`: by message id, what takes (arrival, message).
 
     gps: makes positions in the team frame; None: they are the autopilot's local ones; send: says a message to the
-    autopilot; name: of the link, for the log.
+    autopilot; gyro_delays: how late its gyro is; name: of the link, for the log.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Telemetry:
         *,
         gps: GlobalPosition | None,
         send: Callable[[Any], None],
+        gyro_delays: GyroDelays,
         name: str,
     ) -> None:
         self.clock_map = ClockMap()
@@ -67,6 +69,7 @@ class Telemetry:
         self.listener: AutopilotListener
         self.readers: dict[int, Callable[[float, Any], None]] = {
             common.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
+            common.MAVLINK_MSG_ID_PARAM_VALUE: gyro_delays.on_value,
             HIGHRES_IMU: self._on_imu,
             RAW_IMU: self._on_imu,
             SCALED_IMU: self._on_imu,
@@ -85,6 +88,7 @@ class Telemetry:
         self._news = news
         self._gps = gps
         self._send = send
+        self._gyro_delays = gyro_delays
         self._name = name
 
         self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
@@ -104,6 +108,11 @@ class Telemetry:
         """The message that the samples come from."""
         return IMU_MESSAGES[self._imu_rank or 0]
 
+    @property
+    def gyro_delay(self) -> GyroDelay:
+        """How late the samples would be, were it not taken off."""
+        return self._gyro_delays.of(self.imu_source.id)
+
     def lack(self, now: float) -> str:
         """Why there is no position although a start by GPS needs one; empty otherwise."""
         return "" if self._gps is None else self._gps.lack(now)
@@ -111,7 +120,7 @@ class Telemetry:
     @property
     def counters(self) -> dict[str, float]:
         """All since the start."""
-        clock_map, cadence = self.clock_map, self.cadence
+        clock_map, cadence, gyro_delay = self.clock_map, self.cadence, self.gyro_delay
         return {
             "imu_rate_hz": self.imu_rate_hz,
             "imu_samples": self.imu_samples,
@@ -126,8 +135,12 @@ class Telemetry:
             "clock_offset_s": clock_map.offset if clock_map.offset is not None else math.nan,
             "clock_sigma_s": clock_map.sigma,
             "clock_skew_ppm": clock_map.skew * 1e6,
+            "clock_drift_ppm": clock_map.drift * 1e6,
+            "clock_restarts": clock_map.restarts,
             "clock_resyncs": clock_map.resyncs,
             "timesyncs": self._exchanges,
+            "gyro_delay_s": gyro_delay.seconds,
+            "gyro_delay_sigma_s": gyro_delay.sigma,
         }
 
     def measure(self, now: float) -> None:
@@ -135,6 +148,8 @@ class Telemetry:
         if now - self._window_start >= RATE_WINDOW:
             self.imu_rate_hz = self._window_count / (now - self._window_start)
             self._window_start, self._window_count = now, 0
+            if self._imu_rank is not None:
+                self._gyro_delays.say(self.imu_source.id)
 
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -160,13 +175,16 @@ class Telemetry:
             self.imu_rate_hz, self._window_start, self._window_count = 0.0, t, 0
         self.imu_at = t
         self._window_count += 1
-        ours = self.clock_map.to_ours(stamp)
+        delay = self._gyro_delays.of(source.id).seconds
+        ours = self.clock_map.to_ours(stamp) - delay
         if ours <= self._imu_t:
-            self._after_resync += 1  # a correction back in time: wait until it is made up for
+            # A correction back in time, or a gyro that turns out to be later: wait until it is made up for.
+            self._after_resync += 1
             return
         self._imu_t = ours
         self.imu_samples += 1
-        self.listener.on_imu(ImuSample(ours, gyro, accel if np.isfinite(accel).all() else NOT_MEASURED))
+        accel = accel if np.isfinite(accel).all() else NOT_MEASURED
+        self.listener.on_imu(ImuSample(ours, gyro, accel, delay))
 
     def _is_source(self, t: float, rank: int) -> bool:
         """Whether this kind of message is the one to integrate: the best that is coming."""
@@ -219,8 +237,10 @@ class Telemetry:
             at, position, velocity = self._position
             where = position + (stamp - at) * velocity
         self.poses += 1
-        sigma = LOCAL_SIGMA if self._gps is None else self._gps.sigma
-        self.listener.on_pose(EgoPose(ours, where, from_quaternion(q), position_sigma=sigma))
+        gps = self._gps
+        sigma, vertical = (LOCAL_SIGMA, None) if gps is None else (gps.sigma, gps.vertical_sigma)
+        attitude = from_quaternion(q)
+        self.listener.on_pose(EgoPose(ours, where, attitude, position_sigma=sigma, vertical_sigma=vertical))
 
     def _rebooted(self, stamp: float) -> None:
         self._reboots += 1
@@ -237,6 +257,7 @@ class Telemetry:
         self._asked_time.clear()
         self._exchanges = 0
         self._requests.reset()
+        self._gyro_delays.restart()
         self.listener.on_autopilot_reboot()
 
     # ── time ─────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -267,7 +288,10 @@ class Telemetry:
         if sent is None or self.cadence.newest is None or abs(stamp - self.cadence.newest) > POSE_MISMATCH:
             return
         self._exchanges += 1
+        restarts = self.clock_map.restarts
         self.clock_map.exchange(sent, stamp, t)
+        if self.clock_map.restarts > restarts and self.clock_map.in_words:
+            self._news.warn("clock", "%s: the autopilot's clock %s", self._name, self.clock_map.in_words)
 
     def _observe_clock(self, stamp: float, t: float) -> None:
         resyncs = self.clock_map.resyncs

@@ -1,0 +1,332 @@
+"""Errands over many flights: is the camera's clock found, who is who among ghosts, and how soon again?
+
+The scenario `errand` in the virtual swarm. Each seed flies with a team of another size, at another frame rate, and each
+camera stamps late by another time, −80 … 80 ms. Every `TWIN_EVERY`th flight is flown again by drones that are told how
+late their cameras stamp: what the price of not knowing it is.
+
+    swarmtrack bench errand [--seeds 100] [--drones 2 3 4] [--no-ghosts] [--rendered] [--processes N] --out DIR
+
+* adopted: each value that a camera clock settled on because it was found. Off: further than 3 of its own σ then.
+* found: seconds from the drone's first turn until what is used is within 3 ms of the truth, and stays so to the end.
+* turning, calm: distance of the true drone to the nearest track within `NEAR_PX`, root mean square, by whether the
+  drone moves by more than 100 px/s in the image; after the offset has been found for good, and over the whole flight.
+* named again: a teammate that had been named was out of view for `AWAY_S` and is in view again: seconds from its first
+  detection to its name. One that leaves earlier is no chance missed if it stayed below `GRACE`.
+* wrong names: as `swarmtrack sim` counts them, ten times a second. Elsewhere: of all names on tracks, scan by scan,
+  those that are more than `NEAR_PX` from their drone: on a house, or on a track that coasts out of view. On something
+  that is detected: on a house, or on another drone.
+* NIS: over what the filter expects, every `NIS_EVERY_S` seconds in the air.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.arguments import add_flag, count
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
+from swarmtrack.benchmarks.errands.judge import SIGMAS, FlightJudge, FlightRecord
+from swarmtrack.benchmarks.virtual_swarm import Eyes, VirtualSwarm
+from swarmtrack.evaluation.intervals import Interval, fraction_interval
+from swarmtrack.messages import Array, Detections, Frame, StampKind
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.scenarios import Scenario
+
+NAME = "errand"
+SEEDS, QUICK_SEEDS = 100, 4
+DRONES = (2, 3, 4)
+LATEST_S = 0.080  # of a camera's stamps
+FPS = (6.0, 15.0)
+IMU_HZ = 100.0  # as slow as autopilots' links often are
+TWIN_EVERY = 4  # flights
+IN_TIME_S = 30.0  # from the first turns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Programme:
+    """Which flights."""
+
+    seeds: int = SEEDS
+    drones: tuple[int, ...] = DRONES
+    ghosts: bool = True
+    rendered: bool = False
+    tracker: str = "mbm"
+
+
+def scenario_of_seed(p: Programme, seed: int) -> Scenario:
+    """The team's size, the frame rate and the cameras' offsets are the seed's."""
+    scenario = load_scenario(NAME, seed=seed, drones=p.drones[seed % len(p.drones)])
+    chance = scenario.world.chance("errand bench")
+    late = {d: float(chance.uniform(-LATEST_S, LATEST_S)) for d in scenario.members}
+    return replace(
+        scenario,
+        camera_offset_s=late,
+        fps=float(chance.uniform(*FPS)),
+        imu_rate_hz=IMU_HZ,
+        ghosts=scenario.ghosts if p.ghosts and not p.rendered else (),
+    )
+
+
+def fly(p: Programme, told: bool, seed: int) -> FlightRecord:
+    """One flight, as fast as it computes; the same arguments give the same flight. told: see `VirtualSwarm`."""
+    scenario = scenario_of_seed(p, seed)
+    eyes = rendered_eyes(scenario) if p.rendered else None
+    swarm = VirtualSwarm(scenario, tracker=p.tracker, eyes=eyes, camera_clocks_told=told)
+    judge = FlightJudge(scenario, swarm)
+    for scan in swarm.fly(scenario.seconds):
+        judge.see(scan)
+    return judge.record(seed, scenario.fps)
+
+
+def rendered_eyes(scenario: Scenario) -> Eyes:
+    """The shipped detector, looking at drawn pictures."""
+    from swarmtrack.detection.detector import Detector  # noqa: PLC0415
+    from swarmtrack.simulation.rendering import Renderer  # noqa: PLC0415
+
+    renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+    detector = Detector("default")
+
+    def eyes(drone_id: int, index: int, t: float) -> Detections:
+        frame = Frame(t, 0.0, index, renderer.image(drone_id, t, index), StampKind.EXPOSURE)
+        seen = detector.look(detector.plan(frame, None))
+        if seen is None:
+            raise report.BenchmarkError(detector.status().text)
+        return seen
+
+    return eyes
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+    parser.add_argument(
+        "--drones", type=count, nargs="+", default=list(DRONES), metavar="N", help="in turn (default: 2 3 4)"
+    )
+    add_flag(parser, "--no-ghosts", "a detector that takes nothing for a drone twice")
+    add_flag(parser, "--rendered", "drawn pictures and the shipped detector; no ghosts but houses and trees")
+    parser.add_argument("--processes", type=count, metavar="N", help="(default: one per core)")
+
+
+def run(args: argparse.Namespace) -> None:
+    programme = Programme(
+        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
+        drones=tuple(args.drones),
+        ghosts=not args.no_ghosts,
+        rendered=args.rendered,
+        tracker=args.tracker,
+    )
+    publish(args.out, programme, processes=args.processes)
+
+
+def publish(out: Path, p: Programme, *, processes: int | None = None) -> dict[str, Any]:
+    """Fly everything, write errand.json, errand.md and errand.png into `out`."""
+    plt = report.pyplot()
+    seeds = range(1, p.seeds + 1)
+    twins = seeds[::TWIN_EVERY]
+    found: dict[bool, list[FlightRecord]] = {False: [], True: []}
+    with (
+        multiprocessing.get_context("spawn").Pool(processes) as pool,
+        report.progress(NAME, len(seeds) + len(twins)) as advance,
+    ):
+        for told, flown in ((False, seeds), (True, twins)):
+            for flight in pool.imap(partial(fly, p, told), flown):
+                found[told].append(flight)
+                advance(f"seed {flight.seed}")
+    result = {
+        "seeds": p.seeds,
+        "drones": p.drones,
+        "ghosts": p.ghosts,
+        "rendered": p.rendered,
+        "tracker": p.tracker,
+        **summary(found[False], found[True]),
+    }
+    report.write(out, NAME, result, _markdown(result))
+    _plot(plt, out / f"{NAME}.png", found[False])
+    return result
+
+
+def summary(flights: Sequence[FlightRecord], twins: Sequence[FlightRecord]) -> dict[str, Any]:
+    """All figures; twins: the flights of some of these seeds with clocks that were told."""
+    clocks = [list(flight.clocks.values()) for flight in flights]
+    every = [clock for of_flight in clocks for clock in of_flight]
+    adopted = [a for clock in every for a in clock.adopted]
+    off = _share([[a.off for c in of for a in c.adopted] for of in clocks])
+    after = [clock.found_after_s for clock in every]
+    wrong = [flight.score.wrong * flight.score.samples for flight in flights]
+    again = sorted(s for flight in flights for s in flight.named_again_s)
+    nis = np.array([value for flight in flights for value in flight.nis])
+    surest = [flight.score.wrong_max_probability for flight in flights]
+    named = [flight.score for flight in flights]
+    samples = np.array([score.samples for score in named], dtype=float)
+    return {
+        "offset": {
+            "adopted": len(adopted),
+            "off_by_3_sigma": off._asdict(),
+            "largest_error_ms": 1e3 * max((abs(a.error_s) for a in adopted), default=math.nan),
+            "rms_error_ms": 1e3 * _root([a.error_s**2 for a in adopted]),
+            "never_adopted": sum(not clock.adopted for clock in every) / len(every),
+            "found_within_30_s": float(np.mean([s <= IN_TIME_S for s in after])),
+            "found_after_s": {"p50": _quantile(after, 0.5), "p90": _quantile(after, 0.9)},
+        },
+        "turning": _ratios(flights, twins),
+        "names": {
+            "right": float(np.nansum([score.correct * score.samples for score in named]) / samples.sum()),
+            "wrong": fraction_interval(np.nan_to_num(np.array(wrong)), samples)._asdict(),
+            "elsewhere": _of_names(flights, [f.names_elsewhere for f in flights]),
+            "on_others": _of_names(flights, [f.names_on_others for f in flights]),
+            "wrong_max_probability": float(np.fmax.reduce(np.array(surest))),
+            # Also those with a name on a thing while its drone is behind: to be flown again by themselves.
+            "seeds_with_a_wrong_name": [
+                f.seed for f in flights if not math.isnan(f.score.wrong_max_probability)
+            ],
+            "announcements_per_drone": float(np.mean([f.announcements_per_drone for f in flights])),
+        },
+        "named_again": {
+            "times": len(again),
+            "p50_s": _quantile(again, 0.5),
+            "p95_s": _quantile(again, 0.95),
+            "never": sum(math.isinf(s) for s in again),
+        },
+        "nis": {
+            "p5": _quantile(nis, 0.05),
+            "p50": _quantile(nis, 0.5),
+            "p95": _quantile(nis, 0.95),
+            "within_0.7_to_1.4": float(np.mean((nis > 0.7) & (nis < 1.4))),
+        },
+    }
+
+
+def _ratios(flights: Sequence[FlightRecord], twins: Sequence[FlightRecord]) -> dict[str, Any]:
+    """Root mean squares of the flights that were flown twice, and of their twins."""
+    by_seed = {flight.seed: flight for flight in flights}
+    pairs = [(by_seed[twin.seed], twin) for twin in twins]
+    found: dict[str, Any] = {"flights": len(pairs)}
+    for name in ("turning", "calm"):
+        mine = _root([s for flight, _ in pairs for s in getattr(flight.settled, name)])
+        all_of_mine = _root([s for flight, _ in pairs for s in getattr(flight.whole, name)])
+        theirs = _root([s for _, twin in pairs for s in getattr(twin.whole, name)])
+        found[name] = {
+            "told_px": theirs,
+            "found_px": mine,
+            "whole_px": all_of_mine,
+            "ratio": mine / theirs,
+            "whole_ratio": all_of_mine / theirs,
+        }
+    return found
+
+
+def _share(groups: Sequence[Sequence[bool]]) -> Interval:
+    hits = np.array([sum(group) for group in groups], dtype=float)
+    return fraction_interval(hits, np.array([len(group) for group in groups], dtype=float))
+
+
+def _root(squares: Sequence[float]) -> float:
+    return math.sqrt(float(np.mean(squares))) if len(squares) else math.nan
+
+
+def _quantile(values: Sequence[float] | Array, of: float) -> float:
+    """The value that this share does not exceed; may be infinite."""
+    if not len(values):
+        return math.nan
+    return float(np.sort(np.asarray(values, dtype=float))[min(math.ceil(of * len(values)), len(values)) - 1])
+
+
+def _of_names(flights: Sequence[FlightRecord], counts: Sequence[int]) -> dict[str, float]:
+    names = np.array([float(flight.names) for flight in flights])
+    return fraction_interval(np.array(counts, dtype=float), names)._asdict()
+
+
+def _rows(result: dict[str, Any]) -> list[list[str]]:
+    """What was found, and what is to hold."""
+    offset, turning, names = result["offset"], result["turning"], result["names"]
+    again, nis = result["named_again"], result["nis"]
+
+    def percent(interval: dict[str, float], digits: int = 2) -> str:
+        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
+        return f"{value:.{digits}f} % ({low:.{digits}f} … {high:.{digits}f})"
+
+    number = report.number
+    return [
+        ["adopted offsets further off than 3 of their own σ", percent(offset["off_by_3_sigma"]), "≤ 1 %"],
+        ["largest error of an adopted offset, ms", number(offset["largest_error_ms"], 1), "≤ 15"],
+        ["root mean square of them, ms", number(offset["rms_error_ms"], 2), ""],
+        ["clocks that adopted nothing", f"{100 * offset['never_adopted']:.0f} %", ""],
+        [
+            "right to 3 ms within 30 s of the first turns, to the end",
+            f"{100 * offset['found_within_30_s']:.0f} %",
+            "",
+        ],
+        ["seconds until then, median", number(offset["found_after_s"]["p50"], 1), "30"],
+        [
+            "turning, px: found, told",
+            f"{number(turning['turning']['found_px'])}, {number(turning['turning']['told_px'])}",
+            "",
+        ],
+        [
+            "turning, ratio once found, over all",
+            f"{number(turning['turning']['ratio'])}, {number(turning['turning']['whole_ratio'])}",
+            "≤ 1.5",
+        ],
+        ["calm, ratio once found", number(turning["calm"]["ratio"]), ""],
+        ["right names", f"{100 * names['right']:.1f} %", ""],
+        ["wrong names", percent(names["wrong"], 3), "≤ 0.1 %"],
+        ["names more than 35 px from their drone", percent(names["elsewhere"], 3), ""],
+        ["of these on something that is detected", percent(names["on_others"], 3), ""],
+        ["highest probability of a wrong name", number(names["wrong_max_probability"], 4), ""],
+        ["seeds with a wrong name", ", ".join(map(str, names["seeds_with_a_wrong_name"])) or "none", ""],
+        ["announcements of a drone", number(names["announcements_per_drone"], 1), ""],
+        ["named again after, s: median", number(again["p50_s"]), "≤ 0.5"],
+        ["named again after, s: p95", number(again["p95_s"]), "≤ 1.5"],
+        ["came back, never named again", f"{again['times']}, {again['never']}", ""],
+        [
+            "NIS over its expectation: p5, median, p95",
+            f"{number(nis['p5'])}, {number(nis['p50'])}, {number(nis['p95'])}",
+            "0.7 … 1.4",
+        ],
+    ]
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    ghosts = "oracle, with ghosts" if result["ghosts"] else "oracle, without ghosts"
+    seen = "drawn pictures, shipped detector" if result["rendered"] else ghosts
+    drones = ", ".join(map(str, result["drones"]))
+    return "\n\n".join(
+        [
+            "# Errands over many flights",
+            f"{result['seeds']} flights, teams of {drones} drones, {seen}, tracker `{result['tracker']}`; cameras that "
+            "stamp late by −80 … 80 ms. 95 % intervals over flights.",
+            report.table(["", "found", "to hold"], _rows(result)),
+        ]
+    )
+
+
+def _plot(plt: Any, path: Path, flights: Sequence[FlightRecord]) -> None:
+    """Errors of adopted offsets against their own sigma, and how soon names and offsets come."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    adopted = [a for flight in flights for clock in flight.clocks.values() for a in clock.adopted]
+    sigmas, errors = 1e3 * np.array([(a.sigma_s, a.error_s) for a in adopted]).reshape(-1, 2).T
+    left.plot(sigmas, errors, ".", markersize=3)
+    reach = np.array([0.0, max(sigmas, default=3.0)])
+    for sign in (-SIGMAS, SIGMAS):
+        left.plot(reach, sign * reach, "k--", linewidth=0.7)
+    left.set(xlabel="own σ, ms", ylabel="error, ms", title="adopted offsets; dashed: 3 σ")
+    for label, times in (
+        ("offset right to 3 ms, after the first turn", [c.found_after_s for f in flights for c in f.clocks.values()]),
+        ("named again, after the detection", [s for f in flights for s in f.named_again_s]),
+    ):  # fmt: skip
+        values = np.sort(times)
+        right.step(values, np.arange(1, len(values) + 1) / max(len(values), 1), where="post", label=label)
+    right.set(xlim=(0.0, 40.0), ylim=(0.0, 1.02), xlabel="s", ylabel="share", title="how soon")
+    right.legend(loc="lower right", fontsize=8)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

@@ -1,0 +1,27 @@
+"""Does the tracker know how wrong it is? What its innovations say, in words for whoever flies. Pure."""
+
+from __future__ import annotations
+
+from swarmtrack.diagnosis.findings import Finding, fault
+from swarmtrack.tracking.consistency import Consistency
+from swarmtrack.tracking.noise import MeasuredNoise
+
+NOISY = 2.0  # times the standard deviation that was told, from which on a camera or its detector is not as they should
+# Of the normalised innovation squared over its expectation. Twice too sure, or three times too careful, in sigmas: then
+# a planner that trusts the covariance is misled.
+SURE, CAREFUL = 4.0, 1.0 / 9.0
+
+
+def check_tracking(consistency: Consistency | None, noise: MeasuredNoise | None) -> list[Finding]:
+    """Nothing where all is well, or where too little was seen to tell."""
+    findings = []
+    if noise is not None and noise.detections >= NOISY:
+        findings.append(fault("tracking.noisy", times=noise.detections))
+    if consistency is None:
+        return findings
+    ratio = consistency.nis / (0.5 * (consistency.low + consistency.high))
+    if ratio >= SURE:
+        findings.append(fault("tracking.sure", times=ratio**0.5))
+    elif ratio <= CAREFUL:
+        findings.append(fault("tracking.careful", times=max(ratio, 1e-4) ** -0.5))
+    return findings

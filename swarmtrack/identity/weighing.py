@@ -1,0 +1,152 @@
+"""What speaks for a track being a drone, beside its past: where it is, how large it looks, how it moves, and what the
+scene is like. The four are independent given who is who, so their log ratios add."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.displacement import Displacements
+from swarmtrack.identity.evidence import Evidence
+from swarmtrack.identity.posterior import PRIOR, ReprojectionResiduals, log_ratios, residuals
+from swarmtrack.identity.reprojection import ObserverCamera, Predictions
+from swarmtrack.identity.scene import Scene
+from swarmtrack.identity.spans import Spans
+from swarmtrack.messages import Announcement, Array, Track, TrackStatus
+from swarmtrack.tracking.lifecycle import probability_in_view
+
+# Of a box's side, one sigma: between its middle and the drone's. Half hidden drones count, too.
+OFF_CENTRE = 0.15
+# Existence of a track that is not confirmed, and yet may be the drone whose name another one wants.
+RIVAL = 0.5
+LEAST_EXISTENCE = 1e-6
+# Of a probability, from zero or one: what is further from both is not known yet.
+DOUBT = 0.05
+
+
+class Weighing:
+    """Log ratios of "the track is that drone" and "it is a stranger, and the drone is not seen"."""
+
+    def __init__(self, camera: PinholeCamera, window_s: float) -> None:
+        self._camera = camera
+        self._evidence = Evidence(window_s)
+        self._scene = Scene(2.0 * math.atan(0.5 * camera.height / camera.fy))
+        self._spans = Spans(camera.fx)
+        self._displacements = Displacements()
+
+    def watch(
+        self, alive: Mapping[int, Track], view: ObserverCamera, places: Mapping[int, Announcement]
+    ) -> None:
+        """All tracks of a scan, named or not, and the latest places: who moves with a drone is likely that drone."""
+        detected = [
+            track
+            for track in alive.values()
+            if track.coasting_since is None
+            and (track.status is TrackStatus.CONFIRMED or track.probability >= RIVAL)
+        ]
+        self._displacements.keep(alive)
+        self._displacements.observe(detected, view, places)
+
+    def weigh(self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera) -> Array:
+        """(n, k), −inf outside every gate. Averages over the scans in which it was asked of the same pair."""
+        found = _residuals(tracks, predicted)
+        self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
+        ratios = log_ratios(self._evidence.residuals, self._camera)
+        in_view, elevation = self._in_view(predicted), _elevations(tracks, view)
+        for j, drone in enumerate(predicted.drone_id):
+            distance, sigma = predicted.distance[j].tolist()
+            for i in np.flatnonzero(np.isfinite(ratios[:, j])).tolist():
+                track = tracks[i]
+                weak = track.status is TrackStatus.TENTATIVE
+                prior = self._scene.log_ratio(drone, elevation[i], weak=weak, in_view=in_view[j])
+                ratios[i, j] += prior - PRIOR.log_ratio
+                if weak or track.coasting_since is not None:
+                    ratios[i, j] += math.log(max(track.probability, LEAST_EXISTENCE))
+                ratios[i, j] += self._spans.log_ratio(drone, track.size, distance, sigma)
+                ratios[i, j] += self.motion(track.id, drone)
+        return ratios
+
+    def _in_view(self, predicted: Predictions) -> list[float]:
+        """(k,) that each is in the image if it has not left its place. Of one that has, hardly anything is known, and a
+        drone that waits on its pad must be named however long it has waited."""
+        k = len(predicted.drone_id)
+        mean, cov = np.zeros((k, 4)), np.zeros((k, 4, 4))
+        mean[:, ::2] = predicted.pixel
+        cov[:, ::2, ::2] = predicted.cov[0]
+        found: list[float] = probability_in_view(mean, cov, self._camera).tolist()
+        return found
+
+    def near(self, tracks: Sequence[Track], predicted: Predictions) -> NDArray[np.bool_]:
+        """(n, k): by where they are now alone, is a track rather the drone than a stranger?"""
+        return np.asarray(log_ratios(_residuals(tracks, predicted), self._camera) > 0.0)
+
+    def seen_in(self, row: int) -> int:
+        """In how many scans the track of this row was weighed."""
+        return self._evidence.seen_in(row)
+
+    def motion(self, track_id: int, drone_id: int) -> float:
+        """The part of a log ratio that tells how both moved."""
+        return self._displacements.log_ratio(track_id, drone_id)
+
+    def log_missed(self, drone_id: int) -> float:
+        """Log odds for a track that was named when a newcomer had no track yet: the drone would have been missed."""
+        return self._scene.log_missed(drone_id)
+
+    def learn(
+        self,
+        view: ObserverCamera,
+        nameless: Sequence[tuple[Track, float]],
+        predicted: Predictions,
+        p_drone: Array,
+        named: Iterable[int],
+    ) -> None:
+        """What the scene is like, by what the posterior made of a scan. What is in doubt teaches nothing: else every
+        doubt would make itself larger. nameless: tracks, and the probability of each
+        that it is a stranger; p_drone (n, k); named: the drones whose ID is stated."""
+        u, v = predicted.pixel.T
+        inside = (u > 0.0) & (u < self._camera.width) & (v > 0.0) & (v < self._camera.height)
+        found = zip(predicted.drone_id, p_drone.sum(axis=0).tolist(), inside.tolist(), strict=True)
+        sure = {drone: float(round(p)) for drone, p, shown in found if shown and min(p, 1.0 - p) < DOUBT}
+        seen = dict.fromkeys(named, 1.0) | sure
+        weak, strong = [], []
+        elevations = _elevations([track for track, _ in nameless], view)
+        for (track, p_stranger), elevation in zip(nameless, elevations, strict=True):
+            if p_stranger < 1.0 - DOUBT:
+                continue
+            if track.status is TrackStatus.TENTATIVE:
+                weak.append((elevation, p_stranger * track.probability))
+            else:
+                strong.append((elevation, p_stranger))
+        self._scene.learn(view.observer.t, strong, weak, seen)
+
+    def recognise(self, drone_id: int, track: Track, distance: float, probability: float) -> None:
+        """The posterior is sure that the track is the drone, which is `distance` m away now."""
+        self._spans.learn(drone_id, track.size, distance, probability)
+
+    def hide(self, track_id: int, log_odds: float) -> None:
+        """The track was not seen for a while, or met another: how it moved before speaks for no more than this."""
+        self._displacements.weaken(track_id, log_odds)
+
+    def forget(self, drone_id: int) -> None:
+        """Another life of the drone: it may be another airframe."""
+        self._spans.forget(drone_id)
+
+
+def _residuals(tracks: Sequence[Track], predicted: Predictions) -> ReprojectionResiduals:
+    """Of the drones' bodies, which are not quite in the middle of their boxes."""
+    mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
+    cov = np.array([track.cov for track in tracks]).reshape(-1, 4, 4)
+    size = np.nan_to_num([track.size for track in tracks], nan=0.0).reshape(-1, 2)
+    cov[:, [0, 2], [0, 2]] += (OFF_CENTRE * size) ** 2
+    return residuals(mean, cov, predicted)
+
+
+def _elevations(tracks: Sequence[Track], view: ObserverCamera) -> list[float]:
+    """rad above the horizon."""
+    rays = view.rays(np.array([track.mean for track in tracks]).reshape(-1, 4)[:, ::2])
+    found: list[float] = np.arcsin(np.clip(-rays[:, 2], -1.0, 1.0)).tolist()
+    return found

@@ -1,0 +1,365 @@
+"""Names among houses, poles and birds: rivals, things that stand, sizes, and what is asked of whom."""
+
+import math
+
+import numpy as np
+import pytest
+
+from support.observer import CAMERA, FORWARD, LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
+from swarmtrack.identity import displacement, spans
+from swarmtrack.identity.displacement import Displacements
+from swarmtrack.identity.posterior import PRIOR
+from swarmtrack.identity.reprojection import ObserverCamera
+from swarmtrack.identity.scene import PRIOR_S, Scene
+from swarmtrack.identity.spans import SPAN, Spans
+from swarmtrack.identity.whereabouts import Whereabouts
+from swarmtrack.messages import Announcement, SightingReport, Track, TrackStatus
+from swarmtrack.motion.ego import TeamPose
+
+BESIDE = shifted(LEFT, right=14.0)
+
+
+@pytest.fixture
+def observer():
+    """Who has heard that drone 2 is to the left and drone 3 to the right."""
+    alone = Observer()
+    alone.hears(2, LEFT)
+    alone.hears(3, RIGHT)
+    return alone
+
+
+# --- rivals ---
+
+
+def test_a_house_is_no_drone_while_a_track_that_is_not_confirmed_yet_may_be_it(observer):
+    assert observer.sees(2.0, tentative="a", a=LEFT, b=RIGHT, c=BESIDE)["c"] is None
+
+
+def test_the_same_house_alone_is_as_good_as_the_drone(observer):
+    assert observer.sees(2.0, b=RIGHT, c=BESIDE)["c"] == 2
+
+
+def test_a_name_that_was_given_without_a_rival_is_doubted_when_one_comes_and_its_drone_is_asked(observer):
+    observer.sees(2.0, b=RIGHT, c=BESIDE)
+    observer.wanted.clear()
+    names = observer.sees(3 * SCAN_S, a=shifted(LEFT, right=-4.0), b=RIGHT, c=BESIDE)
+    assert (names["b"], names["c"]) == (3, None)
+    assert 2 in {drone for _, drone in observer.wanted}
+
+
+def test_a_doubted_name_goes_to_no_rival_while_its_own_track_misses_a_detection(observer):
+    observer.sees(2.0, b=RIGHT, c=BESIDE)
+    both = {"a": shifted(LEFT, right=-4.0), "b": RIGHT, "c": BESIDE}
+    observer.sees(1.0, **both)
+    assert observer.sees(2 * SCAN_S, coasting="a", **both)["c"] is None
+    assert observer.sees(2 * SCAN_S, coasting="c", **both)["a"] is None
+
+
+def test_a_second_track_of_the_same_thing_puts_no_name_in_doubt(observer):
+    observer.sees(2.0, a=LEFT, b=RIGHT)
+    assert observer.sees(1.0, a=LEFT, b=RIGHT, c=shifted(LEFT, right=3.0))["a"] == 2
+
+
+def test_a_house_loses_its_name_to_the_drone_once_that_has_said_that_it_moved(observer):
+    """Nothing is tracked but the house, at 14 px; then the drone, 1.5 m away from it."""
+    observer.sees(2.0, b=RIGHT, c=BESIDE)
+    up = shifted(LEFT, down=-80.0)
+    for _ in range(3):
+        observer.is_told(2, up)
+        names = observer.sees(1.0, a=up, b=RIGHT, c=BESIDE)
+    assert (names["a"], names["c"]) == (2, None)
+
+
+def test_a_house_loses_its_name_when_its_drone_says_that_it_has_moved_although_nothing_else_is_seen(observer):
+    assert observer.sees(2.0, b=RIGHT, c=BESIDE)["c"] == 2
+    observer.is_told(2, shifted(LEFT, down=-80.0))
+    assert observer.sees(1.0, b=RIGHT, c=BESIDE)["c"] is None
+
+
+def test_of_the_names_stated_among_strangers_as_many_are_right_as_their_probabilities_promise():
+    """Skies as the prior has them: one stranger in the mean, anywhere and of any size, and one drone in ten overlooked
+    at first. All are named without a rival if they are; then the drone that was overlooked comes."""
+    rng = np.random.default_rng(3)
+    # px at 2 m: of the announced pose (0.1 m), of the own one (0.05 m and 0.01 rad), and of a body in its box of 80 px.
+    sigma = math.hypot(0.1 * 215.0, 0.05 * 215.0, 0.01 * 430.0, 0.15 * 80.0)
+    promised, right = [], []
+    for _ in range(250):
+        observer = Observer()
+        observer.hears(2, MIDDLE, metres=2.0)
+        tracks = {"a": tuple(rng.normal(MIDDLE, sigma))}
+        span = 0.45 * math.exp(0.6 * rng.standard_normal())
+        observer.sizes["a"] = (215.0 * span, 215.0 * span)
+        for name in "bcdef"[: rng.poisson(1.0)]:
+            tracks[name] = tuple(rng.uniform((0.0, 0.0), (640.0, 480.0)))
+            observer.sizes[name] = (math.exp(rng.uniform(math.log(4.0), math.log(320.0))),) * 2
+        overlooked = rng.random() > PRIOR.p_seen
+        seen = {name: pixel for name, pixel in tracks.items() if name != "a" or not overlooked}
+        for visible in (seen, tracks):
+            observer.sees(0.4, **visible)
+            for entry in observer.identities.label(observer.tracks):
+                if entry.identity == 2:
+                    promised.append(entry.identity_probability)
+                    right.append(entry.track.id == 1)
+    assert len(right) > 300
+    assert 0.98 < np.mean(promised) < 1.0
+    assert np.mean(right) > np.mean(promised) - 2.0 * math.sqrt(0.02 / len(right))
+
+
+# --- things that stand ---
+
+
+def tracks_at(t, *pixels):
+    return [
+        Track(k + 1, t, np.array([u, 0.0, v, 0.0]), np.eye(4), TrackStatus.CONFIRMED, 1.0, np.full(2, 20.0))
+        for k, (u, v) in enumerate(pixels)
+    ]
+
+
+def compare(steps, observer=lambda t: np.zeros(3)):
+    """steps: each second, the pixels of the tracks and where drone 2 says that it is, (3,) m."""
+    found = Displacements()
+    for t, (pixels, position) in enumerate(steps):
+        place = Announcement(2, "0000000a", 2, float(t), 0.0, position, np.eye(3), 0.09 * np.eye(3))
+        view = ObserverCamera.of(
+            TeamPose(float(t), observer(t), np.eye(3), 0.1**2 * np.eye(3), 0.02**2 * np.eye(3)),
+            CAMERA,
+            FORWARD,
+        )
+        found.observe(tracks_at(float(t), *pixels), view, {2: place})
+    return found
+
+
+def test_while_nobody_moves_a_house_and_a_hovering_drone_stay_as_likely_however_long_it_lasts():
+    found = compare([([LEFT, BESIDE], at(LEFT))] * 60)
+    assert found.log_ratio(1, 2) == pytest.approx(found.log_ratio(2, 2))
+    # Only that it is a stranger in flight is ruled out: it was one of two.
+    assert 0.0 < found.log_ratio(1, 2) <= math.log(2.0) + 1e-9
+
+
+def test_one_step_of_a_drone_says_of_a_standing_thing_what_bayes_says():
+    """One track follows by 30 px, one stands: three models by their densities, without the module's own sums."""
+    moved = shifted(LEFT, down=-30.0)
+    found = compare([([LEFT, BESIDE], at(LEFT)), ([moved, BESIDE], at(moved))])
+    metres = np.linalg.norm(at(moved))
+    noise = displacement.ATTITUDE_SIGMA**2 + (displacement.POSITION_SIGMA / metres) ** 2
+
+    def ray(pixel):
+        return at(pixel) / np.linalg.norm(at(pixel))
+
+    def density(miss, variance):
+        return math.exp(-0.5 * miss @ miss / variance) / (2.0 * math.pi * variance)
+
+    for track, then, now in ((1, LEFT, moved), (2, BESIDE, BESIDE)):
+        follows = ray(then) + ray(moved) - ray(LEFT)
+        drone = density(ray(now) - follows / np.linalg.norm(follows), noise)
+        stands = density(ray(now) - ray(then), noise)
+        flies = density(ray(now) - ray(then), noise + displacement.STRANGER_RATE**2)
+        assert found.log_ratio(track, 2) == pytest.approx(
+            math.log(drone / (0.5 * stands + 0.5 * flies)), abs=1e-6
+        )
+    assert found.log_ratio(1, 2) > 1.5
+    assert found.log_ratio(2, 2) < -3.0
+
+
+@pytest.mark.parametrize("metres", [12.0, 30.0, 80.0, 1e4])
+def test_a_thing_that_stands_is_known_by_the_observer_s_own_way_at_any_distance(metres):
+    """The observer climbs with its teammate, 1 m a second: the drone stays where it is in the image."""
+
+    def climbed(t):
+        return np.array([0.0, 0.0, -1.0 * t])
+
+    def seen(t):
+        place = metres * at(BESIDE) / at(BESIDE)[0] - climbed(t)
+        return (320.0 + 430.0 * place[1] / place[0], 240.0 + 430.0 * place[2] / place[0])
+
+    found = compare([([LEFT, seen(t)], at(LEFT) + climbed(t)) for t in range(6)], climbed)
+    assert found.log_ratio(1, 2) > -0.5
+    assert found.log_ratio(1, 2) - found.log_ratio(2, 2) > (2.0 if metres < 50.0 else -0.5)
+
+
+def test_motion_never_decides_beyond_its_bound_and_a_track_that_was_hidden_keeps_little_of_it():
+    steps = [
+        ([shifted(LEFT, down=-40.0 * (t % 2)), BESIDE], at(shifted(LEFT, down=-40.0 * (t % 2))))
+        for t in range(40)
+    ]
+    found = compare(steps)
+    assert found.log_ratio(1, 2) == pytest.approx(displacement.MOST)
+    assert found.log_ratio(2, 2) == pytest.approx(-displacement.MOST)
+    for track in (1, 2):
+        found.weaken(track, 1.0)
+        assert abs(found.log_ratio(track, 2)) <= 1.0 + math.log(2.0)
+
+
+# --- sizes ---
+
+
+def test_a_box_says_by_bayes_rule_how_likely_it_is_the_drone_s_at_its_distance():
+    known = Spans(430.0)
+    box, metres = np.array([40.0, 25.0]), 8.0
+    variance = spans.SPAN_SIGMA**2 + spans.BOX_SIGMA**2 + (0.4 / metres) ** 2
+    x = math.log(40.0 * metres / 430.0 / SPAN)
+    by_hand = math.exp(-0.5 * x * x / variance) / math.sqrt(2.0 * math.pi * variance) * math.log(80.0)
+    assert known.log_ratio(2, box, metres, 0.4) == pytest.approx(math.log(by_hand))
+
+
+def test_once_a_drone_was_recognised_a_box_of_twice_its_size_is_rather_not_it():
+    known = Spans(430.0)
+    for _ in range(5):
+        known.learn(2, np.array([44.0, 25.0]), 8.0, 0.99)
+    right = known.log_ratio(2, np.array([44.0, 25.0]), 8.0, 0.4)
+    assert right - known.log_ratio(2, np.array([90.0, 37.0]), 8.0, 0.4) > 2.0
+    # Nearer it looks as large as it must.
+    assert known.log_ratio(2, np.array([88.0, 50.0]), 4.0, 0.4) == pytest.approx(right, abs=0.2)
+
+
+def test_a_size_that_was_learned_from_the_wrong_thing_never_rules_the_drone_out():
+    known = Spans(430.0)
+    for _ in range(100):
+        known.learn(2, np.array([180.0, 60.0]), 8.0, 1.0)
+    before = Spans(430.0).log_ratio(2, np.array([24.0, 15.0]), 8.0, 0.4)
+    assert (
+        known.log_ratio(2, np.array([24.0, 15.0]), 8.0, 0.4) > before + math.log(1.0 - spans.MOST_SURE) - 1e-6
+    )
+
+
+@pytest.mark.parametrize(("size", "metres"), [((np.nan, np.nan), 8.0), ((20.0, 20.0), np.nan)])
+def test_a_size_or_a_distance_that_nobody_knows_says_nothing(size, metres):
+    assert Spans(430.0).log_ratio(2, np.array(size), metres, 1.0) == 0.0
+
+
+# --- the scene ---
+
+
+def test_the_prior_of_a_scene_begins_as_that_of_one_look_and_follows_what_is_seen():
+    scene = Scene(1.0)
+    begin = scene.log_ratio(2, 0.0, weak=False)
+    assert begin == pytest.approx(PRIOR.log_ratio, abs=0.3)
+    # Four, evenly over an image of one radian.
+    everywhere = [(math.radians(5.0 * step), 4.0 * math.radians(5.0)) for step in range(-18, 19)]
+    for k in range(31):
+        scene.learn(0.1 * k, everywhere, [], {2: 0.9})
+    strangers = (PRIOR_S * PRIOR.strangers + 4.0 * 3.0) / (PRIOR_S + 3.0)
+    assert scene.log_ratio(2, 0.0, weak=False) == pytest.approx(begin - math.log(strangers), abs=0.05)
+
+
+def test_where_a_drone_is_overlooked_what_is_near_its_place_is_less_likely_the_drone():
+    scene = Scene(1.0)
+    for k in range(100):
+        scene.learn(0.1 * k, [], [], {2: 0.0, 3: 1.0})
+    assert scene.log_ratio(2, 0.0, weak=False) < scene.log_ratio(3, 0.0, weak=False) - 2.0
+
+
+def test_strangers_on_the_horizon_make_names_doubtful_there_and_not_in_the_sky():
+    scene, begin = Scene(1.0), Scene(1.0).log_ratio(2, 0.0, weak=False)
+    for k in range(100):
+        scene.learn(0.1 * k, [(0.0, 1.0)], [], {2: 0.9})
+    assert scene.log_ratio(2, 0.0, weak=False) < begin - 0.7
+    assert scene.log_ratio(2, 0.4, weak=False) > begin
+
+
+def test_a_drone_that_is_likely_out_of_view_is_missed_for_that_reason():
+    """Bayes: it is seen with p, times that it is in the image; not seen with one minus that."""
+    scene, p = Scene(1.0), PRIOR.p_seen
+    assert scene.log_ratio(2, 0.0, weak=False) - scene.log_ratio(
+        2, 0.0, weak=False, in_view=0.1
+    ) == pytest.approx(math.log((1.0 - 0.1 * p) / (1.0 - p)))
+
+
+def test_a_ghost_at_the_border_is_less_likely_a_drone_that_should_be_beyond_it_than_one_inside():
+    given = []
+    for place, ghost in (((690.0, 240.0), (632.0, 240.0)), ((370.0, 240.0), (312.0, 240.0))):
+        observer = Observer()
+        observer.sizes["a"] = (80.0, 80.0)
+        observer.hears(2, place, metres=2.0)
+        observer.sees(1.0, a=ghost)
+        (entry,) = observer.identities.label(observer.tracks)
+        given.append(1.0 - entry.identity_probability)
+    assert given[0] > 3.0 * given[1]
+
+
+# --- places ---
+
+
+def announced(t=0.0, boot="0000000a"):
+    return Announcement(2, boot, 1, t, 0.0, at(LEFT), np.eye(3), 0.09 * np.eye(3))
+
+
+def report(t, position, sigma=0.1, t_sigma=0.0, boot="0000000a"):
+    return SightingReport(2, boot, 1, t, t_sigma, position, sigma, (), ())
+
+
+def test_a_drone_is_where_it_reported_itself_last_and_no_surer_of_it_than_its_announcement():
+    places = Whereabouts()
+    places.announce(announced())
+    places.report(report(1.0, at(MIDDLE)))
+    assert places.latest(2).t == 1.0
+    assert places.latest(2).position == pytest.approx(at(MIDDLE))
+    assert np.diag(places.latest(2).position_cov).min() >= 0.09
+
+
+def test_a_report_from_the_pad_says_that_the_drone_still_waits_and_one_from_elsewhere_that_it_flies():
+    places = Whereabouts()
+    places.announce(announced())
+    places.report(report(1.0, at(LEFT) + 0.1))
+    assert places.latest(2).sequence == 1
+    places.report(report(2.0, at(LEFT) + 2.0))
+    assert places.latest(2).sequence > 1
+
+
+@pytest.mark.parametrize(
+    "unusable",
+    [
+        report(1.0, at(MIDDLE), sigma=5.0),
+        report(1.0, at(MIDDLE), t_sigma=2.0),
+        report(1.0, at(MIDDLE), boot="0000000b"),
+        report(-1.0, at(MIDDLE)),
+    ],
+    ids=["vague place", "vague time", "another life", "older"],
+)
+def test_a_report_that_is_no_place_changes_nothing(unusable):
+    places = Whereabouts()
+    places.report(report(0.5, at(MIDDLE)))
+    places.announce(announced())
+    places.report(unusable)
+    assert places.latest(2).position == pytest.approx(at(LEFT))
+
+
+def test_who_came_back_elsewhere_is_named_where_it_reports_itself_without_being_asked(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.sees(5.0, b=RIGHT)
+    observer.is_told(2, MIDDLE)
+    observer.wanted.clear()
+    assert observer.sees(3 * SCAN_S, b=RIGHT, c=MIDDLE) == {"b": 3, "c": 2}
+    assert observer.wanted == []
+
+
+# --- asked ---
+
+
+def test_who_is_about_to_come_into_view_is_asked_before_anything_is_seen_of_it():
+    """Drone 2 said that it is 30 degrees outside the image to the right; then the observer turns there."""
+    observer = Observer()
+    observer.hears(2, (1400.0, 240.0))
+    observer.sees(5.0)
+    assert observer.wanted == []
+    observer.turn(40.0)
+    observer.sees(SCAN_S)
+    assert [drone for _, drone in observer.wanted] == [2]
+    observer.sees(2.0)
+    assert len(observer.wanted) == 1
+
+
+def test_who_reports_itself_need_not_be_asked_when_it_comes_into_view():
+    observer = Observer()
+    observer.hears(2, (1400.0, 240.0))
+    observer.sees(5.0)
+    observer.is_told(2, (1400.0, 240.0))
+    observer.turn(40.0)
+    observer.sees(SCAN_S)
+    assert observer.wanted == []
+
+
+def test_a_nameless_ghost_asks_nobody_while_all_who_are_in_view_are_settled(observer):
+    observer.sees(10.0, a=LEFT, b=RIGHT)
+    observer.sees(10.0, a=LEFT, b=RIGHT, c=(320.0, 40.0))
+    assert observer.wanted == []

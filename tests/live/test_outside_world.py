@@ -1,0 +1,251 @@
+"""`swarmtrack sim --world`: drones that others fly. The others are simulated autopilots, in a process of their own."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from support.launcher import finish, living, start
+from support.pair_scenario import PAIR, is_fair, is_judged
+from support.patience import PATIENCE, until
+from support.places import DOCS, ROOT
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.recording.reader import recordings_below
+from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, read_truth
+from swarmtrack.scenario_file import load_scenario
+
+LENGTHS = (6, 24)  # s: the second where the machine is so busy that the first flight was over too soon
+
+
+class Others(NamedTuple):
+    """The process that flies, and the world file that says where it tells the truth."""
+
+    process: subprocess.Popen[str]
+    world: Path
+    drones: dict[str, dict[str, str]]
+
+
+@contextmanager
+def others(folder: Path, scenario: str = PAIR, seconds: float = 6.0, seed: int = 1) -> Iterator[Others]:
+    """Two simulated autopilots that fly a scenario, and a world file with what that expects, and the same starts."""
+    flown = folder / "flown.toml"
+    flown.write_text(scenario, encoding="utf-8")
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "swarmtrack.agents.simulator", "--scenario", str(flown)),
+            *("--detector", "oracle", "--seed", str(seed), "--lead", "20"),
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    try:
+        told = json.loads(process.stdout.readline())
+        text = world_file(told["origin"], told["drones"], flown, seconds=seconds, seed=seed)
+        world = folder / "world.toml"
+        world.write_text(text, encoding="utf-8")
+        yield Others(process, world, told["drones"])
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def world_file(
+    origin: dict[str, float], drones: dict[str, dict[str, str]], flown: Path, **values: float
+) -> str:
+    scenario = load_scenario(flown)
+    place = ", ".join(f"{name} = {value!r}" for name, value in origin.items())
+    lines = ["[world]", f"origin = {{ {place} }}", *(f"{name} = {value}" for name, value in values.items())]
+    lines += ["[agents]", f"imu_rate_hz = {scenario.imu_rate_hz}", f"tracks_hz = {scenario.tracks_hz}"]
+    for n, where in drones.items():
+        announced = scenario.announced[int(n)]
+        offset = [round(float(x), 4) for x in announced.position_m]
+        lines += [
+            *("[[drone]]", f"id = {n}", f'link = "{where["autopilot"]}"', f'truth = "{where["truth"]}"'),
+            f'start = {{ from = "local", offset_m = {offset}, position_sigma_m = {announced.position_sigma_m} }}',
+        ]
+    return "\n".join([*lines, "[expected]", flown.read_text().partition("[expected]")[2]])
+
+
+def fly(folder: Path, world: Path, *options: str) -> tuple[int, str, str]:
+    return finish(start(folder, "--world", str(world), "--detector", "oracle", *options))
+
+
+# --- a flight -------------------------------------------------------------------------------------
+
+
+class Flown(NamedTuple):
+    said: str
+    complained: str
+    code: int
+    verdict: dict[str, Any]
+    recording: Path
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> Flown:
+    """A recorded flight, in whose midst the simulator of the others stands still for two seconds."""
+    for seconds in LENGTHS:
+        folder = tmp_path_factory.mktemp("outside")
+        with others(folder, seconds=seconds) as flying:
+            record = ("--record", str(folder / "recording"), "--json", str(folder / "out.json"))
+            process = start(
+                folder, "--world", str(flying.world), "--detector", "oracle", "--seed", "1", *record
+            )
+            lines: list[str] = []
+            while not lines or not ("correct" in lines[-1] or "nothing to judge yet" in lines[-1]):
+                lines.append(process.stdout.readline())
+                assert lines[-1], process.communicate()[1]
+            flying.process.send_signal(signal.SIGSTOP)
+            while "told nothing for" not in lines[-1]:
+                lines.append(process.stdout.readline())
+                assert lines[-1], process.communicate()[1]
+            flying.process.send_signal(signal.SIGCONT)
+            # `communicate` would lose what was read ahead with the last line.
+            lines.append(process.stdout.read())
+            code, _, complained = finish(process)
+        said = "".join(lines)
+        if is_judged(said):
+            break
+    verdict = json.loads((folder / "out.json").read_text())
+    return Flown(said, complained, code, verdict, folder / "recording")
+
+
+def test_drones_that_others_fly_are_seen_named_and_judged(flown):
+    assert flown.complained == ""
+    assert is_fair(flown.code, flown.said), flown.said
+    assert (flown.verdict["scenario"], flown.verdict["drones"]) == ("world", 2)
+    assert flown.verdict["identity"]["wrong"] == 0.0
+    assert flown.verdict["tracking"]["rmse_px"]
+    assert max(flown.verdict["tracking"]["rmse_px"].values()) < 15.0
+
+
+def test_a_simulator_that_stands_still_is_said_once_for_each_drone_and_heals(flown):
+    for n in (1, 2):
+        stale = [
+            line for line in flown.said.splitlines() if line.startswith(f"drone {n}: truth link udpout:")
+        ]
+        assert len(stale) == 1, flown.said
+        assert "is its simulator paused, slow or gone? No frame is exposed meanwhile" in stale[0]
+        back = [line for line in flown.said.splitlines() if f"drone {n}: its truth is back after" in line]
+        assert len(back) == 1, flown.said
+
+
+def test_the_truth_is_recorded_as_it_was_told(flown):
+    (swarm,) = [recording for recording in recordings_below(flown.recording) if recording.kind == "swarm"]
+    truths = [read_truth(message) for message in swarm.messages(frozenset({TRUTH_TOPIC}))]
+    count = Counter(true.drone_id for true in truths)
+    assert set(count) == {1, 2}
+    assert min(count.values()) > 20.0 * flown.verdict["seconds"]
+    for true in truths:
+        # Two drones on a ring of 2 m: south and north of the origin.
+        assert true.position_m[0] == pytest.approx(-2.0 if true.drone_id == 1 else 2.0, abs=0.5)
+
+
+def test_the_recording_is_judged_as_the_flight_was(flown, capsys):
+    swarmtrack.main(["replay", str(flown.recording)])
+    said = capsys.readouterr()
+    assert "the verdict is the recorded one" in said.out, said.out + said.err
+
+
+# --- what goes wrong ------------------------------------------------------------------------------
+
+
+def test_an_origin_that_is_elsewhere_ends_it_at_once_and_says_where_the_drones_are(tmp_path):
+    with others(tmp_path) as flying:
+        text = flying.world.read_text().replace("lat_deg = 47.39", "lat_deg = 47.49")
+        flying.world.write_text(text)
+        code, said, complained = fly(tmp_path, flying.world)
+    assert code == 1
+    assert said.splitlines()[-1] == "FAILED"
+    for n in (1, 2):
+        assert f"drone {n}: truth link udpout:" in complained
+    assert "11.1 km from world.origin" in complained
+    assert "lat_deg = 47.397" in complained
+    assert "Traceback" not in complained
+    assert not living(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"flown.toml", "world.toml"}
+
+
+def test_links_that_nobody_is_at_are_each_named(tmp_path):
+    with socket.socket() as one, socket.socket() as other:
+        ports = []
+        for kept in (one, other):
+            # Bound and not listening: nobody answers, and nobody else takes the port meanwhile.
+            kept.bind(("127.0.0.1", 0))
+            ports.append(kept.getsockname()[1])
+        drones = {
+            str(n): {"autopilot": f"udpin:127.0.0.1:{port}", "truth": f"tcp:127.0.0.1:{port}"}
+            for n, port in enumerate(ports, 1)
+        }
+        flown = tmp_path / "flown.toml"
+        flown.write_text(PAIR, encoding="utf-8")
+        world = tmp_path / "world.toml"
+        world.write_text(world_file({"lat_deg": 47.0, "lon_deg": 8.0, "alt_m": 400.0}, drones, flown))
+        code, said, complained = fly(tmp_path, world)
+    assert code == 1
+    assert said.splitlines()[-1] == "FAILED"
+    for n, port in enumerate(ports, 1):
+        named = f"drone {n}: truth link tcp:127.0.0.1:{port} is silent: nobody listens at 127.0.0.1:{port}"
+        assert named in complained
+    assert not living(tmp_path)
+
+
+def test_while_it_waits_for_the_truth_it_can_be_interrupted(tmp_path):
+    flown = tmp_path / "flown.toml"
+    flown.write_text(PAIR, encoding="utf-8")
+    drones = {"1": {"autopilot": "udpin:127.0.0.1:5", "truth": "tcp:127.0.0.1:5"}}
+    world = tmp_path / "world.toml"
+    world.write_text(world_file({"lat_deg": 47.0, "lon_deg": 8.0, "alt_m": 400.0}, drones, flown))
+    process = start(tmp_path, "--world", str(world))
+    until(lambda: any("agents.simulator" in line for line in living(tmp_path)), "the simulator is started")
+    process.send_signal(signal.SIGINT)
+    code, _, complained = finish(process)
+    assert code == 1
+    assert "interrupted" in complained
+    until(lambda: not living(tmp_path), "all processes have ended")
+
+
+def test_a_world_file_that_is_wrong_is_wrong_usage(tmp_path):
+    world = tmp_path / "world.toml"
+    world.write_text("[world]\n")
+    code, said, complained = fly(tmp_path, world)
+    assert code == 2
+    assert said == ""
+    assert f"{world}:1: world.origin: missing, expected {{ lat_deg, lon_deg, alt_m }}" in complained
+
+
+# --- as the docs say ------------------------------------------------------------------------------
+
+
+def test_the_script_of_the_docs_flies_a_simulated_ardupilot(tmp_path):
+    """docs/rehearse.md: arm, take off, go, land, by pymavlink on the ground station's port; not its waits."""
+    page = (DOCS / "rehearse.md").read_text(encoding="utf-8")
+    (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    scenario = (ROOT / "configs" / "scenarios" / "guided.toml").read_text(encoding="utf-8")
+    with others(tmp_path, scenario) as flying:
+        path = tmp_path / "fly.py"
+        path.write_text(script.replace("time.sleep(8)", "time.sleep(4)"), encoding="utf-8")
+        where = flying.drones["1"]["ground"]
+        flown = subprocess.run(
+            [sys.executable, str(path), where, "1"],
+            capture_output=True, text=True, timeout=PATIENCE, check=False,
+        )  # fmt: skip
+    assert flown.returncode == 0, flown.stderr
+    assert flown.stdout.splitlines() == ["176 accepted", "400 accepted", "22 accepted", "176 accepted"]
