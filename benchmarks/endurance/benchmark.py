@@ -98,10 +98,10 @@ async def _fly(
     with tempfile.TemporaryDirectory(prefix=f"{NAME}-", dir=out) as name:
         folder = Path(name)
         async with flight.flying(folder, seconds + AFTER_S, tracker) as swarm:
-            await flight.until_standing(swarm, DRONES)
+            await flight.until_standing(swarm, folder, DRONES)
             windows = await flight.measure(swarm, seconds + 0.5 * AFTER_S, window_s, on_window)
             flown = await flight.landed(swarm, folder)
-        recorded = sum(file.stat().st_size for file in (folder / "recording").rglob("*") if file.is_file())
+        recorded = sum(file.stat().st_size for file in (folder / flight.RECORDING).rglob("*") if file.is_file())
     return Found(windows, verdict.settled_s(seconds), 1e-6 * recorded, flown)
 
 

@@ -28,6 +28,7 @@ from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.real_clips import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.clock import SystemClock
+from swarmtrack.recording.reader import FLIGHT_PLAN, recordings_below
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
@@ -36,6 +37,7 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.health import HealthMessage
 
 SCENARIO = "hover-triangle"
+RECORDING = "recording"  # the folder of its recordings
 PATIENCE_S = 90.0  # for a swarm to stand, on a machine that is busy
 LANDING_S = 600.0  # for the judge to end: the truth of a long flight is many poses
 STOP_S = 20.0  # after SIGTERM
@@ -74,7 +76,7 @@ async def flying(folder: Path, seconds: float, tracker: str) -> AsyncIterator[Sw
         "--seconds",
         str(seconds),
     ]
-    options += ["--monitor", "--record", str(folder / "recording"), "--json", str(folder / "verdict.json")]
+    options += ["--monitor", "--record", str(folder / RECORDING), "--json", str(folder / "verdict.json")]
     launcher = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "swarmtrack.agents.main", "sim", *options),
         stdin=asyncio.subprocess.DEVNULL,
@@ -106,8 +108,8 @@ async def _listen_to(swarm: Swarm) -> None:
             swarm.team, swarm.monitor_url = found[1], found[2]
 
 
-async def until_standing(swarm: Swarm, drones: int) -> None:
-    """Until simulator, monitor and all agents run."""
+async def until_standing(swarm: Swarm, folder: Path, drones: int) -> None:
+    """Until simulator, monitor and all agents run. folder: as in `flying`."""
     deadline = time.monotonic() + PATIENCE_S
     while True:
         found = {name: pid for pid in descendants(swarm.launcher.pid) if (name := name_of(pid)) is not None}
@@ -119,8 +121,9 @@ async def until_standing(swarm: Swarm, drones: int) -> None:
             raise swarm.failed(f"the swarm does not stand after {PATIENCE_S:g} s")
         await asyncio.sleep(0.1)
     swarm.pids = {**dict(sorted(found.items())), JUDGE: swarm.launcher.pid}
-    arguments = command_of(found["simulator"])
-    swarm.epoch = float(arguments[arguments.index("--epoch") + 1])
+    # The launcher writes its plan before it starts an agent.
+    (flown,) = recordings_below(folder / RECORDING / "swarm")
+    swarm.epoch = flown.attached(FLIGHT_PLAN)["epoch_s"]
 
 
 async def landed(swarm: Swarm, folder: Path) -> dict[str, Any]:
