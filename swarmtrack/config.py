@@ -20,7 +20,6 @@ from pydantic import (
     Field,
     PrivateAttr,
     Strict,
-    ValidationError,
     field_validator,
     model_validator,
 )
@@ -46,7 +45,7 @@ from swarmtrack.toml.sections import (
     found,
     one_of,
     parameter_problems,
-    section_problem,
+    validated,
 )
 from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
@@ -610,14 +609,7 @@ _C = TypeVar("_C", bound=LayeredConfig)
 
 def _validated(kind: type[_C], layers: Layers, problems: list[Problem]) -> _C:
     """problems: those found already."""
-    try:
-        config = kind.model_validate(layers.table)
-    except ValidationError as error:
-        problems = problems + [
-            section_problem(layers, details, kind) for details in error.errors(include_url=False)
-        ]
-    if problems:
-        raise ConfigError([str(problem) for problem in sorted(problems)])
+    config = validated(kind, layers, problems)
     config._layers = layers
     return config
 

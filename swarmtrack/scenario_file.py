@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, Strict, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, Strict, ValidationInfo, field_validator, model_validator
 
 from swarmtrack.config import TeamOrigin
 from swarmtrack.errors import ConfigError
@@ -70,7 +70,7 @@ from swarmtrack.toml.sections import (
     found,
     one_of,
     parameter_problems,
-    section_problem,
+    validated,
 )
 
 FOLDER = Path(__file__).with_name("configs") / "scenarios"
@@ -445,16 +445,7 @@ def scenario_of(layers: Layers, name: str, *, seed: int, drones: int | None) -> 
     """As `load_scenario`, from layers that were read before."""
     problems = parameter_problems(layers, "detector", DetectorParameters)
     problems += parameter_problems(layers, "expected", Limits)
-    try:
-        file = ScenarioFile.model_validate(layers.table)
-    except ValidationError as error:
-        problems += [
-            section_problem(layers, details, ScenarioFile) for details in error.errors(include_url=False)
-        ]
-    if not problems:
-        problems = _drone_problems(layers, file, drones)
-    if problems:
-        raise ConfigError([str(problem) for problem in sorted(problems)])
+    file = validated(ScenarioFile, layers, problems, lambda file: _drone_problems(layers, file, drones))
     return _scenario(name, file, seed, drones)
 
 

@@ -101,7 +101,9 @@ async def _fly(
             await flight.until_standing(swarm, folder, DRONES)
             windows = await flight.measure(swarm, seconds + 0.5 * AFTER_S, window_s, on_window)
             flown = await flight.landed(swarm, folder)
-        recorded = sum(file.stat().st_size for file in (folder / flight.RECORDING).rglob("*") if file.is_file())
+        recorded = sum(
+            file.stat().st_size for file in (folder / flight.RECORDING).rglob("*") if file.is_file()
+        )
     return Found(windows, verdict.settled_s(seconds), 1e-6 * recorded, flown)
 
 

@@ -9,9 +9,16 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
-from swarmtrack.evaluation.swarm_score import GRACE, RATE_HZ, Glance, NamedTrack, SwarmScore, SwarmScorer
+from swarmtrack.evaluation.swarm_score import (
+    GRACE,
+    RATE_HZ,
+    Glance,
+    SwarmScore,
+    SwarmScorer,
+    confirmed_tracks,
+)
 from swarmtrack.evaluation.swarm_truth import SwarmTruth, TrueView
-from swarmtrack.messages import Array, TrackStatus
+from swarmtrack.messages import Array
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.simulation.scenarios import Scenario
 
@@ -191,12 +198,18 @@ class FlightJudge:
         if self._judged.get(scan.observer) != index:
             self._judged[scan.observer] = index
             glance = Glance(
-                scan.observer, "virtual", index, scan.t, view.in_view, view.hidden, confirmed(scan)
+                scan.observer,
+                "virtual",
+                index,
+                scan.t,
+                view.in_view,
+                view.hidden,
+                confirmed_tracks(scan.tracks),
             )
             self._scorer.add(glance)
 
     def _distances(self, scan: ObservedScan, view: TrueView) -> None:
-        tracks = np.array([(track.u, track.v) for track in confirmed(scan)]).reshape(-1, 2)
+        tracks = np.array([(track.u, track.v) for track in confirmed_tracks(scan.tracks)]).reshape(-1, 2)
         soon = self._truth.view(scan.observer, scan.t + 0.02)
         for drone_id, box in view.in_view.items():
             if not self._well_inside(box) or drone_id not in soon.in_view or not len(tracks):
@@ -209,7 +222,7 @@ class FlightJudge:
     def _names_elsewhere(self, scan: ObservedScan, view: TrueView) -> None:
         """Teammates' names on tracks that are far from where that teammate is, in the image or beside it."""
         boxes = {**view.in_view, **view.hidden}
-        for track in confirmed(scan):
+        for track in confirmed_tracks(scan.tracks):
             if isinstance(track.identity, int):
                 box = boxes.get(track.identity)
                 self._names += 1
@@ -231,7 +244,7 @@ class FlightJudge:
         pair.last_seen = scan.t
         named = any(
             track.identity == drone_id and math.hypot(track.u - box[0], track.v - box[1]) <= radius
-            for track in confirmed(scan)
+            for track in confirmed_tracks(scan.tracks)
         )
         pair.known |= named
         if pair.stay is not None:
@@ -254,17 +267,3 @@ class FlightJudge:
         u, v = box[:2]
         camera = self._camera
         return bool(BORDER_PX < u < camera.width - BORDER_PX and BORDER_PX < v < camera.height - BORDER_PX)
-
-
-def confirmed(scan: ObservedScan) -> tuple[NamedTrack, ...]:
-    return tuple(
-        NamedTrack(
-            named.track.id,
-            named.identity,
-            named.identity_probability,
-            float(named.track.mean[0]),
-            float(named.track.mean[2]),
-        )
-        for named in scan.tracks.tracks
-        if named.track.status is TrackStatus.CONFIRMED
-    )

@@ -20,9 +20,8 @@ from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.evaluation.intervals import Interval, mean_interval
-from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScore, SwarmScorer
+from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.messages import TrackStatus
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.scenarios import Scenario
 
@@ -78,17 +77,7 @@ def judge(swarm: VirtualSwarm, flown: Scenario, seconds: float) -> Flight:
             continue
         judged[look.observer] = index
         view = truth.view(look.observer, look.t)
-        tracks = tuple(
-            NamedTrack(
-                named.track.id,
-                named.identity,
-                named.identity_probability,
-                float(named.track.mean[0]),
-                float(named.track.mean[2]),
-            )
-            for named in look.tracks.tracks
-            if named.track.status is TrackStatus.CONFIRMED
-        )
+        tracks = confirmed_tracks(look.tracks)
         scorer.add(Glance(look.observer, "virtual", index, look.t, view.in_view, view.hidden, tracks))
     return Flight(scorer.score(), swarm.announcements / len(flown.members))
 

@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.evaluation.clip_score import TrackPoints, TruthBoxes, match_hits
-from swarmtrack.messages import FOREIGN, Array, Identity
+from swarmtrack.messages import FOREIGN, Array, Identity, TrackList, TrackStatus
 
 GRACE = 1.0  # s that an observer has to recognise who came into view
 RATE_HZ = 10  # of glances
@@ -54,6 +54,21 @@ class NamedTrack(NamedTuple):
     identity_probability: float
     u: float
     v: float
+
+
+def confirmed_tracks(tracks: TrackList) -> tuple[NamedTrack, ...]:
+    """Those that count, of all that an observer tracks."""
+    return tuple(
+        NamedTrack(
+            named.track.id,
+            named.identity,
+            named.identity_probability,
+            float(named.track.mean[0]),
+            float(named.track.mean[2]),
+        )
+        for named in tracks.tracks
+        if named.track.status is TrackStatus.CONFIRMED
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -373,7 +373,8 @@ async def simulate(
             cameras,
             images.content_type,
             (host, port),
-            tell=lambda: {**flown, "world_time_s": clock.now() - epoch},
+            time=time,
+            flown=flown,
             truth=followers.lines if guided else None,
         )
         ports: list[AutopilotPort] = []
@@ -416,14 +417,15 @@ async def serve_cameras(
     content_type: str,
     address: tuple[str, int],
     *,
-    tell: Callable[[], dict[str, Any]],
+    time: OwnTime,
+    flown: Mapping[str, Any],
     truth: Callable[[], AsyncIterator[bytes]] | None = None,
 ) -> tuple[Any, ...]:
-    """Serve each at /ID, at / what `tell` says, and at /truth its lines; returns the socket's address."""
+    """Serve each at /ID, at / what is flown and when, and at /truth its lines; returns the socket's address."""
     from aiohttp import web
 
     async def introduce(_: web.Request) -> web.Response:
-        return web.json_response(tell())
+        return web.json_response({**flown, "world_time_s": time.now()})
 
     async def watch(request: web.Request) -> web.StreamResponse:
         camera = cameras.get(int(request.match_info["drone"]))

@@ -19,6 +19,7 @@ from swarmtrack.localswarm.hardware import (
     CameraHardware,
     CameraRenderer,
     OracleCamera,
+    OwnTime,
     authority,
     serve_cameras,
 )
@@ -161,7 +162,8 @@ async def simulate_outside(
             cameras,
             images.content_type,
             (host, port),
-            tell=lambda: {**flown, "world_time_s": clock.now() - epoch},
+            time=OwnTime(clock, epoch),
+            flown=flown,
             truth=outside.followers.lines,
         )
         for n, camera in cameras.items():

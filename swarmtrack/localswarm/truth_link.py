@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.clock import Clock
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.localswarm.truth_messages import TRUTH_MESSAGES, TrueSample, TruthReader
+from swarmtrack.sensors.mavlink.contact import heartbeat
 from swarmtrack.sensors.mavlink.framer import Framer, MavlinkFrame
 from swarmtrack.sensors.mavlink.links import LinkDown, open_link
 from swarmtrack.sensors.mavlink.signing import Codec
@@ -99,7 +100,7 @@ class TruthLink:
         """Say that we are there, and ask for what does not come: a simulator may start after us, and start again."""
         while True:
             if self._down is None:
-                self._send(_heartbeat())
+                self._send(heartbeat(common.MAV_TYPE_GCS))
                 if self.rate_hz < 0.8 * TRUTH_HZ:
                     for system, kind in self._systems.items():
                         for message_id in TRUTH_MESSAGES.get(kind, ()):
@@ -244,17 +245,6 @@ class TruthLink:
             f"up), expected less than {FARTHEST_M / 1e3:g} km. It is at lat_deg = {latitude:.6f}, lon_deg = "
             f"{longitude:.6f}, alt_m = {place.height:.1f}"
         )
-
-
-def _heartbeat() -> object:
-    return common.MAVLink_heartbeat_message(
-        type=common.MAV_TYPE_GCS,
-        autopilot=common.MAV_AUTOPILOT_INVALID,
-        base_mode=0,
-        custom_mode=0,
-        system_status=common.MAV_STATE_ACTIVE,
-        mavlink_version=3,
-    )
 
 
 def _request(system: int, message_id: int) -> object:

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, Strict, ValidationError, field_validator, model_validator
+from pydantic import Field, Strict, field_validator, model_validator
 
 from swarmtrack.config import CameraSection, Intrinsics, Lens, Mount, Start, TeamOrigin, mount_camera
-from swarmtrack.errors import ConfigError, SourceError, SwarmtrackError
+from swarmtrack.errors import SourceError, SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -41,7 +42,7 @@ from swarmtrack.toml.sections import (
     Section,
     Text,
     parameter_problems,
-    section_problem,
+    validated,
 )
 
 LINKS = ("link", "truth")
@@ -193,15 +194,7 @@ def world_of(layers: Layers, name: str, *, seed: int | None, keep_s: float) -> O
     """As `load_world`, from layers that were read before."""
     problems = parameter_problems(layers, "detector", DetectorParameters)
     problems += parameter_problems(layers, "expected", Limits)
-    try:
-        file = WorldFile.model_validate(layers.table)
-    except ValidationError as error:
-        problems += [
-            section_problem(layers, details, WorldFile) for details in error.errors(include_url=False)
-        ]
-    problems = problems or list(_shared(layers, file))
-    if problems:
-        raise ConfigError([str(problem) for problem in sorted(problems)])
+    file = validated(WorldFile, layers, problems, partial(_shared, layers))
     outsiders = {drone.id: _outsider(drone, keep_s) for drone in file.drone}
     return OutsideWorld(
         _scenario(name, file, seed, outsiders),

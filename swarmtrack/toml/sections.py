@@ -9,12 +9,14 @@ import re
 import sys
 import types
 import typing
-from typing import Annotated, Any
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from swarmtrack.errors import ConfigError
 from swarmtrack.toml.layers import Key, Layers, Problem
 
 # Strict: "1" is not 1, and true is not 1.0. A whole number is welcome where a number is asked for.
@@ -88,6 +90,30 @@ def _is_a(value: object, kind: Any) -> bool:
     if kind is int:
         return isinstance(value, int) and not isinstance(value, bool)
     return isinstance(value, kind) if kind in EXPECTED else True
+
+
+S = TypeVar("S", bound=Section)
+
+
+def validated(
+    root: type[S],
+    layers: Layers,
+    problems: list[Problem],
+    among_entries: Callable[[S], Iterable[Problem]] = lambda file: (),
+) -> S:
+    """The whole of a file as a `root`. Raises ConfigError with every problem that was found.
+
+    problems: those found already; among_entries: what entries, each right by itself, have against each other.
+    """
+    try:
+        file = root.model_validate(layers.table)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)
+        problems = problems + [section_problem(layers, details, root) for details in wrong]
+    problems = problems or list(among_entries(file))
+    if problems:
+        raise ConfigError([str(problem) for problem in sorted(problems)])
+    return file
 
 
 def section_problem(layers: Layers, error: ErrorDetails, root: type[Section]) -> Problem:

@@ -19,15 +19,6 @@ from swarmtrack.motion.ego import TeamPose
 BESIDE = shifted(LEFT, right=14.0)
 
 
-@pytest.fixture
-def observer():
-    """Who has heard that drone 2 is to the left and drone 3 to the right."""
-    alone = Observer()
-    alone.hears(2, LEFT)
-    alone.hears(3, RIGHT)
-    return alone
-
-
 # --- rivals ---
 
 

@@ -10,16 +10,6 @@ from swarmtrack.identity.identities import DEPARTED_S
 from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted
 
-
-@pytest.fixture
-def observer():
-    """Who has heard that drone 2 is to the left and drone 3 to the right."""
-    alone = Observer()
-    alone.hears(2, LEFT)
-    alone.hears(3, RIGHT)
-    return alone
-
-
 # --- given ---
 
 

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
+from support.autopilot_flight import Listener
 from support.places import SHARED
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
-from swarmtrack.messages import EgoPose, FlightState, ImuSample
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.sensors.mavlink.address import is_recording, parse_address
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
@@ -27,33 +27,11 @@ CUBE = SHARED / "mavlink" / "pyulog_sample_log_small_cubeorange.ulg"
 HOME = Geodetic.from_degrees(47.397742, 8.545594, 488.0)
 
 
-class Kept:
-    """Implements `AutopilotListener`."""
-
-    def __init__(self) -> None:
-        self.imu: list[ImuSample] = []
-        self.poses: list[EgoPose] = []
-        self.states: list[FlightState] = []
-
-    def on_imu(self, sample: ImuSample) -> None:
-        self.imu.append(sample)
-
-    def on_pose(self, pose: EgoPose) -> None:
-        self.poses.append(pose)
-
-    def on_flight_state(self, state: FlightState) -> None:
-        self.states.append(state)
-
-    def on_autopilot_reboot(self) -> None:
-        raise AssertionError("a log is of one boot")
-
-    def on_found_flying(self) -> None: ...
-
-
-async def played(path: Path, gps: GlobalPosition | None = None) -> tuple[Kept, MavlinkAutopilot]:
-    clock, kept = ManualClock(1000.0), Kept()
+async def played(path: Path, gps: GlobalPosition | None = None) -> tuple[Listener, MavlinkAutopilot]:
+    clock, kept = ManualClock(1000.0), Listener()
     autopilot = MavlinkAutopilot(f"ulog:{path}?speed=0", clock=clock, gps=gps)
     await autopilot.run(kept)
+    assert kept.reboots == 0, "a log is of one boot"
     return kept, autopilot
 
 

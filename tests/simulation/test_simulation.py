@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from support.autopilot_flight import Listener
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera
-from swarmtrack.messages import Array, EgoPose, FlightState, Frame, Image, ImuSample
+from swarmtrack.messages import Array, Frame, Image, ImuSample
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.sensors.simulated import Simulation, open_simulation
 from swarmtrack.simulation.rendering import Optics, Renderer
@@ -336,23 +337,17 @@ class FastForward:
         await asyncio.sleep(0)
 
 
-class Listener:
+class PunctualListener(Listener):
+    """behind: by how much each IMU sample came late [s]."""
+
     def __init__(self, clock: ManualClock) -> None:
+        super().__init__()
         self.clock = clock
-        self.imu: list[ImuSample] = []
-        self.poses: list[EgoPose] = []
         self.behind: list[float] = []
-        self.states: list[FlightState] = []
 
     def on_imu(self, sample: ImuSample) -> None:
-        self.imu.append(sample)
+        super().on_imu(sample)
         self.behind.append(self.clock.now() - sample.t)
-
-    def on_pose(self, pose: EgoPose) -> None:
-        self.poses.append(pose)
-
-    def on_flight_state(self, state: FlightState) -> None:
-        self.states.append(state)
 
     def on_autopilot_reboot(self) -> None:
         raise AssertionError("a simulated autopilot does not reboot")
@@ -402,10 +397,10 @@ async def test_two_runs_of_a_seed_deliver_the_same_frames_and_samples_bit_for_bi
     runs = []
     for _ in range(2):
         sim, clock = simulation("seed=5&fps=5&seconds=0.5")
-        listener = Listener(clock)
+        listener = PunctualListener(clock)
         images = [frame.image async for frame in sim.camera.frames()]
         sim, clock = simulation("seed=5&seconds=0.5")
-        listener = Listener(clock)
+        listener = PunctualListener(clock)
         await sim.autopilot.run(listener)
         runs.append((np.stack(images), np.stack([s.gyro for s in listener.imu]), listener.poses[-1].position))
     for one, other in zip(*runs, strict=True):
@@ -414,7 +409,7 @@ async def test_two_runs_of_a_seed_deliver_the_same_frames_and_samples_bit_for_bi
 
 async def test_imu_samples_arrive_in_order_and_complete_however_late_the_loop_wakes():
     sim, clock = simulation("imu_hz=200&seconds=2", late=0.1)
-    listener = Listener(clock)
+    listener = PunctualListener(clock)
     await sim.autopilot.run(listener)
     np.testing.assert_allclose(
         [sample.t for sample in listener.imu], 1000.0 - ImuParameters().delay_s + np.arange(400) / 200
@@ -426,7 +421,7 @@ async def test_imu_samples_arrive_in_order_and_complete_however_late_the_loop_wa
 
 async def test_ego_poses_start_at_the_autopilots_own_origin():
     sim, clock = simulation("drone=2&seconds=1")
-    listener = Listener(clock)
+    listener = PunctualListener(clock)
     await sim.autopilot.run(listener)
     assert np.linalg.norm(listener.poses[0].position) < 0.15
     assert np.linalg.norm(sim.initial_pose.position) > 2.0

@@ -26,23 +26,17 @@ SIGNING_BEGINS = 1_420_070_400  # s UTC: 2015-01-01
 
 
 class FakeVehicle(SimulatedVehicle):
-    """Senses its own public attributes. understands_intervals: False for an old firmware; key: signs with it."""
+    """Senses its own public attributes. understands_intervals: False for an old firmware; key: signs with it; the
+    rest: as any simulated autopilot."""
 
     def __init__(
         self,
         *,
-        system: int = 1,
-        component: int = 1,
-        boot_at: float = 0.0,
-        skew: float = 0.0,
-        offered: tuple[int, ...] | None = None,
         understands_intervals: bool = True,
         key: bytes | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(
-            self, system=system, component=component, boot_at=boot_at, skew=skew, offered=offered, **options
-        )
+        super().__init__(self, **options)
         self.understands_intervals = understands_intervals
         self.gyro = np.array((0.1, -0.2, 0.3))
         self.accel = np.array((0.0, 0.0, -9.80665))

@@ -23,7 +23,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import LinkStatus
 from swarmtrack.sensors.base import AutopilotListener
-from swarmtrack.sensors.mavlink.contact import Contact, News
+from swarmtrack.sensors.mavlink.contact import Contact, News, heartbeat
 from swarmtrack.sensors.mavlink.flight import FlightWatch
 from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
@@ -174,16 +174,7 @@ class MavlinkAutopilot:
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_EVERY
-            self._send(
-                common.MAVLink_heartbeat_message(
-                    type=common.MAV_TYPE_ONBOARD_CONTROLLER,
-                    autopilot=common.MAV_AUTOPILOT_INVALID,
-                    base_mode=0,
-                    custom_mode=0,
-                    system_status=common.MAV_STATE_ACTIVE,
-                    mavlink_version=3,
-                )
-            )
+            self._send(heartbeat(common.MAV_TYPE_ONBOARD_CONTROLLER))
         contact = self._contact
         if contact.system is None or now - contact.heard_at > LOST_AFTER:
             return

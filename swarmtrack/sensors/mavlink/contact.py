@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from pymavlink.dialects.v20 import common
+
 log = logging.getLogger(__package__)
 
 SAY_AGAIN = 10.0  # s before the same news is logged again
@@ -54,3 +56,15 @@ class News:
 
     def warn(self, name: str, text: str, *values: object) -> None:
         self.say(logging.WARNING, name, text, *values)
+
+
+def heartbeat(kind: int) -> object:
+    """What tells an autopilot that we are here. kind: MAV_TYPE of the dialect: as what."""
+    return common.MAVLink_heartbeat_message(
+        type=kind,
+        autopilot=common.MAV_AUTOPILOT_INVALID,
+        base_mode=0,
+        custom_mode=0,
+        system_status=common.MAV_STATE_ACTIVE,
+        mavlink_version=3,
+    )
