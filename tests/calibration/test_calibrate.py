@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from support.drone_on_the_bench import SMALL, Server, TurnedAutopilot, camera_at, free_port, written
+from support.drone_on_the_bench import SMALL, Server, TurnedAutopilot, camera_at, written
 from support.fake_autopilot import serve_udp
+from support.ports import free_port
 from swarmtrack.agents.main import main
 from swarmtrack.benchmarks import calibration as bench
 from swarmtrack.calibration.board import KINDS, Board, Seen, as_pdf

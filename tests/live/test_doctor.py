@@ -20,11 +20,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.drone_on_the_bench import SMALL, SOURCE, Server, TurnedAutopilot, camera_at, free_port, written
+from support.drone_on_the_bench import SMALL, SOURCE, Server, TurnedAutopilot, camera_at, written
 from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.network_of_keys import Drone, Team, announcement, free_addresses, now
 from support.patience import PATIENCE
 from support.places import ROOT, V4L2_STAND_IN
+from support.ports import free_port
 from swarmtrack.agents import doctor
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config

@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 import numpy as np
 
 from support.patience import eventually
+from support.ports import free_port
 from support.telling_sitl import PATH, autopilot, telling_sitl
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.geodesy import from_ned
@@ -45,12 +46,6 @@ def trouble(link: TruthLink, *words: str) -> Callable[[], bool]:
     return said
 
 
-def free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
-
-
 async def test_a_simulator_that_tells_is_followed_to_a_centimetre():
     pilot = autopilot()
     async with telling_sitl(pilot) as sitl, following(sitl.address) as (link, told):
@@ -72,7 +67,7 @@ async def test_nobody_listens():
 
 
 async def test_on_udp_nobody_listens_either():
-    async with following(f"udpout:127.0.0.1:{free_port(socket.SOCK_DGRAM)}") as (link, _):
+    async with following(f"udpout:127.0.0.1:{free_port()}") as (link, _):
         await eventually(trouble(link, "is silent: nobody listens there; is SITL running, with this port?"))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import socket
 import time
 
 import numpy as np
@@ -14,6 +13,7 @@ from pymavlink.dialects.v20 import common
 from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.patience import PATIENCE
+from support.ports import free_port
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError
@@ -193,12 +193,6 @@ async def test_the_error_of_the_receiver_is_within_the_sigma_that_is_told():
         error = found.position - world.pose(drone_id, 6.0).position
         assert found.position_sigma == pytest.approx(1.2, rel=0.05)
         assert 0.05 < np.linalg.norm(error) < 4.0 * 1.2
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return int(udp.getsockname()[1])
 
 
 CONFIG = """

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 
+from support.drone_on_the_bench import written
 from swarmtrack.agents.import_flight import BEGIN_S, DETECTOR_S, import_flight
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config
@@ -128,24 +129,12 @@ def parts_of(flight, tmp_path, monkeypatch):
     assert c.distortion is None
 
     def parts(name: str):
-        config = tmp_path / f"{name}.toml"
-        config.write_text(
-            f"""
-            drone.id = 1
-            network.transport = "memory"
-            autopilot.link = "none"
-            detector.look = "guided"
-            detector.motion = true
-            [camera]
-            source = "http://127.0.0.1:9/"
-            max_age_s = 60.0
-            intrinsics = {{ {lens} }}
-            [recording]
-            dir = "{tmp_path / name}"
-            frames = "jpeg"
-            frames_hz = 1000.0
-            """,
-            encoding="utf-8",
+        config = written(
+            tmp_path / f"config of {name}",
+            autopilot='link = "none"',
+            detector='look = "guided"\nmotion = true',
+            camera=f'source = "http://127.0.0.1:9/"\nmax_age_s = 60.0\nintrinsics = {{ {lens} }}',
+            recording=f'dir = "{tmp_path / name}"\nframes = "jpeg"\nframes_hz = 1000.0',
         )
         clock = ManualClock(BEGIN_S, 1.8e9)
         made = assemble(load_config(config), SystemClock(), clock)

@@ -17,7 +17,9 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from support.autopilot_flight import Flight, Listener, SimulatedLink
+from support.drone_on_the_bench import written
 from support.fake_autopilot import FakeAutopilot, serve_udp
+from support.ports import free_port
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError
@@ -43,19 +45,11 @@ from swarmtrack.sensors.mavlink.notices import Severity, image_status, named_val
 from swarmtrack.wire.health import link_health
 
 TIMEOUT = 180.0  # s: ends a hang, and says nothing of speed
-CONFIG = """
-drone.id = 1
-network.transport = "memory"
-autopilot.link = "udpin:127.0.0.1:1"
-autopilot.tell = {tell}
-[camera]
+CAMERA = """
 source = "http://127.0.0.1:9/"
-intrinsics = {{ fx = 600.0, fy = 600.0, cx = 319.5, cy = 255.5, width = 640, height = 512 }}
+intrinsics = { fx = 600.0, fy = 600.0, cx = 319.5, cy = 255.5, width = 640, height = 512 }
 """
-ORIGIN = """
-[team]
-origin = { lat_deg = 47.4, lon_deg = 8.5, alt_m = 488.0 }
-"""
+ORIGIN = "origin = { lat_deg = 47.4, lon_deg = 8.5, alt_m = 488.0 }"
 
 
 class Ground(FakeAutopilot):
@@ -80,24 +74,12 @@ class Ground(FakeAutopilot):
 # ── the agent, whole ─────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
-
-
 async def test_the_ground_station_reads_who_we_are_that_we_are_ready_and_how_many_we_see(tmp_path):
     port = free_port()
-    config = tmp_path / "drone.toml"
-    config.write_text(
-        f"""
-        drone.id = 1
-        network.transport = "memory"
-        camera.source = "sim://hover-triangle?seed=1"
-        autopilot.link = "udpin:127.0.0.1:{port}"
-        autopilot.tell = ["status", "camera_tracking"]
-        """,
-        encoding="utf-8",
+    config = written(
+        tmp_path,
+        camera='source = "sim://hover-triangle?seed=1"',
+        autopilot=f'link = "udpin:127.0.0.1:{port}"\ntell = ["status", "camera_tracking"]',
     )
     ground = Ground(system=7, boot_at=time.monotonic() - 40.0)
     ground.gyro = np.zeros(3)
@@ -149,12 +131,15 @@ class Source:
         return LinkStatus(self.name, self.ok, "")
 
 
+def telling(tmp_path, tell, **tables):
+    return written(tmp_path, camera=CAMERA, autopilot=f'link = "udpin:127.0.0.1:1"\ntell = {tell}', **tables)
+
+
 class Told:
     """A notices and the autopilot that it tells, on a perfect link in simulated time."""
 
     def __init__(self, tmp_path, tell='["status"]', *, looking=False):
-        path = tmp_path / "drone.toml"
-        path.write_text(CONFIG.format(tell=tell) + ORIGIN, encoding="utf-8")
+        path = telling(tmp_path, tell, team=ORIGIN)
         self.ground = Ground(boot_at=60.0)
         self.flight = Flight(self.ground)
         self.camera, self.network = Source("camera"), Source("zenoh")
@@ -545,18 +530,17 @@ def test_of_too_many_lines_the_least_severe_go_first():
     ],
 )
 def test_what_cannot_be_told_is_refused_with_the_reason(tmp_path, tell, words):
-    path = tmp_path / "drone.toml"
-    path.write_text(CONFIG.format(tell=tell), encoding="utf-8")
+    path = telling(tmp_path, tell)
     with pytest.raises(ConfigError) as caught:
         load_config(path)
     (problem,) = caught.value.problems
-    assert problem.startswith(f"{path}:5: autopilot.tell")
+    line = path.read_text().splitlines().index(f"tell = {tell}") + 1
+    assert problem.startswith(f"{path}:{line}: autopilot.tell")
     assert words in problem
 
 
 def test_check_says_what_is_told_and_warns(tmp_path):
-    path = tmp_path / "drone.toml"
-    path.write_text(CONFIG.format(tell='["status", "camera_tracking", "adsb"]') + ORIGIN, encoding="utf-8")
+    path = telling(tmp_path, '["status", "camera_tracking", "adsb"]', team=ORIGIN)
     result = subprocess.run(
         [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(path), "--check"],
         capture_output=True,

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from support.patience import PATIENCE
+from support.streams import nothing_comes_but, status_with
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.sensors.base import Camera
 from swarmtrack.sensors.cameras import open_camera
 
 PERIOD = 1 / 30
@@ -119,12 +119,6 @@ def url(port: int, query: str = "") -> str:
     return f"rtsp://127.0.0.1:{port}/live{query}"
 
 
-async def status_with(camera: Camera, words: str) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while words not in camera.status().text:  # noqa: ASYNC110
-            await asyncio.sleep(0.02)
-
-
 async def test_a_stream_gives_its_pictures_with_the_time_of_arrival(server: Server) -> None:
     clock = SystemClock()
     camera = open_camera(url(server.port, "?latency_ms=80&sigma_ms=30"), clock=clock, size=(64, 48))
@@ -188,14 +182,5 @@ async def test_nobody_there_and_no_stream_there_are_told_apart_and_close_at_once
         (mute.sockets[0].getsockname()[1], "answers, but gives no video"),
     ):
         camera = open_camera(url(port), clock=SystemClock())
-
-        async def drain(camera: Camera) -> int:
-            return len([frame async for frame in camera.frames()])
-
-        draining = asyncio.create_task(drain(camera))
-        await status_with(camera, sentence)
-        assert not camera.status().ok
-        async with asyncio.timeout(PATIENCE):
-            await camera.close()
-        assert await draining == 0
+        await nothing_comes_but(sentence, camera, camera.frames())
     mute.close()

@@ -9,7 +9,6 @@ import math
 import os
 import random
 import re
-import socket
 import tty
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega, common
 from support.autopilot_flight import Flight, Listener, RealFlight
 from support.fake_autopilot import FakeAutopilot, FakePx4, imu_report, serve_udp
 from support.places import SHARED
+from support.ports import free_port
 from swarmtrack.clock import ManualClock
 from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
 from swarmtrack.errors import SourceError
@@ -449,12 +449,6 @@ async def test_every_change_of_state_is_one_line_in_the_log(caplog):
 
 
 # ── real sockets ─────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
 
 
 async def test_two_megabytes_of_noise_into_the_udp_port_stop_nothing(caplog):

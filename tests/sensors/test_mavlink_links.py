@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from support.fake_autopilot import FakeAutopilot
+from support.ports import free_port
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.errors import SourceError
 from swarmtrack.sensors.mavlink import links
@@ -142,13 +143,8 @@ def udp_socket() -> socket.socket:
     return s
 
 
-def free_udp_port() -> int:
-    with udp_socket() as s:
-        return int(s.getsockname()[1])
-
-
 async def test_udpin_answers_only_where_a_valid_frame_of_ours_came_from():
-    port, receiver = free_udp_port(), Recorder(ours=b"autopilot")
+    port, receiver = free_port(), Recorder(ours=b"autopilot")
     link = open_link(f"udpin:127.0.0.1:{port}", SystemClock())
     with udp_socket() as autopilot, udp_socket() as stranger:
         async with running(link, receiver):
@@ -174,7 +170,7 @@ async def test_a_udp_port_in_use_names_its_holder():
 
 
 async def test_udpout_speaks_first_and_says_when_nobody_listens():
-    port = free_udp_port()
+    port = free_port()
     link = open_link(f"udpout:127.0.0.1:{port}", SystemClock())
     async with running(link, Recorder()):
         while not link.remark:
@@ -197,7 +193,7 @@ async def test_a_name_server_that_does_not_answer_is_named_in_time(monkeypatch, 
 
 
 async def test_tcp_says_who_refused_and_who_hung_up():
-    port = free_udp_port()
+    port = free_port()
     with pytest.raises(LinkDown, match=f"nobody listens at 127.0.0.1:{port}"):
         await open_link(f"tcp:127.0.0.1:{port}", SystemClock()).run(Recorder())
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import time
 from pathlib import Path
 
@@ -38,12 +37,6 @@ def written(folder: Path, **tables: str) -> Path:
 
 def camera_at(source: str) -> str:
     return f'source = "{source}"\nintrinsics = {NUMBERS}'
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
 
 
 class Server:

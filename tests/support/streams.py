@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import TypeVar
 
+import pytest
 from aiohttp import web
 
 from support.patience import PATIENCE
@@ -86,6 +87,32 @@ async def first(count: int, stream: AsyncIterator[T]) -> list[T]:
             if len(taken) == count:
                 break
     return taken
+
+
+async def status_with(source: Camera | DetectionSource, words: str) -> None:
+    """Wait until it says so."""
+    async with asyncio.timeout(PATIENCE):
+        while words not in source.status().text:  # noqa: ASYNC110
+            await asyncio.sleep(0.02)
+
+
+async def nothing_comes_but(
+    words: str, source: Camera | DetectionSource, stream: AsyncIterator[object]
+) -> None:
+    """The source says so, that it is not well, and gives nothing; then it is closed."""
+    taking = asyncio.create_task(first(1, stream))
+    await status_with(source, words)
+    assert not source.status().ok
+    async with asyncio.timeout(PATIENCE):
+        await source.close()
+    assert await taking == []
+
+
+def assert_two_are_stamped(times: Sequence[float], now: float, after: float) -> None:
+    """The first two said that they are of 0.3 s before `now`, on our clock and in UTC; the rest came 40 ms late."""
+    assert times[0] == pytest.approx(now - 0.3, abs=1e-6)
+    assert times[1] == pytest.approx(now - 0.3, abs=1e-2)
+    assert all(now - 0.04 < t < after - 0.04 for t in times[2:])
 
 
 def counters(source: Camera | DetectionSource) -> dict[str, float]:
