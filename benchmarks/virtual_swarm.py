@@ -29,6 +29,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
+from swarmtrack.perceived import Perceived
 from swarmtrack.simulation.oracle import OracleDetector
 from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters
@@ -41,8 +42,29 @@ LATENCY_S = 0.08  # s from exposure to detections
 LEAD_S = 1.0  # s that the sensors run before world time 0
 
 
-# Of the frame number `index` of a drone, exposed and stamped at world time t: (drone, index, t).
-Eyes = Callable[[int, int, float], Detections]
+class Exposure(NamedTuple):
+    """A drone's frame number `sequence`, exposed at t and stamped `stamp` [s, world time]; and what the drone perceives
+    when its detector looks."""
+
+    drone_id: int
+    sequence: int
+    t: float
+    stamp: float
+    perceived: Perceived
+
+
+Eyes = Callable[[Exposure], Detections]
+"""What is detected in a frame, with the frame's stamp."""
+
+
+def oracle_eyes(scenario: Scenario) -> Eyes:
+    """The scenario's own detector, which knows where everybody is."""
+    oracle = OracleDetector(scenario)
+
+    def eyes(seen: Exposure) -> Detections:
+        return dataclasses.replace(oracle.detections(seen.drone_id, seen.sequence, seen.t), t=seen.stamp)
+
+    return eyes
 
 
 class ObservedScan(NamedTuple):
@@ -76,7 +98,7 @@ class _Drone:
 class VirtualSwarm:
     """`fly` yields every scan of every drone, in the order of their exposure.
 
-    eyes: what finds drones in its frames, the scenario's oracle by default. camera_clocks_told: every drone knows by
+    eyes: what finds drones in frames, `oracle_eyes` by default. camera_clocks_told: every drone knows by
     how much its camera's stamps are late, and does not estimate it.
     """
 
@@ -95,7 +117,7 @@ class VirtualSwarm:
         """World time of each drone's first announcement [s]."""
         self._identity = identity or IdentityParameters()
         self._tracker = tracker
-        self._eyes = eyes or OracleDetector(scenario).detections
+        self._eyes = eyes or oracle_eyes(scenario)
         self._camera_clocks_told = camera_clocks_told
         self._drones = {drone_id: self._make(drone_id) for drone_id in scenario.members}
 
@@ -164,10 +186,11 @@ class VirtualSwarm:
             heapq.heappush(queue, (_due(what, index + 1, rate), drone_id, what, index + 1))
 
     def _scan(self, drone_id: int, index: int) -> None:
-        found = self._eyes(drone_id, index, index / self.scenario.fps)
-        drone = self._drones[drone_id]
+        drone, t = self._drones[drone_id], index / self.scenario.fps
+        exposure = Exposure(drone_id, index, t, t + self.stamps_late(drone_id), drone.onboard)
+        found = self._eyes(exposure)
         drone.found[index] = found.centre
-        drone.onboard.tell(dataclasses.replace(found, t=found.t + self.stamps_late(drone_id)))
+        drone.onboard.tell(found)
 
     def _say(self, now: float) -> None:
         for drone_id, drone in self._drones.items():

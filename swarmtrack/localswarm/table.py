@@ -220,7 +220,7 @@ def team_table(report: SwarmReport) -> Table:
         table.add_column(heading, justify="left" if not heading else "right")
     table.add_row("right names", share(score.correct), f"≥ {limits.correct:g}")
     table.add_row("wrong names", share(score.wrong), f"≤ {limits.wrong:g}")
-    table.add_row("the surest of them, probability", number(score.wrong_max_probability, 3), "")
+    table.add_row("highest probability of a wrong name", number(score.wrong_max_probability, 3), "")
     table.add_row("unknown", share(score.unknown), "")
     table.add_row("agreement", share(score.agreement), f"≥ {limits.agreement:g}")
     slowest = max(score.time_to_identify_s.values(), default=math.nan)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.config import DroneConfig, MountedCamera
+from swarmtrack.config import DetectorSection, DroneConfig, MountedCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.ego import EgoHistory
@@ -64,11 +64,15 @@ def make_detector(config: DroneConfig, clock: Clock) -> Detector | None:
     """None for a camera that detects by itself. clock: of how long it takes."""
     if config.camera.detects_by_itself:
         return None
+    return detector_of(config.detector, clock)
+
+
+def detector_of(section: DetectorSection, clock: Clock) -> Detector:
+    """As [detector] of a config describes it. clock: of how long it takes."""
     from swarmtrack.detection.attention import AttentionParameters  # noqa: PLC0415
     from swarmtrack.detection.description import Declared  # noqa: PLC0415
     from swarmtrack.detection.detector import Detector  # noqa: PLC0415
 
-    section = config.detector
     usual_scale = 1.0 if section.look == "whole" else GUIDED_SCALE
     return Detector(
         section.model,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -11,10 +12,11 @@ import pytest
 from swarmtrack.benchmarks.errands import benchmark
 from swarmtrack.benchmarks.errands.benchmark import Programme, fly, scenario_of_seed, summary
 from swarmtrack.benchmarks.errands.judge import ClockRecord, FlightJudge
-from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
+from swarmtrack.benchmarks.virtual_swarm import Exposure, ObservedScan, VirtualSwarm
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.messages import IdentifiedTrack, Track, TrackList, TrackStatus
+from swarmtrack.messages import Array, IdentifiedTrack, Track, TrackList, TrackStatus
 from swarmtrack.motion.time_offset import OffsetEstimate
+from swarmtrack.simulation.scenarios import Scenario
 
 
 def clock(used_s: float, found: tuple[float, float] | None = None) -> SimpleNamespace:
@@ -83,6 +85,54 @@ def test_named_again_counts_from_the_detection_and_only_after_a_time_away() -> N
     scans_of(judge, truth, stays)
     # The first is no return, the second was away for too short, the last stayed for too short.
     assert judge.named_again == [pytest.approx(0.5), math.inf]
+
+
+def test_in_drawn_pictures_the_agents_detector_looks_where_its_drone_expects_a_teammate(monkeypatch) -> None:
+    scenario = scenario_of_seed(Programme(drones=(2,), rendered=True), 4)
+    in_the_air = 15.0
+    box = (
+        SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera).view(1, in_the_air).in_view[2]
+    )
+    expected = np.array([[*box[:2], 5.0, 5.0, *box[2:]]])
+    monkeypatch.setattr(benchmark, "PerceivedExpectation", Expects)
+    eyes = benchmark.rendered_eyes(scenario)
+    whole, near = (
+        eyes(Exposure(1, k, in_the_air, in_the_air + 0.05, boxes))
+        for k, boxes in enumerate((np.empty((0, 6)), expected))
+    )
+    for found in (whole, near):
+        assert np.hypot(*(found.centre - box[:2]).T).min() < 5.0
+        assert found.t == in_the_air + 0.05, "by the camera's own clock"
+    assert near.coverage < 0.5 < whole.coverage
+
+
+class Expects:
+    """These boxes (n, 6), whenever; and nobody knows of turns."""
+
+    def __init__(self, boxes: Array) -> None:
+        self._boxes = boxes
+
+    def boxes(self, exposed: float) -> Array:
+        return self._boxes
+
+    def pixels_at(self, then: float, now: float) -> None:
+        return None
+
+
+def test_a_rendered_flight_is_flown_once_and_not_compared(monkeypatch) -> None:
+    def short(p: Programme, seed: int) -> Scenario:
+        return dataclasses.replace(scenario_of_seed(p, seed), seconds=2.0, fps=5.0)
+
+    monkeypatch.setattr(benchmark, "scenario_of_seed", short)
+    programme = Programme(drones=(2,), rendered=True)
+    assert not benchmark.twins_of(programme)
+    assert list(benchmark.twins_of(Programme(seeds=9))) == [1, 5, 9]
+    flight = dataclasses.replace(fly(programme, False, 1), nis=[1.0])  # which is judged after the first turns
+    found = summary([flight], [])
+    page = benchmark._markdown(dataclasses.asdict(programme) | found)
+    assert "drawn pictures, shipped detector" in page
+    assert "highest probability of a wrong name" in page
+    assert "turning" not in page
 
 
 @pytest.mark.long

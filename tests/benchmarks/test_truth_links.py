@@ -15,12 +15,11 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.benchmarks.identity.recognition import Flight, judge
-from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
+from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm, oracle_eyes
 from swarmtrack.localswarm.truth_messages import ATTITUDE_QUATERNION, SIM_STATE, TruthReader
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.autopilot import SimulatedArduPilot
 from swarmtrack.simulation.followed import FollowedDrone
-from swarmtrack.simulation.oracle import OracleDetector
 from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.senses import DroneSenses
 from swarmtrack.simulation.truth import DroneTruth
@@ -68,7 +67,7 @@ def flights(name: str, seed: int, seconds: float) -> tuple[Flight, Flight]:
     seen = dataclasses.replace(scenario, world=told)
     return (
         judge(VirtualSwarm(scenario), scenario, seconds),
-        judge(VirtualSwarm(scenario, eyes=OracleDetector(seen).detections), seen, seconds),
+        judge(VirtualSwarm(scenario, eyes=oracle_eyes(seen)), seen, seconds),
     )
 
 
