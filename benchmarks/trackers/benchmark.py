@@ -56,7 +56,7 @@ ABLATIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("narrow gate", {"gate_probability": 0.999}),
     ("no resolution model", {"resolution_px": 0.0}),
     ("clutter rate as told", {"learn_clutter": False}),
-    ("noise as told", {"learn_noise": False}),
+    ("noise as told", {"learn_noise": "no"}),
     ("no occlusion", {"occlusion": False}),
 )
 """Improvements of the default tracker, switched off one at a time; what it has no parameter for is left out."""

@@ -345,12 +345,12 @@ FAULTS: dict[str, Fault] = {
     "tracking.sure": Fault(
         W,
         "detections lie {times:.1f} times further off than the tracks expect: directions are less exact than they say",
-        "check camera.time_offset_s and the mount (swarmtrack calibrate extrinsics); keep tracker.adapt_noise on",
+        "check camera.time_offset_s and the mount (swarmtrack calibrate extrinsics); keep learn_noise = \"both\"",
     ),
     "tracking.careful": Fault(
         W,
         "detections lie {times:.1f} times nearer than the tracks expect: directions are more exact than they say",
-        "use tracker.name = \"mbm\" with adapt_noise = true; or lower measurement_sigma and acceleration_psd",
+        "use tracker.name = \"mbm\" with learn_noise = \"both\"; or lower measurement_sigma and acceleration_psd",
     ),
     # --- network
     "network.closed": Fault(

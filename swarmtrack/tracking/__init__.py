@@ -25,7 +25,7 @@ TRACKERS: dict[str, type[Filter]] = {  # a visible table: add a tracker by its m
     "mbm": Mbm,
 }
 # What an agent tells its tracker, unless its config says otherwise: nobody measured this detector on this flight.
-AGENT_PARAMETERS: dict[str, Any] = {"adapt_noise": True}
+AGENT_PARAMETERS: dict[str, Any] = {"learn_noise": "both"}
 
 
 def create_tracker(name: str, *, camera: PinholeCamera, **parameters: Any) -> Tracker:

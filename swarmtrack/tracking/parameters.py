@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 PROFILES = ("default", "paper")
+NOISE_LEARNING = ("no", "upwards", "both")
 MAX_LAG_S = 10.0
 
 
@@ -35,11 +36,10 @@ class CommonParameters:
     """Expected false detections per image. With `learn_clutter` it is the initial value."""
     learn_clutter: bool = True
     """Learn the rate of false detections, within a factor of ten of `clutter_per_scan`."""
-    learn_noise: bool = True
-    """Where detections scatter more than they should, assume more noise, up to ten times R."""
-    adapt_noise: bool = False
-    """Learn from the innovations, both ways, how much detections scatter per class of box sizes and how calmly targets
-    fly (`tracking/noise.py`). Needs `learn_noise`. Trackers made without an agent do not, unless told to."""
+    learn_noise: str = "upwards"
+    """`both`: learn from the innovations how much detections scatter per class of box sizes, and how calmly targets
+    fly (`tracking/noise.py`). `upwards`: only where detections scatter more than they should, up to ten times R.
+    `no`: it is as told."""
     gate_probability: float = 0.999
     """Probability that a true detection falls inside its target's gate."""
     birth_per_scan: float = 0.02
@@ -72,10 +72,11 @@ class CommonParameters:
         return False
 
     def __post_init__(self) -> None:
-        if self.profile not in PROFILES:
-            raise ValueError(
-                f"tracker.profile: found {self.profile!r}, expected one of {', '.join(PROFILES)}"
-            )
+        for name, known in (("profile", PROFILES), ("learn_noise", NOISE_LEARNING)):
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"tracker.{name}: found {getattr(self, name)!r}, expected one of {', '.join(known)}"
+                )
         above_zero = (
             "measurement_sigma", "acceleration_psd", "clutter_per_scan", "birth_per_scan", "birth_speed_sigma",
             "max_coast_s", "size_sigma",

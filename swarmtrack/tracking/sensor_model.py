@@ -82,9 +82,8 @@ class SensorModel:
         self.noise_scale = 1.0
         """By which every R is multiplied, as learned until now, where it is learned upwards only."""
         self._detections_learned = PRIOR_DETECTIONS
-        self._learns_noise = parameters.learn_noise and parameters.profile != "paper"
-        self._adapts = parameters.adapt_noise and self._learns_noise
-        self.noise = NoiseScales(motion=self._adapts and parameters.has_calm_model)
+        self._noise_learned = parameters.learn_noise if parameters.profile != "paper" else "no"
+        self.noise = NoiseScales(motion=self._noise_learned == "both" and parameters.has_calm_model)
         """Where it is learned both ways."""
         self.parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
@@ -113,7 +112,7 @@ class SensorModel:
             good &= sound
         self.counters["unusable_detections"] += m - int(good.sum())
         widest = None
-        if self._adapts:
+        if self._noise_learned == "both":
             told_R, R = R, self.noise.applied(R, size)
             widest = np.maximum(told_R, R)
         elif self.noise_scale > 1.0:
@@ -142,7 +141,7 @@ class SensorModel:
         """A copy of covariances (n, 4, 4) px², where noise is measured with an error of the centre that lasts: boxes
         have edges of whole pixels, and more boxes of a target that hovers round them the same way."""
         cov = cov.copy()
-        if self._adapts:
+        if self._noise_learned == "both":
             cov[:, [0, 2], [0, 2]] += LEAST_SIGMA**2
         return cov
 
@@ -203,9 +202,9 @@ class SensorModel:
         large an R makes tracks sluggish, too small a one loses targets; and the noise of real detectors has a small
         core and heavy tails, which one scale fitted to the core would cut off where there is no agile model.
         """
-        if not self._learns_noise:
+        if self._noise_learned == "no":
             return
-        if self._adapts:
+        if self._noise_learned == "both":
             self.noise.learn(pairs, size, steady=steady)
             return
         for distance in pairs.nis.tolist():

@@ -234,7 +234,7 @@ def test_oracles_never_swap_or_lose(oracle, scene):
 
 def test_without_clutter_or_misses_the_kalman_filter_is_its_oracle():
     scene = SCENES["noise.50"]
-    assert play(scene, "kalman", {"learn_noise": False}).rmse_px == pytest.approx(
+    assert play(scene, "kalman", {"learn_noise": "no"}).rmse_px == pytest.approx(
         play(scene, "oracle_cv").rmse_px, rel=1e-6
     )
 

@@ -142,7 +142,7 @@ AGENT = """
 drone.id = 1
 network.transport = "memory"
 autopilot.link = "none"
-tracker = { name = "kalman", measurement_sigma = 1.0, adapt_noise = false }
+tracker = { name = "kalman", measurement_sigma = 1.0, learn_noise = "upwards" }
 [camera]
 source = "http://127.0.0.1:9/"
 intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }

@@ -39,7 +39,7 @@ def flown(name, seed, *, sigma, psd=TOLD_PSD, hz=15.0, n=6, seconds=25.0, side=4
     """A tracker of n targets far apart; sigma (…,) px of their detections, psd px²/s³: the truth. jolts (scans,) px:
     everything in the image moves by so much, there and back."""
     rng = np.random.default_rng(seed)
-    parameters = {"measurement_sigma": TOLD_SIGMA, "adapt_noise": True} | BY_HAND | CALM | told
+    parameters = {"measurement_sigma": TOLD_SIGMA, "learn_noise": "both"} | BY_HAND | CALM | told
     tracker = create_tracker(name, camera=CAMERA, **parameters)
     scans = round(seconds * hz)
     start = 800.0 + 1300.0 * np.arange(n)[:, None] * [1.0, 0.9]
@@ -119,7 +119,7 @@ def test_each_class_of_sizes_has_its_own():
 
 
 def test_who_was_told_a_sigma_uses_it_unless_asked_to_learn():
-    tracker, _ = flown("mbm", 0, sigma=0.5, adapt_noise=False)
+    tracker, _ = flown("mbm", 0, sigma=0.5, learn_noise="upwards")
     assert tracker.measured_noise is None
     assert assumed(tracker, 40.0) == pytest.approx(TOLD_SIGMA**2 * np.eye(2))
     assert nis_over_expected(tracker) < 0.4
@@ -245,7 +245,7 @@ def test_the_same_flight_is_learned_the_same_bit_for_bit(name):
 def sharp_track(seconds=4.0, side=50.0):
     """A tracker that has learned how little one target at (5000, 5000) px scatters, and the time of its last scan."""
     rng = np.random.default_rng(0)
-    tracker = create_tracker("mbm", camera=CAMERA, adapt_noise=True, measurement_sigma=TOLD_SIGMA)
+    tracker = create_tracker("mbm", camera=CAMERA, learn_noise="both", measurement_sigma=TOLD_SIGMA)
     k = 0
     for k in range(round(30 * seconds)):
         z = np.array([[5000.0, 5000.0]]) + rng.normal(0.0, 0.3, (1, 2))
@@ -284,7 +284,7 @@ def test_what_lasts_is_published_but_not_believed_by_the_filter(name):
         (now,), (later,) = tracker.tracks, tracker.at(0.1)
         return tracker._filter.table.cov[0], now.cov, later.cov
 
-    believed, published, later = variances(adapt_noise=True)
+    believed, published, later = variances(learn_noise="both")
     _, as_told, later_as_told = variances()
     lasting = np.diag([LEAST_SIGMA**2, 0.0, LEAST_SIGMA**2, 0.0])
     np.testing.assert_allclose(published, believed + lasting)

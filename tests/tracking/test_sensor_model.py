@@ -230,11 +230,18 @@ def test_a_larger_noise_is_that_of_every_detection():
         assert model.usable(scan).R[0] == pytest.approx(10.0 * R)
 
 
-@pytest.mark.parametrize("off", [{"learn_noise": False}, {"profile": "paper"}])
+@pytest.mark.parametrize("off", [{"learn_noise": "no"}, {"profile": "paper"}])
 def test_learning_the_noise_can_be_switched_off(off):
     model = sensor(**off)
     model.learn_noise(misfits([50.0] * 100), np.full((100, 2), 30.0), steady=True)
     assert model.noise_scale == 1.0
+
+
+def test_an_unknown_way_to_learn_the_noise_is_refused():
+    with pytest.raises(
+        ValueError, match=r"tracker\.learn_noise: found 'down', expected one of no, upwards, both"
+    ):
+        sensor(learn_noise="down")
 
 
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-300, 1e12, 1e300])

@@ -68,7 +68,7 @@ def test_it_is_the_best_estimate_from_all_scans_until_now(name):
     truth = wander(rng, np.array([[300.0, 200.0]]), 30)[:, 0]
     z = truth + rng.normal(0.0, SIGMA, truth.shape)
     z[4::5] = np.nan
-    tracker = tracker_of(name, lag / HZ, clutter_per_scan=1e-6, occlusion=False, learn_noise=False)
+    tracker = tracker_of(name, lag / HZ, clutter_per_scan=1e-6, occlusion=False, learn_noise="no")
     tracker.initiate(0.0, z[:1])
     compared = 0
     for k in range(1, len(z)):
