@@ -70,13 +70,14 @@ def oracle_eyes(scenario: Scenario) -> Eyes:
 class ObservedScan(NamedTuple):
     """What `observer` tracked in the scan exposed at t [s, world time, by its own belief].
 
-    centres (m, 2) px: what its detector had found there.
+    centres (m, 2) px: what its detector had found there; exposed_t [s, world time]: when it was exposed in truth.
     """
 
     observer: int
     t: float
     tracks: TrackList
     centres: Array
+    exposed_t: float
 
 
 @dataclasses.dataclass(slots=True)
@@ -91,8 +92,8 @@ class _Drone:
     reported: frozenset[int] = frozenset()
     wanted: list[int] = dataclasses.field(default_factory=list)
     """Whose pose it wants and has not asked for yet."""
-    found: dict[int, Array] = dataclasses.field(default_factory=dict)
-    """Centres (m, 2) px in the frames that are not tracked yet, by their number."""
+    found: dict[int, tuple[Array, float]] = dataclasses.field(default_factory=dict)
+    """By number, of the frames that are not tracked yet: centres (m, 2) px, and when it was exposed [s, world time]."""
 
 
 class VirtualSwarm:
@@ -176,8 +177,8 @@ class VirtualSwarm:
                 self._scan(drone_id, index)
             for event in drone.onboard.events():
                 if isinstance(event, ScanReport):
-                    centres = drone.found.pop(event.sequence)
-                    yield ObservedScan(drone_id, event.tracks.t, event.tracks, centres)
+                    centres, exposed_t = drone.found.pop(event.sequence)
+                    yield ObservedScan(drone_id, event.tracks.t, event.tracks, centres, exposed_t)
                 elif isinstance(event, PoseWanted):
                     drone.wanted.append(event.drone_id)
                 elif isinstance(event, HeadingNews) and drone.announced:
@@ -189,7 +190,7 @@ class VirtualSwarm:
         drone, t = self._drones[drone_id], index / self.scenario.fps
         exposure = Exposure(drone_id, index, t, t + self.stamps_late(drone_id), drone.onboard)
         found = self._eyes(exposure)
-        drone.found[index] = found.centre
+        drone.found[index] = found.centre, t
         drone.onboard.tell(found)
 
     def _say(self, now: float) -> None:

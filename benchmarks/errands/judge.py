@@ -1,4 +1,9 @@
-"""One flight on errands, judged scan by scan: offsets taken up, names, distances, and how soon named again."""
+"""One flight on errands, judged scan by scan: offsets taken up, names, distances, and how soon named again.
+
+A name is judged by what the camera saw when it exposed, a distance by the time that the drone gives to the scan. A
+clock that is 70 ms off shifts every track of a camera that turns. That is an error of place, and counts as one; the
+track is still on its drone, and so is the name.
+"""
 
 from __future__ import annotations
 
@@ -154,13 +159,13 @@ class FlightJudge:
         clock = onboard.camera_clock
         record = self.clocks[scan.observer]
         record.see(scan.t, clock)
-        view = self._truth.view(scan.observer, scan.t)
-        self._score(scan, view)
-        self._distances(scan, view)
-        self._names_elsewhere(scan, view)
+        self._distances(scan, self._truth.view(scan.observer, scan.t))
+        shown = self._truth.view(scan.observer, scan.exposed_t)
+        self._score(scan, shown)
+        self._names_elsewhere(scan, shown)
         for drone_id in self.clocks:
             if drone_id != scan.observer:
-                self._meet(scan, drone_id, view)
+                self._meet(scan, drone_id, shown)
         period = int(scan.t // NIS_EVERY_S)
         consistency = onboard.consistency
         if scan.t > record.turns_from and period != self._nis_judged.get(scan.observer) and consistency:
@@ -194,14 +199,14 @@ class FlightJudge:
         for drone_id, t in self._swarm.announced_at.items():
             self._scorer.announced(drone_id, t)
             self._scorer.knows(scan.observer, "virtual", drone_id, t)
-        index = math.floor(scan.t * RATE_HZ)
+        index = math.floor(scan.exposed_t * RATE_HZ)
         if self._judged.get(scan.observer) != index:
             self._judged[scan.observer] = index
             glance = Glance(
                 scan.observer,
                 "virtual",
                 index,
-                scan.t,
+                scan.exposed_t,
                 view.in_view,
                 view.hidden,
                 confirmed_tracks(scan.tracks),

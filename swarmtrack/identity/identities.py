@@ -231,7 +231,7 @@ class Identities:
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
-        return tuple(IdentifiedTrack(track, *self._name(track.id)) for track in tracks)
+        return tuple(IdentifiedTrack(track, *self._name(track)) for track in tracks)
 
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
         """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
@@ -247,11 +247,13 @@ class Identities:
         """The drones that should announce their pose again; each is returned once."""
         return self._pose_requests.take()
 
-    def _name(self, track_id: int) -> tuple[Identity, float]:
-        assignment = self._assignments.get(track_id)
+    def _name(self, track: Track) -> tuple[Identity, float]:
+        """An ID says where its drone is. That is so as surely as the track still has its target."""
+        assignment = self._assignments.get(track.id)
         if assignment is not None and assignment.stated:
-            return assignment.drone_id, assignment.probability
-        unassigned = self._unassigned.get(track_id)
+            probability = assignment.probability * track.probability
+            return (assignment.drone_id, probability) if probability > 0.5 else (None, 0.0)
+        unassigned = self._unassigned.get(track.id)
         if unassigned is not None and unassigned.foreign:
             return FOREIGN, unassigned.p_none
         return None, 0.0

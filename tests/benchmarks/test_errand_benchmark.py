@@ -65,7 +65,7 @@ def scans_of(judge: FlightJudge, truth: SwarmTruth, stays: list[tuple[float, flo
         tracks = (IdentifiedTrack(state, name, 0.9 if name else 0.0),) if stay else ()
         view = truth.view(1, 0.0)
         judge._meet(
-            ObservedScan(1, t, TrackList(t, t, tracks), centres),
+            ObservedScan(1, t, TrackList(t, t, tracks), centres, t),
             2,
             view if stay else view._replace(in_view={}),
         )
