@@ -205,7 +205,8 @@ class Track(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedTrack:
-    """A track and who it is. `identity_probability` is that of the stated identity, 0 while unknown."""
+    """A track and who it is. `identity_probability`: that whoever is stated is there; 0 while unknown. It falls with
+    the track's own while that is not detected."""
 
     track: Track
     identity: Identity

@@ -13,7 +13,8 @@ once: every frame is drawn, with houses, poles and trees all around, and the age
   drone moves by more than 100 px/s in the image; after the offset has been found for good, and over the whole flight.
 * named again: a teammate that had been named was out of view for `AWAY_S` and is in view again: seconds from its first
   detection to its name. One that leaves earlier is no chance missed if it stayed below `GRACE`.
-* wrong names: as `swarmtrack sim` counts them, ten times a second, by what was there when the camera exposed. Elsewhere: of all names on tracks, scan by scan,
+* wrong names: as `swarmtrack sim` counts them, ten times a second, by what was there when the camera exposed.
+  Elsewhere: of all names on tracks, scan by scan,
   those that are more than `NEAR_PX` from their drone: on a house, or on a track that coasts out of view. On something
   that is detected: on a house, or on another drone.
 * NIS: over what the filter expects, every `NIS_EVERY_S` seconds in the air.

@@ -63,6 +63,19 @@ def test_an_id_stays_with_its_track_wherever_it_flies(observer):
     assert names == {"a": 2, "b": 3}
 
 
+def test_a_name_is_as_sure_as_its_track_and_withheld_once_that_has_likelier_lost_the_drone(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    track, *_ = observer.tracks
+    stated = [
+        (entry.identity, entry.identity_probability)
+        for existence in (1.0, 0.8, 0.4)
+        for entry in observer.identities.label([track._replace(probability=existence)])
+    ]
+    sure = stated[0][1]
+    assert sure > 0.95
+    assert stated == [(2, sure), (2, pytest.approx(0.8 * sure)), (None, 0.0)]
+
+
 def test_an_id_is_kept_through_occlusion_and_while_a_track_is_carried_on(observer):
     observer.sees(1.0, a=LEFT, b=RIGHT)
     for step in range(10):

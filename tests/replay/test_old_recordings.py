@@ -16,7 +16,7 @@ from swarmtrack.replay.replayer import Replayer
 FLIGHTS = SHARED / "sitl_flights"
 # Of two drones flown by ArduPilot, as they are tracked now. Whoever changes a tracker, the camera's clock or who is
 # who, so that old flights come out otherwise, replaces these and says so.
-DIGESTS = {"D_gps/drone-2": (236, "2f4fbff100b92fcf"), "B_gps/drone-1": (243, "f76fadf24665de9a")}
+DIGESTS = {"D_gps/drone-2": (236, "f993820cbf56c064"), "B_gps/drone-1": (243, "f76fadf24665de9a")}
 
 
 def digest(scans) -> str:
