@@ -19,6 +19,7 @@ from swarmtrack.simulation.followed import FollowedDrone, ToldPose
 
 # lines that wait for a follower: tens of seconds of truth about a few drones
 BACKLOG = 4096
+RETRY_S = 0.5
 
 
 def told(drone_id: int, sample: ToldPose) -> dict[str, Any]:
@@ -62,16 +63,46 @@ class Followers:
 
 
 async def follow_truth(url: str, drones: Mapping[int, FollowedDrone], on_said: Callable[[str], None]) -> None:
-    """Tell the drones what comes from a simulator's /truth, until it closes. Raises aiohttp.ClientError."""
+    """Tell the drones what comes from a simulator's /truth, until cancelled. A connection that is lost is made again;
+    what was told meanwhile is not repeated. on_said: is given what the simulator says, and that the connection is lost
+    or back."""
+    from aiohttp import ClientError, ClientPayloadError
+
+    lost = False
+    while True:
+        try:
+            async for record in _records(url):
+                if lost:
+                    on_said("the simulator tells the truth again")
+                    lost = False
+                if "said" in record:
+                    on_said(record["said"])
+                else:
+                    drones[record["id"]].tell(record["t_s"], _pose(record))
+            reason = "it closed the connection"
+        except ClientPayloadError:
+            reason = "the connection broke off"
+        except ClientError as error:
+            reason = str(error) or type(error).__name__
+        # Where the simulator has died, the flight ends meanwhile, and says that instead.
+        await asyncio.sleep(RETRY_S)
+        if not lost:
+            lost = True
+            on_said(
+                f"the simulator's truth at {url} is lost: {reason}; trying again, what is said meanwhile is not judged"
+            )
+
+
+async def _records(url: str) -> AsyncIterator[dict[str, Any]]:
+    """What comes through one connection. Raises aiohttp.ClientError."""
     import aiohttp
 
     timeout = aiohttp.ClientTimeout(total=None)
     async with aiohttp.ClientSession(timeout=timeout) as session, session.get(url) as response:
         response.raise_for_status()
         async for line in response.content:
-            record = json.loads(line)
-            if "said" in record:
-                on_said(record["said"])
-                continue
-            pose = Pose(rotation.from_quaternion(record["quaternion_wxyz"]), np.array(record["position_m"]))
-            drones[record["id"]].tell(record["t_s"], pose)
+            yield json.loads(line)
+
+
+def _pose(record: dict[str, Any]) -> Pose:
+    return Pose(rotation.from_quaternion(record["quaternion_wxyz"]), np.array(record["position_m"]))
