@@ -15,9 +15,10 @@ import numpy as np
 
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
+from swarmtrack.motion.smooth import scaled, smooth_step
 from swarmtrack.simulation.response import STEP_S, Response, SetPoint, Triple, advance, at_rest
 from swarmtrack.simulation.response import Flown as FlownState
-from swarmtrack.simulation.trajectory import GRAVITY, Motion, Path, attitude_and_rate, scaled, smooth_step
+from swarmtrack.simulation.trajectory import GRAVITY, Motion, Path, attitude_and_rate
 
 REMEMBERED_S = 20.0  # s: frames, filters and truth ask for tenths of a second
 SWAYS_FROM_M = 1.0  # m above the ground: there it sways in full, on the ground not at all

@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
+from swarmtrack.motion.smooth import DERIVATIVES, scaled, sinusoid, smooth_step
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # m/s², NED: down is positive
-DERIVATIVES = 4  # position, velocity, acceleration, jerk
 FREE_FALL_THRUST = 0.5  # m/s²: below it the thrust has no direction, and flatness no attitude
 
 
@@ -182,13 +182,6 @@ class Hover:
         return flat
 
 
-def _sinusoid(amplitude: Array, omega: Array, angle: Array) -> Array:
-    """amplitude sin(angle) and its derivatives where the angle grows by omega: (…) -> (DERIVATIVES, …)."""
-    sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
-    square = omega * omega
-    return np.array([sine, omega * cosine, -square * sine, -square * omega * cosine])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Lissajous:
     """centre + amplitude sin(2π frequency t + phase), each (3,), in m, m, Hz, rad.
@@ -204,7 +197,7 @@ class Lissajous:
     def derivatives(self, t: float) -> Array:
         omega = 2.0 * math.pi * np.asarray(self.frequency, dtype=float)
         angle = omega * t + np.asarray(self.phase, dtype=float)
-        flat = _sinusoid(np.asarray(self.amplitude, dtype=float), omega, angle)
+        flat = sinusoid(np.asarray(self.amplitude, dtype=float), omega, angle)
         flat[0] += self.centre
         return flat
 
@@ -229,7 +222,7 @@ class Wander:
 
     def derivatives(self, t: float) -> Array:
         omega = 2.0 * math.pi * self.frequencies
-        return np.asarray(_sinusoid(self.amplitudes, omega, omega * t + self.phases).sum(axis=1))
+        return np.asarray(sinusoid(self.amplitudes, omega, omega * t + self.phases).sum(axis=1))
 
 
 def wander(rng: np.random.Generator, amplitude: float = 0.03, terms: int = 6) -> Wander:
@@ -380,34 +373,6 @@ class Handover:
         s = smooth_step((t - self.start) / self.duration) / self.duration ** np.arange(DERIVATIVES)
         old = self.before.derivatives(t)
         return np.asarray(old + scaled(s, self.after.derivatives(t) - old))
-
-
-def scaled(factor: Array, flat: Array) -> Array:
-    """The derivatives (4, 3) of a path's `flat` (4, 3) times a number with the derivatives `factor` (4,): Leibniz."""
-    product = np.zeros((DERIVATIVES, 3))
-    for order in range(DERIVATIVES):
-        for k in range(order + 1):
-            product[order] += math.comb(order, k) * factor[k] * flat[order - k]
-    return product
-
-
-def smooth_step(x: float) -> Array:
-    """From 0 to 1 on 0…1 by the polynomial of degree 7 that is flat to third order at both ends.
-
-    Value and three derivatives, (4,).
-    """
-    if x <= 0.0:
-        return np.zeros(DERIVATIVES)
-    if x >= 1.0:
-        return np.array([1.0, 0.0, 0.0, 0.0])
-    return np.array(
-        [
-            x**4 * (35 - 84 * x + 70 * x**2 - 20 * x**3),
-            140 * x**3 * (1 - x) ** 3,
-            420 * x**2 * (1 - x) ** 2 * (1 - 2 * x),
-            840 * x * (1 - x) * (1 - 5 * x + 5 * x**2),
-        ]
-    )
 
 
 # --- yaw ------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ LAYERS: list[set[str]] = [
     {"motion", "tracking", "identity"},
     {"onboard", "perceived"},
     {"simulation", "evaluation"},
-    {"toml", "wire", "security", "camera_files"},
+    {"toml", "wire", "security", "camera_files", "trajectory_file"},
     {"config", "scenario_file"},
     {"detection", "sensors", "transport", "recording", "calibration"},
     {"diagnosis"},

@@ -1,0 +1,52 @@
+"""The code of a drone: how it sways up and down so that its teammates know who it is, with nothing on the air.
+
+Theory of operation. Each of a team of n has a frequency of its own, spread evenly from `SLOWEST_HZ` to `FASTEST_HZ` in
+the order of their IDs. At a time that all know beforehand everybody sways by `AMPLITUDE_M` about its own height, for
+`LASTS_S`. Vertical, because gravity is the one direction that all share and a height is held best; a sine, because it
+stays a sine when a clock is off; upwards first, away from the ground. It begins and ends without a jump of the jerk.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+import numpy as np
+
+from swarmtrack.messages import Array
+from swarmtrack.motion.smooth import DERIVATIVES, scaled, sinusoid, smooth_step
+
+AMPLITUDE_M = 0.25
+SLOWEST_HZ, FASTEST_HZ = 0.20, 0.55
+LASTS_S = 8.0
+# s at either end, in which the sine grows and fades: at most 0.9 m/s and 3.7 m/s² at 0.55 Hz.
+EASE_S = 1.5
+# s of UTC: a sway begins at a multiple of it, so clocks that are off by seconds still agree on which.
+BEGINS_EVERY_S = 10.0
+
+
+def next_begin(utc: float) -> float:
+    """When a sway begins that was asked for at `utc` [s]: at the next full 10 s, by UTC."""
+    return math.ceil(utc / BEGINS_EVERY_S) * BEGINS_EVERY_S
+
+
+def frequency(drone_id: int, team: Collection[int]) -> float:
+    """Hz. team: the IDs of everybody, this drone among them. Raises ValueError where it is not."""
+    place = sorted(team).index(drone_id)
+    return SLOWEST_HZ + (FASTEST_HZ - SLOWEST_HZ) * place / max(len(team) - 1, 1)
+
+
+def sway(drone_id: int, team: Collection[int], t: float) -> Array:
+    """Displacement from its own place t [s] after the beginning, and three derivatives: (4, 3) m, m/s, …, NED.
+
+    Zero before the beginning and after the end. Raises ValueError where the drone is not of the team.
+    """
+    omega = 2.0 * math.pi * frequency(drone_id, team)
+    if not 0.0 < t < LASTS_S:
+        return np.zeros((DERIVATIVES, 3))
+    up = np.array([0.0, 0.0, -AMPLITUDE_M])
+    rising = smooth_step(t / EASE_S)
+    falling = smooth_step((LASTS_S - t) / EASE_S) * (-1.0) ** np.arange(DERIVATIVES)
+    # At most one of the two changes at a time.
+    ease = (rising if t < 0.5 * LASTS_S else falling) / EASE_S ** np.arange(DERIVATIVES)
+    return scaled(ease, sinusoid(up, np.full(3, omega), np.full(3, omega * t)))
