@@ -14,9 +14,8 @@ once: every frame is drawn, with houses, poles and trees all around, and the age
 * named again: a teammate that had been named was out of view for `AWAY_S` and is in view again: seconds from its first
   detection to its name. One that leaves earlier is no chance missed if it stayed below `GRACE`.
 * wrong names: as `swarmtrack sim` counts them, ten times a second, by what was there when the camera exposed.
-  Elsewhere: of all names on tracks, scan by scan,
-  those that are more than `NEAR_PX` from their drone: on a house, or on a track that coasts out of view. On something
-  that is detected: on a house, or on another drone.
+  Elsewhere: of all names on tracks, scan by scan, those that are more than `NEAR_PX` from their drone: on a house, or
+  on a track that coasts out of view. On something that is detected: on a house, or on another drone.
 * NIS: over what the filter expects, every `NIS_EVERY_S` seconds in the air.
 """
 
@@ -51,7 +50,7 @@ SEEDS, QUICK_SEEDS = 100, 4
 DRONES = (2, 3, 4)
 LATEST_S = 0.080  # of a camera's stamps
 FPS = (6.0, 15.0)
-RENDERED_DRONES, RENDERED_FPS = (2, 3), (5.0, 8.0)  # drawing and detecting cost 30 ms per frame
+RENDERED_DRONES, RENDERED_FPS = (2, 3), (5.0, 7.0)  # drawing and detecting cost 30 ms per frame
 IMU_HZ = 100.0  # as slow as autopilots' links often are
 TWIN_EVERY = 4  # flights
 IN_TIME_S = 30.0  # from the first turns
