@@ -27,10 +27,10 @@ from pydantic import (
 from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
-from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.heading import HeadingSigma
+from swarmtrack.team_config import TeamSection, roster_problems, take_own_start
 from swarmtrack.toml.layers import Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml.sections import (
     Count,
@@ -105,32 +105,6 @@ class Start(Section):
     def pose(self) -> Pose:
         """team_from_body of a drone that stands level; its true roll and pitch are the autopilot's to say."""
         return Pose(rotation.from_euler(0.0, 0.0, np.radians(self.yaw_deg)), np.array(self.position_m))
-
-
-class TeamOrigin(Section):
-    """Where on the Earth the team frame begins."""
-
-    lat_deg: Annotated[Number, Field(ge=-90.0, le=90.0)] = Field(
-        description="latitude, WGS-84 degrees; north is positive"
-    )
-    lon_deg: Annotated[Number, Field(ge=-180.0, le=180.0)] = Field(
-        description="longitude, WGS-84 degrees; east is positive"
-    )
-    alt_m: Annotated[Number, Field(ge=-500.0, le=9000.0)] = Field(
-        description="height above mean sea level, m, as autopilots report it"
-    )
-
-    def place(self) -> Geodetic:
-        return Geodetic.from_degrees(self.lat_deg, self.lon_deg, self.alt_m)
-
-
-class TeamSection(Section):
-    """[team]: the team frame. The same for every drone."""
-
-    origin: TeamOrigin | None = Field(
-        default=None,
-        description="{ lat_deg, lon_deg, alt_m } of the team frame's origin; needed for starts by GPS",
-    )
 
 
 class Vehicle(Section):
@@ -594,8 +568,9 @@ def load_config(path: str | Path, over: Layer | None = None) -> DroneConfig:
 
 def config_of(layers: Layers) -> DroneConfig:
     """A drone's config from the layers of its files. Raises ConfigError with every problem that was found."""
+    take_own_start(layers)
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
-    problems += _start_problems(layers) + _telling_problems(layers)
+    problems += _start_problems(layers) + _telling_problems(layers) + roster_problems(layers)
     return _validated(DroneConfig, layers, problems)
 
 

@@ -15,7 +15,6 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, Strict, ValidationInfo, field_validator, model_validator
 
-from swarmtrack.config import TeamOrigin
 from swarmtrack.errors import ConfigError
 from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.simulation.errands import Errand
@@ -57,6 +56,7 @@ from swarmtrack.simulation.trajectory import (
 from swarmtrack.simulation.trajectory import (
     Path as FlightPath,
 )
+from swarmtrack.team_config import TeamOrigin
 from swarmtrack.toml.layers import Key, Layers, Problem, read_layers
 from swarmtrack.toml.sections import (
     Count,

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from swarmtrack.config import TeamOrigin
 from swarmtrack.geometry import rotation
 from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.team_config import TeamOrigin
 
 MAX_FRAME_AGE_S = 0.15  # beyond it a frame says more of where a drone was than of where it is
 

@@ -21,7 +21,7 @@ from typing import Annotated
 
 from pydantic import Field, Strict, field_validator, model_validator
 
-from swarmtrack.config import CameraSection, Intrinsics, Lens, Mount, Start, TeamOrigin, mount_camera
+from swarmtrack.config import CameraSection, Intrinsics, Lens, Mount, Start, mount_camera
 from swarmtrack.errors import SourceError, SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.geometry.camera import PinholeCamera
@@ -34,6 +34,7 @@ from swarmtrack.simulation.followed import KEPT_S, FollowedDrone
 from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA, HOVER_S, Scenario, fly
 from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.world import World
+from swarmtrack.team_config import TeamOrigin
 from swarmtrack.toml.layers import Layers, Problem, Table, read_layers
 from swarmtrack.toml.sections import (
     Number,

@@ -7,6 +7,7 @@ import logging
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
+from swarmtrack.runtime.filed import filed_announcements
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.live_video import LiveVideo
@@ -355,7 +357,8 @@ def make_teamwork(
     parts: Parts, health: Health, notices: PilotNotices, tell: Callable[[Input], None]
 ) -> Teamwork:
     """What speaks and listens to the team for these parts; tell: the way into their Onboard."""
-    drone = parts.config.drone
+    config = parts.config
+    drone = config.drone
     return Teamwork(
         tell,
         parts.door.perceived,
@@ -367,6 +370,8 @@ def make_teamwork(
         clock=parts.clock,
         start=parts.start,
         start_sigma_m=drone.start.frame_sigma_m,
+        silent=not config.team.announce,
+        filed=partial(filed_announcements, config),
         on_report=None if parts.recorder is None else parts.recorder.said,
         simulated=parts.simulated_teammates,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config import DroneConfig, load_config
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.outputs import check_outputs
 from swarmtrack.sensors.camera_address import parse_address as camera_address
@@ -44,10 +44,29 @@ def check(path: Path) -> None:
     )
     print(f"detector   {detector}")
     print(f"tracker    {config.tracker.name}")
+    if config.team.drones:
+        print(f"teammates  {_filed(config)}")
+    if not config.team.announce:
+        print("silent     nothing is told to the team, and nothing asked")
     for word in config.autopilot.tell:
         if word in DANGERS:
             print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")
     print(f"{path}: ok")
+
+
+def _filed(config: DroneConfig) -> str:
+    """What the team's file says of the others."""
+    said = []
+    for drone_id, filed in config.team.drones.items():
+        if int(drone_id) == config.drone.id:
+            continue
+        place = (
+            "somewhere"
+            if filed.position_m is None
+            else f"{list(filed.position_m)} ±{filed.position_sigma_m:g} m"
+        )
+        said.append(f"{drone_id} at {place}")
+    return ", ".join(said).replace("at somewhere", "somewhere") or "none"
 
 
 def _absence(device: str) -> str:

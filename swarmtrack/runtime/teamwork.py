@@ -43,6 +43,7 @@ class Teamwork:
 
     tell: the way into Onboard; what comes out there comes back by `ask_for_pose` and `on_disagreement`. start: in the
     team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that frame.
+    silent: nothing is told to the team, and nothing asked. filed: what is known of teammates before they say it.
     on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
     """
 
@@ -59,6 +60,8 @@ class Teamwork:
         clock: Clock,
         start: Pose | None,
         start_sigma_m: float,
+        silent: bool = False,
+        filed: Callable[[float], Sequence[Announcement]] | None = None,
         on_report: Callable[[SightingReport], None] | None = None,
         simulated: Sequence[tuple[Transport, Announcement]] = (),
     ) -> None:
@@ -66,6 +69,8 @@ class Teamwork:
         self._boot = boot
         self._start = start
         self._start_sigma_m = start_sigma_m
+        self._silent = silent
+        self._filed = filed
         self._tell = tell
         self._perceived = perceived
         self._transport = transport
@@ -89,7 +94,10 @@ class Teamwork:
         self._posed.set()
 
     async def listen(self) -> None:
-        """Every event of the transport into Onboard, and a line of it into health and log."""
+        """Every event of the transport into Onboard, and a line of it into health and log; first what is filed."""
+        for announcement in self._filed(self._clock.now()) if self._filed else ():
+            self._tell(announcement)
+            self._note(announcement.drone_id, _describe_filed(announcement), logging.INFO)
         async for event in self._transport.events():
             match event:
                 case Announcement():
@@ -110,7 +118,9 @@ class Teamwork:
 
     async def announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is, and those of simulated teammates; then again
-        when somebody asks, until cancelled."""
+        when somebody asks, until cancelled. Nothing of a silent drone."""
+        if self._silent:
+            return
         if self._start is None:
             await self._posed.wait()
         await self._announce(first=True)
@@ -122,8 +132,8 @@ class Teamwork:
             await self._announce(first=False)
 
     async def report(self) -> None:
-        """Until cancelled: whom this drone sees as whom, once a second and when it changed."""
-        while True:
+        """Until cancelled: whom this drone sees as whom, once a second and when it changed. Nothing of a silent one."""
+        while not self._silent:
             await asyncio.sleep(periods.IDENTITIES_CHANGED)
             self._report()
 
@@ -168,7 +178,8 @@ class Teamwork:
 
     def ask_for_pose(self, drone_id: int) -> None:
         """Who is in doubt is asked at once."""
-        self._transport.request_announcement(drone_id)
+        if not self._silent:
+            self._transport.request_announcement(drone_id)
 
     def on_heading(self, news: HeadingNews) -> None:
         """What the team was told of our pose was told with another heading: announce it again."""
@@ -226,6 +237,13 @@ def _describe(event: PeerEvent) -> str:
             return "a teammate asked where we are: announced again"
         case SightingReport(observer=observer):
             return f"drone {observer} told whom it sees"
+
+
+def _describe_filed(announcement: Announcement) -> str:
+    north, east, down = announcement.position
+    return (
+        f"drone {announcement.drone_id} starts at [{north:.1f}, {east:.1f}, {down:.1f}] m, by the team's file"
+    )
 
 
 def _describe_heading(news: HeadingNews) -> str:

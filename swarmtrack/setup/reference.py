@@ -134,9 +134,10 @@ def _rows(table: Schema, definitions: Schema, prefix: str = "") -> Iterator[Row]
     for key, entry in table.get("properties", {}).items():
         name, what, default, meaning = _row(prefix + key, entry, definitions)
         yield name, what, "required" if key in required else default, meaning
-        inner = _referred(entry)
-        if inner:
-            yield from _rows(definitions[inner], definitions, f"{prefix}{key}.")
+        for referring, below in ((entry, f"{prefix}{key}."), (_each(entry), f"{prefix}{key}.ID.")):
+            inner = _referred(referring)
+            if inner:
+                yield from _rows(definitions[inner], definitions, below)
 
 
 def _row(key: str, entry: Schema, definitions: Schema) -> Row:
@@ -229,6 +230,12 @@ def _about(kind: type[BaseModel]) -> str:
     text = " ".join((kind.__doc__ or "").split())
     said = re.sub(r"docs/([\w/.-]+\.md)", r"[\1](\1)", text.partition("]: ")[2] or text)
     return said[:1].upper() + said[1:]
+
+
+def _each(entry: Schema) -> Schema:
+    """Of a table with an entry for each drone, the schema of one."""
+    each = entry.get("additionalProperties")
+    return each if isinstance(each, dict) else {}
 
 
 def _referred(entry: Schema) -> str:

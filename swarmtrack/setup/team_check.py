@@ -20,12 +20,22 @@ class Common(NamedTuple):
     of: Callable[[DroneConfig], object]
 
 
+def _filed(config: DroneConfig) -> tuple[str, ...]:
+    """Who starts where, by the team's file."""
+    return tuple(
+        f"{drone_id} at {filed.position_m}, {filed.yaw_deg:g} degrees, ±{filed.position_sigma_m} m"
+        for drone_id, filed in sorted(config.team.drones.items())
+    )
+
+
 COMMON = (
     Common(("network", "team"), lambda config: config.network.team),
     Common(("network", "topology"), lambda config: config.network.topology),
     Common(("network", "peers"), lambda config: config.network.peers),
     Common(("network", "routers"), lambda config: config.network.routers),
     Common(("team", "origin"), lambda config: config.team.origin),
+    Common(("team", "announce"), lambda config: config.team.announce),
+    Common(("team", "drones"), _filed),
 )
 
 
@@ -40,7 +50,7 @@ def contradictions(configs: Sequence[DroneConfig]) -> list[str]:
                 ("network", "transport"), '"memory" stays within one process, expected "zenoh" for a team'
             )
             for config in configs
-            if config.network.transport == "memory"
+            if config.network.transport == "memory" and config.team.announce
         ]
     return list(dict.fromkeys(problems))
 

@@ -118,3 +118,35 @@ async def test_a_heading_that_is_known_otherwise_is_announced_again_and_said_in_
     await listener.close()
     assert heard == [1, 2]
     assert list(health.events) == [line]
+
+
+FILED = """
+[team]
+announce = false
+drones = { 1 = {}, 2 = { position_m = [5.0, 1.0, -0.1], position_sigma_m = 0.3 } }
+"""
+
+
+class Listening:
+    """In place of a transport: one that nobody may send on."""
+
+    async def events(self):
+        return
+        yield
+
+
+def test_a_silent_drone_knows_its_teammates_from_the_file_and_says_nothing(parts, tmp_path):
+    config = tmp_path / "silent.toml"
+    config.write_text(CONFIG + FILED, encoding="utf-8")
+    silent = replace(assemble(load_config(config), SystemClock()), transport=Listening())
+    health = make_health(silent)
+    team = make_teamwork(silent, health, make_notices(silent), silent.door.tell)
+
+    async def fly():
+        await team.listen()
+        await asyncio.wait_for(asyncio.gather(team.announce(), team.report()), PATIENCE)
+        team.ask_for_pose(2)
+
+    asyncio.run(fly())
+    assert list(silent.door.perceived.teammates) == [2]
+    assert list(health.events) == ["drone 2 starts at [5.0, 1.0, -0.1] m, by the team's file"]

@@ -1,0 +1,141 @@
+"""[team] of a config: what the drones of a team share, and what each knows of the others before the flight."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Annotated, Any
+
+from pydantic import Field, field_validator, model_validator
+
+from swarmtrack.geometry.geodesy import Geodetic
+from swarmtrack.toml.layers import Layers, Problem
+from swarmtrack.toml.sections import Number, Positive, Section, Switch, Vector, found
+
+# Of what the file says: further off, a drone's own start contradicts it.
+SAME_PLACE_SIGMAS, SAME_PLACE_M = 3.0, 0.1
+
+
+class TeamOrigin(Section):
+    """Where on the Earth the team frame begins."""
+
+    lat_deg: Annotated[Number, Field(ge=-90.0, le=90.0)] = Field(
+        description="latitude, WGS-84 degrees; north is positive"
+    )
+    lon_deg: Annotated[Number, Field(ge=-180.0, le=180.0)] = Field(
+        description="longitude, WGS-84 degrees; east is positive"
+    )
+    alt_m: Annotated[Number, Field(ge=-500.0, le=9000.0)] = Field(
+        description="height above mean sea level, m, as autopilots report it"
+    )
+
+    def place(self) -> Geodetic:
+        return Geodetic.from_degrees(self.lat_deg, self.lon_deg, self.alt_m)
+
+
+class FiledDrone(Section):
+    """What the team's file says of one drone."""
+
+    position_m: Vector | None = Field(
+        default=None,
+        description="where it starts, [north, east, down] in the team frame, m; by default somewhere",
+    )
+    yaw_deg: Number = Field(default=0.0, description="heading of its nose, clockwise from the frame's north")
+    position_sigma_m: Positive | None = Field(
+        default=None,
+        description="standard deviation of that place, m per axis: 0.3 for a marked pad, 1 paced out",
+    )
+
+    @model_validator(mode="after")
+    def _place_with_its_error(self) -> FiledDrone:
+        if (self.position_m is None) != (self.position_sigma_m is None):
+            has, lacks = ("position_m", "position_sigma_m")[:: 1 if self.position_m else -1]
+            raise ValueError(f"{has} without {lacks}, expected both: nobody else knows how good the place is")
+        return self
+
+
+class TeamSection(Section):
+    """[team]: the team frame, and who starts where. The same for every drone: keep it in the file that all extend."""
+
+    origin: TeamOrigin | None = Field(
+        default=None,
+        description="{ lat_deg, lon_deg, alt_m } of the team frame's origin; needed for starts by GPS",
+    )
+    announce: Switch = Field(
+        default=True,
+        description="false: nothing is told to the team and nothing is asked; who is who comes from `drones` "
+        "(docs/silent.md)",
+    )
+    drones: dict[str, FiledDrone] = Field(
+        default={},
+        description="ID = { position_m, yaw_deg, position_sigma_m } for every drone of the team: where each starts, "
+        "known without an announcement",
+    )
+
+    @field_validator("drones")
+    @classmethod
+    def _drones_by_id(cls, drones: dict[str, FiledDrone]) -> dict[str, FiledDrone]:
+        for drone_id in drones:
+            if not re.fullmatch("[1-9][0-9]{0,4}", drone_id, re.ASCII) or int(drone_id) > 65535:
+                raise ValueError(
+                    f"found the key {found(drone_id)}, expected drone IDs: 1 = {{ position_m = … }}"
+                )
+        return drones
+
+    @model_validator(mode="after")
+    def _somebody_is_known(self) -> TeamSection:
+        if not self.announce and not self.drones:
+            raise ValueError(
+                "announce = false without drones, expected 1 = { position_m = … } in [team.drones]"
+            )
+        return self
+
+
+def take_own_start(layers: Layers) -> None:
+    """Where its config says nothing of a drone's start, it is what the team's file tells of it."""
+    drone, filed = _own_entries(layers)
+    start = drone.get("start", {})
+    if "position_m" not in filed or not isinstance(start, dict):
+        return
+    if "from" not in start and "position_m" not in start:
+        names = ("position_m", "yaw_deg", "position_sigma_m")
+        drone["start"] = {name: filed[name] for name in names if name in filed} | start
+    elif start.get("from") == "local" and "offset_m" not in start:
+        drone["start"] = {"offset_m": filed["position_m"]} | start
+
+
+def roster_problems(layers: Layers) -> list[Problem]:
+    """Of a team whose file lists its drones, this is one of them, and starts where that file says."""
+    team = layers.table.get("team", {})
+    drones = team.get("drones") if isinstance(team, dict) else None
+    drone, filed = _own_entries(layers)
+    if not isinstance(drones, dict) or not drones or "id" not in drone:
+        return []
+    if str(drone["id"]) not in drones:
+        text = f"drone.id: {found(drone['id'])}, expected one of [team.drones]: {', '.join(drones)}"
+        return [layers.problem(("drone", "id"), text)]
+    start = drone.get("start", {})
+    if not isinstance(start, dict):
+        return []
+    key = "position_m" if "from" not in start else "offset_m"
+    here, there = start.get(key), filed.get("position_m")
+    try:
+        apart = math.dist(here, there) if here is not None and there is not None else 0.0
+        allowed = SAME_PLACE_SIGMAS * math.hypot(*3 * (filed.get("position_sigma_m", 0.0),))
+        differs = apart > max(allowed, SAME_PLACE_M)
+    except (TypeError, ValueError):
+        return []  # pydantic says so
+    if not differs:
+        return []
+    text = f"{found(here)}, expected what [team.drones] says of drone {drone['id']}: {found(there)}"
+    return [layers.problem(("drone", "start", key), f"drone.start.{key}: {text}")]
+
+
+def _own_entries(layers: Layers) -> tuple[dict[str, Any], dict[str, Any]]:
+    """[drone], and what [team.drones] says of that drone; empty where they are no tables."""
+    drone, team = (_table(layers.table.get(name)) for name in ("drone", "team"))
+    return drone, _table(_table(team.get("drones")).get(str(drone.get("id"))))
+
+
+def _table(value: object) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
