@@ -15,7 +15,8 @@ once: every frame is drawn, with houses, poles and trees all around, and the age
   detection to its name. One that leaves earlier is no chance missed if it stayed below `GRACE`.
 * wrong names: as `swarmtrack sim` counts them, ten times a second, by what was there when the camera exposed.
   Elsewhere: of all names on tracks, scan by scan, those that are more than `NEAR_PX` from their drone: on a house, or
-  on a track that coasts out of view. On something that is detected: on a house, or on another drone.
+  on a track that coasts out of view. On something that is detected: on a house, or on another drone. These are no wrong
+  names to the scorer as long as their drone has no track of its own.
 * NIS: over what the filter expects, every `NIS_EVERY_S` seconds in the air.
 """
 
@@ -198,6 +199,9 @@ def summary(flights: Sequence[FlightRecord], twins: Sequence[FlightRecord]) -> d
             "wrong": fraction_interval(np.nan_to_num(np.array(wrong)), samples)._asdict(),
             "elsewhere": _of_names(flights, [f.names_elsewhere for f in flights]),
             "on_others": _of_names(flights, [f.names_on_others for f in flights]),
+            "on_others_max_probability": float(
+                np.fmax.reduce(np.array([flight.surest_on_others for flight in flights]))
+            ),
             "wrong_max_probability": float(np.fmax.reduce(np.array(surest))),
             # Also those with a name on a thing while its drone is behind: to be flown again by themselves.
             "seeds_with_a_wrong_name": [
@@ -286,6 +290,7 @@ def _rows(result: dict[str, Any]) -> list[list[str]]:
         ["wrong names", percent(names["wrong"], 3), "≤ 0.1 %"],
         ["names more than 35 px from their drone", percent(names["elsewhere"], 3), ""],
         ["of these on something that is detected", percent(names["on_others"], 3), ""],
+        ["highest probability of one of these", number(names["on_others_max_probability"], 4), ""],
         ["highest probability of a wrong name", number(names["wrong_max_probability"], 4), ""],
         ["seeds with a wrong name", ", ".join(map(str, names["seeds_with_a_wrong_name"])) or "none", ""],
         ["announcements of a drone", number(names["announcements_per_drone"], 1), ""],

@@ -23,7 +23,7 @@ from swarmtrack.evaluation.swarm_score import (
     confirmed_tracks,
 )
 from swarmtrack.evaluation.swarm_truth import SwarmTruth, TrueView
-from swarmtrack.messages import Array
+from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.simulation.scenarios import Scenario
 
@@ -113,7 +113,8 @@ class FlightRecord:
     """What came of one flight.
 
     names: that were on a track in a scan; names_elsewhere: those on a track further than `NEAR_PX` from their drone;
-    names_on_others: those of them where something is detected, a ghost or another drone.
+    names_on_others: those of them whose track is detected there, and so is a ghost or another drone; surest_on_others:
+    the highest probability that was stated with one of these, NaN where there are none.
     named_again_s: infinite where it never came. nis: over what is expected. whole, settled: of the whole flight, and
     once the offset was right.
     """
@@ -126,6 +127,7 @@ class FlightRecord:
     names: int
     names_elsewhere: int
     names_on_others: int
+    surest_on_others: float
     named_again_s: list[float]
     nis: list[float]
     whole: Squares
@@ -146,6 +148,7 @@ class FlightJudge:
         self._pairs: dict[tuple[int, int], Acquaintance] = {}
         self._scans: list[tuple[int, float, bool, float]] = []
         self._names = self._elsewhere = self._on_others = 0
+        self._surest_on_others = math.nan
         self.nis: list[float] = []
         self.named_again: list[float] = []
         turns = dict.fromkeys(scenario.members, math.inf)
@@ -188,6 +191,7 @@ class FlightJudge:
             self._names,
             self._elsewhere,
             self._on_others,
+            self._surest_on_others,
             self.named_again,
             self.nis,
             whole,
@@ -227,14 +231,18 @@ class FlightJudge:
     def _names_elsewhere(self, scan: ObservedScan, view: TrueView) -> None:
         """Teammates' names on tracks that are far from where that teammate is, in the image or beside it."""
         boxes = {**view.in_view, **view.hidden}
-        for track in confirmed_tracks(scan.tracks):
-            if isinstance(track.identity, int):
-                box = boxes.get(track.identity)
-                self._names += 1
-                if box is None or math.hypot(track.u - box[0], track.v - box[1]) > NEAR_PX:
-                    self._elsewhere += 1
-                    away = np.hypot(*(scan.centres - (track.u, track.v)).T)
-                    self._on_others += bool((away <= HIT_PX).any())
+        for named in scan.tracks.tracks:
+            track, name = named.track, named.identity
+            if track.status is not TrackStatus.CONFIRMED or not isinstance(name, int):
+                continue
+            self._names += 1
+            box = boxes.get(name)
+            if box is not None and math.hypot(track.mean[0] - box[0], track.mean[2] - box[1]) <= NEAR_PX:
+                continue
+            self._elsewhere += 1
+            if track.coasting_since is None:
+                self._on_others += 1
+                self._surest_on_others = float(np.fmax(self._surest_on_others, named.identity_probability))
 
     def _meet(self, scan: ObservedScan, drone_id: int, view: TrueView) -> None:
         """Is it named, detected, back, or away?"""

@@ -87,6 +87,23 @@ def test_named_again_counts_from_the_detection_and_only_after_a_time_away() -> N
     assert judge.named_again == [pytest.approx(0.5), math.inf]
 
 
+def test_a_name_on_a_house_is_told_with_its_probability_even_while_its_drone_has_no_track() -> None:
+    scenario = scenario_of_seed(Programme(drones=(2,)), 1)
+    judge = FlightJudge(scenario, VirtualSwarm(scenario))
+    view = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera).view(1, 0.0)
+    u, v, *size = view.in_view[2]
+    for off_px, probability, coasting_since in ((0.0, 1.0, None), (90.0, 0.97, None), (90.0, 0.99, -0.5)):
+        track = Track(
+            7, 0.0, np.array([u + off_px, 0.0, v, 0.0]), np.eye(4), TrackStatus.CONFIRMED, 1.0, np.array(size),
+            coasting_since,
+        )  # fmt: skip
+        tracks = TrackList(0.0, 0.0, (IdentifiedTrack(track, 2, probability),))
+        judge._names_elsewhere(ObservedScan(1, 0.0, tracks, np.empty((0, 2)), 0.0), view)
+    flight = judge.record(1, 8.0)
+    assert (flight.names, flight.names_elsewhere, flight.names_on_others) == (3, 2, 1)
+    assert flight.surest_on_others == 0.97
+
+
 def test_in_drawn_pictures_the_agents_detector_looks_where_its_drone_expects_a_teammate(monkeypatch) -> None:
     scenario = scenario_of_seed(Programme(drones=(2,), rendered=True), 4)
     in_the_air = 15.0
