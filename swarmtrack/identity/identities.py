@@ -370,7 +370,9 @@ class Identities:
         by_sight = [seen[d] for d in free if d in seen and self._announced[d].t <= seen[d].t]
         sight = retrace(by_sight, view, turn_rate=p.turn_rate)
         places = [self._whereabouts.latest(drone) for drone in free]
-        said = reproject(places, view, drift_speed=p.drift_speed, stay_s=p.stay_s)
+        said = reproject(
+            places, view, on_pad=self._whereabouts.on_pad, drift_speed=p.drift_speed, stay_s=p.stay_s
+        )
         older = {d for d in free if d in seen and self._whereabouts.latest(d).t <= seen[d].t}
         width = {d: spread for d, spread in zip(said.drone_id, said.spread, strict=True) if d not in older}
         vaguer = [
@@ -430,7 +432,9 @@ class Identities:
             return NOBODY, []
         p = self._parameters
         places = [self._whereabouts.latest(drone) for drone in settled]
-        predicted = reproject(places, view, drift_speed=p.drift_speed, stay_s=p.stay_s)
+        predicted = reproject(
+            places, view, on_pad=self._whereabouts.on_pad, drift_speed=p.drift_speed, stay_s=p.stay_s
+        )
         near = self._weighing.near(newcomers, predicted)
         columns = [
             j

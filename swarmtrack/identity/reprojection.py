@@ -7,7 +7,7 @@ fast.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -107,13 +107,18 @@ class ObserverCamera:
 
 
 def reproject(
-    announcements: Sequence[Announcement], view: ObserverCamera, *, drift_speed: float, stay_s: float
+    announcements: Sequence[Announcement],
+    view: ObserverCamera,
+    *,
+    on_pad: Container[int],
+    drift_speed: float,
+    stay_s: float,
 ) -> Predictions:
     """Announced positions in the observer's image.
 
     The covariance is that of the announced position, of the observer's own and of its attitude; for a drone that has
-    flown off also of how far it may be: drift_speed [m/s] times the age of the pose, or `FAST` times that. After
-    stay_s [s] half of them are still there, but who announces itself again is flying.
+    flown off also of how far it may be: drift_speed [m/s] times the age of the pose, or `FAST` times that. Of those
+    on_pad half are still there after stay_s [s]; the others fly.
     """
     if not announcements:
         return NOBODY
@@ -130,7 +135,7 @@ def reproject(
     still += by_turn @ observer.attitude_cov @ by_turn.swapaxes(1, 2)
     age = np.array([abs(observer.t - a.t) + a.t_sigma for a in announcements])
     drifted = ((drift_speed * age) ** 2)[:, None, None] * metres
-    stay = np.array([stay_s if a.sequence <= 1 else STAY_IN_FLIGHT for a in announcements])
+    stay = np.array([stay_s if a.drone_id in on_pad else STAY_IN_FLIGHT for a in announcements])
     p_still = stay / (stay + age)
     share = np.stack([p_still, (1.0 - p_still) * (1.0 - SHARE_FAST), (1.0 - p_still) * SHARE_FAST])
     cov = np.stack([still, still + drifted, still + FAST**2 * drifted])

@@ -10,27 +10,41 @@ from dataclasses import replace
 
 import numpy as np
 
-from swarmtrack.messages import Announcement, SightingReport
+from swarmtrack.messages import Announcement, Array, SightingReport
 
 # m: between the camera, whose position is reported, and the middle of its drone.
 CAMERA_ARM = 0.1
 # m and s: a report that knows less is no place.
 VAGUE_POSITION, VAGUE_T = 3.0, 0.5
-# Of the sigma of a difference: a drone that reports itself so far from its pad has left it.
-LEFT_PAD = 2.0
+# A drone that says that it is so far from its pad has left it: of the sigma of a difference; and in m, however vague
+# its place is: from one minute to the next a receiver wanders less, and no take-off ends lower.
+LEFT_PAD, OFF_GROUND = 2.0, 1.0
 
 
 class Whereabouts:
-    """By drone, the announcement that was heard last, and the latest place."""
+    """By drone, the announcement that was heard last, and the latest place.
+
+    on_pad: who is still where its life announced itself first, on the ground. A drone may announce itself again there,
+    because its heading made a step. Whoever has been elsewhere flies until it starts again, and so does one whose first
+    announcement nobody heard.
+    """
 
     def __init__(self) -> None:
         self.announced: dict[int, Announcement] = {}
+        self.on_pad: set[int] = set()
+        self._pads: dict[int, Announcement] = {}
         self._reported: dict[int, Announcement] = {}
 
     def announce(self, announcement: Announcement) -> None:
         """A drone's announcement, newer than the one before."""
-        self.announced[announcement.drone_id] = announcement
-        self._reported.pop(announcement.drone_id, None)
+        drone = announcement.drone_id
+        if announcement.sequence <= 1:
+            self._pads[drone] = announcement
+            self.on_pad.add(drone)
+        else:
+            self._follow(drone, announcement.boot, announcement.position)
+        self.announced[drone] = announcement
+        self._reported.pop(drone, None)
 
     def report(self, report: SightingReport) -> None:
         """Where a drone reports itself. Of a life that has not announced itself, nothing is known of the frame."""
@@ -46,11 +60,9 @@ class Whereabouts:
         variance = float(np.trace(said.position_cov)) / 3.0
         more = max(report.position_sigma**2 - variance, 0.0) + CAMERA_ARM**2
         cov = said.position_cov + more * np.eye(3)
-        moved = float(np.linalg.norm(report.position - before.position))
-        left = before.sequence > 1 or moved > LEFT_PAD * (2.0 * variance) ** 0.5
+        self._follow(report.observer, report.boot, report.position)
         self._reported[report.observer] = replace(
             said,
-            sequence=max(said.sequence, 2) if left else said.sequence,
             t=report.t,
             t_sigma=report.t_sigma,
             position=report.position,
@@ -61,6 +73,17 @@ class Whereabouts:
         """Nobody knows where it is."""
         self.announced.pop(drone_id, None)
         self._reported.pop(drone_id, None)
+        self.on_pad.discard(drone_id)
+
+    def _follow(self, drone: int, boot: str, position: Array) -> None:
+        """position (3,) m, team frame: where that life of the drone says that it is now."""
+        if drone not in self.on_pad:
+            return
+        pad = self._pads[drone]
+        sigma = (2.0 * float(np.trace(pad.position_cov)) / 3.0) ** 0.5
+        moved = float(np.linalg.norm(position - pad.position))
+        if pad.boot != boot or moved > min(LEFT_PAD * sigma, OFF_GROUND):
+            self.on_pad.discard(drone)
 
     def latest(self, drone_id: int) -> Announcement:
         """The newest that is known of the place of a drone that has announced itself."""

@@ -271,8 +271,9 @@ def test_a_ghost_at_the_border_is_less_likely_a_drone_that_should_be_beyond_it_t
 # --- places ---
 
 
-def announced(t=0.0, boot="0000000a"):
-    return Announcement(2, boot, 1, t, 0.0, at(LEFT), np.eye(3), 0.09 * np.eye(3))
+def announced(t=0.0, boot="0000000a", sequence=1, position=None, sigma=0.3):
+    position = at(LEFT) if position is None else position
+    return Announcement(2, boot, sequence, t, 0.0, position, np.eye(3), sigma**2 * np.eye(3))
 
 
 def report(t, position, sigma=0.1, t_sigma=0.0, boot="0000000a"):
@@ -292,9 +293,45 @@ def test_a_report_from_the_pad_says_that_the_drone_still_waits_and_one_from_else
     places = Whereabouts()
     places.announce(announced())
     places.report(report(1.0, at(LEFT) + 0.1))
-    assert places.latest(2).sequence == 1
+    assert places.on_pad == {2}
     places.report(report(2.0, at(LEFT) + 2.0))
-    assert places.latest(2).sequence > 1
+    assert not places.on_pad
+
+
+def test_a_step_of_the_heading_on_the_ground_is_no_take_off():
+    places = Whereabouts()
+    places.announce(announced())
+    places.announce(announced(1.0, sequence=2, position=at(LEFT) + 0.1))
+    assert places.on_pad == {2}
+    places.report(report(2.0, at(LEFT) + 0.1))
+    assert places.on_pad == {2}
+    places.announce(announced(3.0, sequence=3, position=at(LEFT) - (0.0, 0.0, 2.0)))
+    assert not places.on_pad
+
+
+def test_a_drone_that_hovers_above_its_pad_flies_however_vague_its_place():
+    places = Whereabouts()
+    places.announce(announced(sigma=2.0))
+    places.announce(announced(1.0, sequence=2, position=at(LEFT) - (0.0, 0.0, 1.5), sigma=2.0))
+    assert not places.on_pad
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        [announced(), announced(1.0, sequence=2, position=at(RIGHT)), announced(2.0, sequence=3)],
+        [announced(), announced(1.0, "0000000b", sequence=2)],
+        [announced(sequence=2)],
+    ],
+    ids=["it was elsewhere", "another life", "never heard on its pad"],
+)
+def test_whoever_may_have_flown_flies_although_it_is_near_its_pad(said):
+    places = Whereabouts()
+    for announcement in said:
+        places.announce(announcement)
+    assert not places.on_pad
+    places.announce(announced(9.0, "0000000c"))
+    assert places.on_pad == {2}
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def observer(heading, tilt, position=(0.0, 0.0, 0.0), attitude=None):
 
 def place(seen_by):
     view = ObserverCamera.of(seen_by, CAMERA, MOUNT)
-    return reproject([announced(np.zeros((3, 3)))], view, drift_speed=0.5, stay_s=30.0)
+    return reproject([announced(np.zeros((3, 3)))], view, on_pad={2}, drift_speed=0.5, stay_s=30.0)
 
 
 @pytest.mark.parametrize(
