@@ -314,6 +314,7 @@ def make_autopilot(scenario: Scenario, drone_id: int, epoch: float, now: float) 
             epoch=epoch,
             origin=scenario.origin,
             located=lambda t: senses.at(t).gps is not None,
+            errors=senses.lasting_errors,
         )
     make: Callable[..., SimulatedVehicle] = SimulatedArduPilot
     if not ardupilot:

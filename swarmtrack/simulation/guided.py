@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from bisect import bisect_right
+from collections.abc import Callable
 
 import numpy as np
 
@@ -29,6 +30,7 @@ class GuidedDrone:
     """An entry of `World.drones`. All times are world times [s]; positions NED, m.
 
     start: where it stands on the ground; yaw [rad]; response: of its autopilot; sway: a path about zero.
+    heading_error: by how much its autopilot is off in its heading, clockwise [rad], at a world time.
     Safe to ask from several threads: pictures are drawn beside the loop that flies.
     """
 
@@ -40,6 +42,7 @@ class GuidedDrone:
         """World time of its last one."""
         self.touched_s = -math.inf
         """World time of its last touch-down."""
+        self.heading_error: Callable[[float], float] = lambda t: 0.0
         self._response = response
         self._sway = sway
         self._told = SetPoint(math.inf)
@@ -124,7 +127,8 @@ class GuidedDrone:
                 self._states.append(state)
         else:
             while state.t < t and self.airborne:
-                state = self._above_ground(advance(state, self._told, self._response))
+                off = self.heading_error(state.t)
+                state = self._above_ground(advance(state, self._told, self._response, off))
                 self._states.append(state)
         self._forget(state.t - REMEMBERED_S)
         return self._states[-1]

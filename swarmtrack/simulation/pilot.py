@@ -16,7 +16,8 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.simulation.firmware import Firmware, FlightMode, ModeNumbers
 from swarmtrack.simulation.guided import GuidedDrone
-from swarmtrack.simulation.response import STILL, SetPoint
+from swarmtrack.simulation.response import STILL, Flown, SetPoint, Triple
+from swarmtrack.simulation.senses import LastingErrors
 from swarmtrack.simulation.set_points import (
     ABOVE_HOME,
     ABOVE_SEA,
@@ -166,10 +167,11 @@ IN_THE_AIR = (Phase.CLIMBING, Phase.FLYING, Phase.LANDING)
 
 
 class GuidedPilot:
-    """Flies a `GuidedDrone` as it is commanded.
+    """Flies a `GuidedDrone` as it is commanded, by what the autopilot believes of itself.
 
     epoch: world time 0 on the caller's clock; origin: of the world on the Earth; located: whether the autopilot knows
-    where it is at a time of the caller's clock, without which it neither arms nor is guided.
+    where it is at a time of the caller's clock, without which it neither arms nor is guided; errors: by how much it is
+    off. Its velocity is GPS's, so that an error of the heading turns its nose, and not its way.
     """
 
     def __init__(
@@ -180,9 +182,12 @@ class GuidedPilot:
         epoch: float,
         origin: Geodetic,
         located: Callable[[float], bool],
+        errors: LastingErrors,
     ) -> None:
         self.phase = Phase.ON_GROUND
         self._drone = drone
+        self._errors = errors
+        drone.heading_error = errors.heading
         self._firmware = firmware
         self._epoch = epoch
         self._origin = origin
@@ -191,7 +196,7 @@ class GuidedPilot:
         self._texts: list[tuple[int, str]] = []
         self._quiet_since = 0.0  # world time since which the motors idle
         self._last_set_point = -math.inf  # world time
-        self._climbs_to = 0.0  # m, NED
+        self._climbs_to = 0.0  # m, NED, as it believes
         self._looked = -math.inf
 
     @property
@@ -223,7 +228,7 @@ class GuidedPilot:
     def look(self, now: float) -> None:
         self._looked = now
         t = now - self._epoch
-        down = self._drone.state(t).position[2]
+        down = self._believed(t).position[2]
         if self.phase in IN_THE_AIR and not self._drone.airborne:
             self._fire(PilotEvent.TOUCHED)
             self._quiet_since = self._drone.touched_s
@@ -271,13 +276,15 @@ class GuidedPilot:
         """Set points are listened to in guided flight only, but PX4 wants to hear them before it begins."""
         self.look(now)
         t = now - self._epoch
-        state, drone = self._drone.state(t), self._drone
+        state, drone = self._believed(t), self._drone
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
-            point = local_set_point(message, t, state, drone.start)
+            point, off = local_set_point(message, t, state, drone.start), self._errors.local
         else:
             point = global_set_point(message, t, state, self._origin, drone.start)
+            off = self._off_on_earth(message.coordinate_frame)
         if point is None:
             return
+        point = _moved(point, off)
         self._last_set_point = t
         if self._mode is not FlightMode.GUIDED:
             return
@@ -288,6 +295,20 @@ class GuidedPilot:
             drone.take_off(t, point)
         if self._fire(PilotEvent.STEER):
             drone.tell(t, point)
+
+    def _believed(self, t: float) -> Flown:
+        """Its state, as its local frame has it."""
+        state, (north, east, down) = self._drone.state(t), self._errors.local
+        x, y, z = state.position
+        return state._replace(
+            position=(x + north, y + east, z + down), yaw=state.yaw + self._errors.heading(t)
+        )
+
+    def _off_on_earth(self, frame: int) -> Triple:
+        """By how much it is off in a frame with latitude and longitude: heights above home are those of its local
+        frame."""
+        north, east, down = self._errors.earth
+        return north, east, self._errors.local[2] if frame in ABOVE_HOME else down
 
     def _lifts(self, point: SetPoint) -> bool:
         if point.position is not None:
@@ -351,7 +372,8 @@ class GuidedPilot:
         if not math.isfinite(height):
             climb = firmware.take_off_m
         else:
-            climb = height - self._origin.height + ground if firmware.above_sea else height
+            sea = self._origin.height - ground - self._errors.earth[2]
+            climb = height - sea if firmware.above_sea else height
         if not climb > 0.0:
             return False
         self._climbs_to = ground - climb
@@ -363,9 +385,9 @@ class GuidedPilot:
     def _climb(self, t: float) -> None:
         """Straight up to the height that was asked for."""
         self._fire(PilotEvent.TAKE_OFF)
-        state = self._drone.state(t)
-        north, east, _ = state.position
-        self._drone.take_off(t, SetPoint(t, position=(north, east, self._climbs_to), yaw=state.yaw))
+        north, east, _ = self._believed(t).position
+        above = SetPoint(t, position=(north, east, self._climbs_to), yaw_rate=0.0)
+        self._drone.take_off(t, _moved(above, self._errors.local))
 
     def _land(self, t: float) -> bool:
         self._mode = FlightMode.LAND
@@ -376,7 +398,7 @@ class GuidedPilot:
     def _turn(self, angle: float, *, relative: bool, t: float) -> bool:
         if self._mode is not FlightMode.GUIDED or self.phase not in IN_THE_AIR:
             return False
-        self._drone.turn(t, self._drone.state(t).yaw + angle if relative else angle)
+        self._drone.turn(t, self._believed(t).yaw + angle if relative else angle)
         return True
 
     def _reposition(self, command: Any, t: float) -> bool:
@@ -389,9 +411,8 @@ class GuidedPilot:
         place = place_in_world(command.x, command.y, command.z, self._origin, home)
         self._mode = FlightMode.GUIDED if guided else FlightMode.HOLD
         self._fire(PilotEvent.STEER)
-        self._drone.tell(
-            t, SetPoint(t, position=place, yaw=None if math.isnan(command.param4) else command.param4)
-        )
+        point = SetPoint(t, position=place, yaw=None if math.isnan(command.param4) else command.param4)
+        self._drone.tell(t, _moved(point, self._off_on_earth(command.frame)))
         return True
 
     # ── the table ────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -410,6 +431,14 @@ class GuidedPilot:
 
     def _say(self, severity: int, text: str) -> None:
         self._texts.append((severity, text))
+
+
+def _moved(point: SetPoint, off: Triple) -> SetPoint:
+    """Where a set point truly is, of who is off by so much in what it believes of its own position [m]."""
+    if point.position is None:
+        return point
+    (x, y, z), (north, east, down) = point.position, off
+    return point._replace(position=(x - north, y - east, z - down))
 
 
 def _last_parameter(command: Any) -> float:

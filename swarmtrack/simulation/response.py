@@ -154,8 +154,8 @@ def at_rest(t: float, position: Triple, yaw: float) -> Flown:
     )
 
 
-def advance(state: Flown, told: SetPoint, response: Response) -> Flown:
-    """The state STEP_S later."""
+def advance(state: Flown, told: SetPoint, response: Response, heading_error: float = 0.0) -> Flown:
+    """The state STEP_S later. heading_error: by how much the autopilot believes its nose too far clockwise [rad]."""
     told = _held(told, state.t, response)
     (vx, vy, vz), hold = _wanted_velocity(state, told, response)
     level, vertical = response.level, response.vertical
@@ -171,7 +171,8 @@ def advance(state: Flown, told: SetPoint, response: Response) -> Flown:
         for gain, wanted, speed, old in zip(gains, (vx, vy, vz), state.velocity, state.integral, strict=True)
     )
     nose = _nose(state, told)
-    delayed, rates = _delayed(state.rates, _wanted_yaw_rate(state, told, nose, response), response.yaw_dead_s)
+    wanted_rate = _wanted_yaw_rate(told, nose, response, state.yaw + heading_error)
+    delayed, rates = _delayed(state.rates, wanted_rate, response.yaw_dead_s)
     yaw, yaw_rate, yaw_acceleration = _turned(state, delayed, response)
     return Flown(
         state.t + STEP_S, position, velocity, acceleration, jerk, thrust, thrust_jerk,
@@ -267,13 +268,14 @@ def _nose(state: Flown, told: SetPoint) -> float | None:
     return state.nose
 
 
-def _wanted_yaw_rate(state: Flown, told: SetPoint, nose: float | None, response: Response) -> float:
+def _wanted_yaw_rate(told: SetPoint, nose: float | None, response: Response, believed: float) -> float:
+    """believed: the heading that the autopilot takes for its own [rad]."""
     if told.yaw_rate is not None:
         return min(max(told.yaw_rate, -response.yaw_rate), response.yaw_rate)
     heading = told.yaw if told.yaw is not None else nose
     if heading is None:
         return 0.0
-    error = math.remainder(heading - state.yaw, 2.0 * math.pi)
+    error = math.remainder(heading - believed, 2.0 * math.pi)
     rate = _square_root(abs(error), response.yaw_gain, response.yaw_acceleration)
     return math.copysign(min(rate, response.yaw_rate), error)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.messages import Array
+from swarmtrack.simulation.response import Triple
 from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters
 from swarmtrack.simulation.world import World
 
@@ -37,6 +39,21 @@ class SensedState(NamedTuple):
     position: Array | None
     velocity: Array
     gps: GpsFix | None = None
+
+
+class LastingErrors(NamedTuple):
+    """By how much an autopilot is off in what it believes of itself, for minutes. It flies by what it believes.
+
+    heading: clockwise, rad, at a world time; local (3,) m, NED: of its position in its local frame; earth (3,) m, NED:
+    of the place on the Earth that its GPS says.
+    """
+
+    heading: Callable[[float], float]
+    local: Triple
+    earth: Triple
+
+
+NO_ERRORS = LastingErrors(lambda t: 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Senses(Protocol):
@@ -82,6 +99,9 @@ class DroneSenses:
         sigmas = np.array((gps_sigma, gps_sigma, self._gps_vertical_sigma))
         self._gps_error = sigmas * world.chance("gps", drone_id).standard_normal(3)
         self._gps_error[2] += self._ego.height_error
+        self.lasting_errors = LastingErrors(
+            self._ego.heading_error, (0.0, 0.0, self._ego.height_error), tuple(self._gps_error.tolist())
+        )
         self._position_from = -math.inf
         self._block: int | None = None
         self._noise = np.zeros((0, 4, 3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from swarmtrack.simulation.autopilot import SimulatedArduPilot
 from swarmtrack.simulation.firmware import ARDUCOPTER
 from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.pilot import TRANSITIONS, GuidedPilot, Phase, PilotEvent
+from swarmtrack.simulation.response import Triple
 from swarmtrack.simulation.scenarios import ORIGIN
-from swarmtrack.simulation.senses import DroneSenses
+from swarmtrack.simulation.senses import NO_ERRORS, DroneSenses, LastingErrors
 from swarmtrack.simulation.trajectory import Hover, Path, wander
 from swarmtrack.simulation.truth import DroneTruth
 from swarmtrack.simulation.world import World
@@ -29,18 +31,33 @@ STILL_AIR = Hover((0.0, 0.0, 0.0))
 
 
 class GuidedBench(Bench):
-    """An ArduCopter on the ground, and who commands it. fix_at: when its GPS knows the place."""
+    """An ArduCopter on the ground, and who commands it.
 
-    def __init__(self, *, fix_at: float = 0.0, sway: Path = STILL_AIR, now: float = 0.0) -> None:
+    fix_at: when its GPS knows the place; flies_by: which of its senses' errors move it, by default none.
+    """
+
+    def __init__(
+        self,
+        *,
+        fix_at: float = 0.0,
+        sway: Path = STILL_AIR,
+        now: float = 0.0,
+        flies_by: Callable[[LastingErrors], LastingErrors] = lambda own: NO_ERRORS,
+    ) -> None:
         self.drone = GuidedDrone(START, YAW, ARDUCOPTER.response, sway)
         world = World(3, {1: self.drone})
-        pilot = GuidedPilot(self.drone, ARDUCOPTER, epoch=0.0, origin=ORIGIN, located=lambda t: t >= fix_at)
-        self.pilot = pilot
+        senses = DroneSenses(world, 1, 0.0, earth=ORIGIN)
+        self.errors = flies_by(senses.lasting_errors)
+        self.pilot = GuidedPilot(
+            self.drone,
+            ARDUCOPTER,
+            epoch=0.0,
+            origin=ORIGIN,
+            located=lambda t: t >= fix_at,
+            errors=self.errors,
+        )
         autopilot = SimulatedArduPilot(
-            DroneSenses(world, 1, 0.0, earth=ORIGIN),
-            truth=DroneTruth(world, 1, 0.0, ORIGIN),
-            pilot=pilot,
-            boot_at=-40.0,
+            senses, truth=DroneTruth(world, 1, 0.0, ORIGIN), pilot=self.pilot, boot_at=-40.0
         )
         super().__init__(autopilot, now)
         self.both_say_hello()
@@ -48,11 +65,11 @@ class GuidedBench(Bench):
     def climb(self, height: float = 5.0) -> None:
         """Up, and at rest there."""
         assert [self.mode(GUIDED), self.arm(), self.take_off(height)] == [ACCEPTED] * 3
-        self.until(lambda: self.drone.state(self.now).position[2] < -height + 0.05)
+        self.until(lambda: self.drone.state(self.now).position[2] < -height - self.errors.local[2] + 0.05)
         self.run(4.0)
 
     def local(self) -> Array:
-        """Position in the autopilot's local frame, (3,) m."""
+        """Where it truly is from its start, (3,) m."""
         return np.subtract(self.drone.state(self.now).position, START)
 
 
@@ -248,6 +265,91 @@ def test_a_commanded_heading_is_turned_to_and_kept():
     bench.run(5.0)
     assert bench.drone.state(bench.now).yaw == pytest.approx(math.pi / 4.0, abs=0.02)
     np.testing.assert_allclose(bench.local(), (0.0, 0.0, -5.0), atol=0.1)
+
+
+# ── by its own estimate ──────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def off_by(
+    heading: float = 0.0, local: Triple = (0.0, 0.0, 0.0), earth: Triple = (0.0, 0.0, 0.0)
+) -> Callable[[LastingErrors], LastingErrors]:
+    return lambda own: LastingErrors(lambda t: heading, local, earth)
+
+
+def test_what_it_says_of_itself_is_what_it_was_told_and_where_it_is_is_off_by_its_errors():
+    bench = GuidedBench(flies_by=lambda own: own)
+    bench.climb()
+    bench.run(25.0)
+    bench.set_point(position=(3.0, 6.0, -5.0), yaw=1.0)
+    bench.run(15.0)
+    asked = (
+        ardupilotmega.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        ardupilotmega.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+    )
+    for message in asked:
+        bench.ground.ask(message, 50.0, bench.now)
+    bench.run(2.0)
+    says = np.mean([(m.x, m.y, m.z) for m in bench.ground.of("LOCAL_POSITION_NED")], axis=0)
+    attitude = [(m.q1, m.q2, m.q3, m.q4) for m in bench.ground.of("ATTITUDE_QUATERNION")]
+    heading = np.mean([rotation.to_euler(rotation.from_quaternion(np.array(q)))[2] for q in attitude])
+    np.testing.assert_allclose(says, (3.0, 6.0, -5.0), atol=0.02)
+    assert heading == pytest.approx(1.0, abs=0.005)
+    off = bench.errors.heading(bench.now)
+    assert abs(off) > 0.005, "or it proves nothing"
+    assert abs(bench.errors.local[2]) > 0.04
+    np.testing.assert_allclose(bench.local() + bench.errors.local, (3.0, 6.0, -5.0), atol=0.01)
+    assert bench.drone.state(bench.now).yaw == pytest.approx(1.0 - off, abs=0.002)
+
+
+def test_an_error_of_the_heading_turns_its_nose_and_what_is_told_ahead_of_it_but_not_its_way_north():
+    bench = GuidedBench(flies_by=off_by(heading=0.1))
+    bench.climb()
+    assert bench.drone.state(bench.now).yaw == pytest.approx(YAW)
+    bench.set_point(position=(0.0, 8.0, -5.0))
+    bench.run(12.0)
+    np.testing.assert_allclose(bench.local(), (0.0, 8.0, -5.0), atol=0.1)
+    assert bench.drone.state(bench.now).yaw == pytest.approx(math.pi / 2.0 - 0.1, abs=0.05)
+    bench.order(ardupilotmega.MAV_CMD_CONDITION_YAW, 45.0, 30.0, 1.0, 0.0)
+    bench.keep_telling(5.0, velocity=(1.0, 0.0, 0.0), yaw=0.0)
+    np.testing.assert_allclose(bench.drone.state(bench.now).velocity, (1.0, 0.0, 0.0), atol=0.02)
+    assert bench.drone.state(bench.now).yaw == pytest.approx(-0.1, abs=0.01)
+    bench.keep_telling(5.0, velocity=(1.0, 0.0, 0.0), frame=ardupilotmega.MAV_FRAME_BODY_NED)
+    np.testing.assert_allclose(bench.drone.state(bench.now).velocity, (1.0, 0.0, 0.0), atol=0.02)
+
+
+def test_when_its_heading_steps_it_turns_to_the_heading_that_it_was_told_and_without_one_it_stays():
+    step_at = 20.0
+    noses = []
+    for told in (True, False):
+        bench = GuidedBench(
+            flies_by=lambda own: own._replace(heading=lambda t: 0.05 if t < step_at else -0.02)
+        )
+        bench.climb()
+        if told:
+            bench.order(ardupilotmega.MAV_CMD_CONDITION_YAW, 90.0, 30.0, 1.0, 0.0)
+        bench.run(step_at - 1.0 - bench.now)
+        before = bench.drone.state(bench.now).yaw
+        bench.run(5.0)
+        noses.append((before, bench.drone.state(bench.now).yaw))
+    assert noses[0] == pytest.approx((math.pi / 2.0 - 0.05, math.pi / 2.0 + 0.02), abs=0.002)
+    assert noses[1] == pytest.approx((YAW, YAW), abs=1e-6)
+
+
+def test_a_place_on_the_earth_is_where_its_gps_says_and_a_height_above_home_where_its_local_frame_does():
+    bench = GuidedBench(flies_by=off_by(local=(0.0, 0.0, 0.1), earth=(0.8, -0.5, 1.5)))
+    bench.climb()
+    assert bench.local()[2] == pytest.approx(-5.1, abs=0.03)
+    lat, lon = (round(1e7 * math.degrees(angle)) for angle in ORIGIN[:2])
+    frames = ardupilotmega.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, ardupilotmega.MAV_FRAME_GLOBAL_INT
+    for frame, height, down in zip(frames, (6.0, ORIGIN.height + 6.0), (-6.1, -7.5), strict=True):
+        bench.ground.send(
+            ardupilotmega.MAVLink_set_position_target_global_int_message(
+                0, 1, 1, frame, 0b110111111000, lat, lon, height, 0, 0, 0, 0, 0, 0, 0, 0
+            ),
+            bench.now,
+        )
+        bench.run(15.0)
+        np.testing.assert_allclose(bench.drone.state(bench.now).position, (-0.8, 0.5, down), atol=0.1)
 
 
 def test_it_lands_where_it_is_stands_still_there_and_can_fly_again():

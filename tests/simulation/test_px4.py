@@ -19,7 +19,7 @@ from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.pilot import GuidedPilot
 from swarmtrack.simulation.px4 import SimulatedPx4
 from swarmtrack.simulation.scenarios import ORIGIN
-from swarmtrack.simulation.senses import DroneSenses
+from swarmtrack.simulation.senses import NO_ERRORS, DroneSenses
 from swarmtrack.simulation.trajectory import Hover
 from swarmtrack.simulation.truth import DroneTruth
 from swarmtrack.simulation.world import World
@@ -149,7 +149,9 @@ class Px4Bench(Bench):
     def __init__(self) -> None:
         self.drone = GuidedDrone((0.0, 0.0, 0.0), 0.0, PX4.response, Hover((0.0, 0.0, 0.0)))
         world = World(3, {1: self.drone})
-        self.pilot = GuidedPilot(self.drone, PX4, epoch=0.0, origin=ORIGIN, located=lambda t: True)
+        self.pilot = GuidedPilot(
+            self.drone, PX4, epoch=0.0, origin=ORIGIN, located=lambda t: True, errors=NO_ERRORS
+        )
         super().__init__(
             SimulatedPx4(
                 DroneSenses(world, 1, 0.0), truth=DroneTruth(world, 1, 0.0, ORIGIN), pilot=self.pilot
