@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 from support.ground_station import Bench
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.geodesy import Geodetic, to_ned
+from swarmtrack.messages import Array
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.firmware import PX4
 from swarmtrack.simulation.guided import GuidedDrone
@@ -203,20 +204,28 @@ def test_a_take_off_begins_when_it_is_armed_and_a_landing_disarms():
     assert bench.drone.state(bench.now).position == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
 
 
-# px4.md: velocity 0 → 5 m/s, times to 10, 50 and 63 %
-def test_a_step_of_velocity_takes_the_time_that_px4_took():
+# px4.md: velocity 0 → 5 m/s, of which it had 4.05 after 4 s, and from there to 0: times to 10, 50, 63, 80, 90 %
+def test_steps_of_velocity_take_the_time_that_px4_took():
     bench = Px4Bench()
     bench.climb()
     bench.ground.ask(ardupilotmega.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 50.0, bench.now)
     bench.run(0.1)
     bench.ground.heard.clear()
     bench.keep_telling(4.0, velocity=(5.0, 0.0, 0.0), yaw=0.0)
-    share = np.array([m.vx for m in bench.ground.of("HIL_STATE_QUATERNION")]) / 500.0
-    t = 0.02 * np.arange(len(share))
-    assert [float(t[np.argmax(share >= part)]) for part in (0.10, 0.50, 0.63)] == pytest.approx(
-        (0.27, 0.69, 1.07), rel=0.15, abs=0.04
+    bench.keep_telling(4.0, velocity=(0.0, 0.0, 0.0), yaw=0.0)
+    speed = 1e-2 * np.array([m.vx for m in bench.ground.of("HIL_STATE_QUATERNION")])
+    start, brake = speed[:200], speed[200:]
+
+    def times(share: Array, *parts: float) -> list[float]:
+        return [0.02 * float(np.argmax(share >= part)) for part in parts]
+
+    assert times(start / 5.0, 0.10, 0.50, 0.63, 0.80) == pytest.approx(
+        (0.27, 0.69, 1.07, 3.6), rel=0.15, abs=0.04
     )
-    assert share.max() < 0.9
+    assert start[-1] == pytest.approx(4.05, abs=0.1)
+    assert times(1.0 - brake / start[-1], 0.10, 0.50, 0.63, 0.80, 0.90) == pytest.approx(
+        (0.24, 0.52, 0.68, 1.2, 3.2), rel=0.15, abs=0.04
+    )
 
 
 def test_it_turns_at_2_2_rad_per_second_and_keeps_its_heading_on_the_way_to_a_place():
