@@ -5,11 +5,11 @@ so an ID is kept until its track ends, or until something speaks against it: `st
 
 Every scan, what is undecided (tracks without an ID, drones without a track, IDs in doubt) is matched again. The
 posterior over all one-to-one matchings assigns an ID where it is likely enough, and "unknown" elsewhere. It goes by
-residuals averaged over a short window, by how large tracks look (`spans.py`), by whether they move as their drones say
-(`displacement.py`), and by what the scene is like (`scene.py`). An ID that is challenged or doubted has its past as the
-prior. A settled one is judged again when a nameless track comes where its drone should be: then its past counts only
-as far as it was earned. A drone whose track ended is expected where it was seen last, moving on, or where it reported
-itself since (`whereabouts.py`). A track that no drone explains for a while is foreign.
+residuals averaged over a short window, by how large tracks look (`spans.py`), by whether they move as their drones
+say (`motion_evidence.py`), and by what the scene is like (`scene.py`). An ID that is challenged or doubted has its past
+as the prior. A settled one is judged again when a nameless track comes where its drone should be: then its past counts
+only as far as it was earned. A drone whose track ended is expected where it was seen last, moving on, or where it
+reported itself since (`whereabouts.py`). A track that no drone explains for a while is foreign.
 
 Where two drones hide each other, their tracks may change places unseen, so both are asked where they are. While two
 processes speak as one drone, that ID is assigned to no track.

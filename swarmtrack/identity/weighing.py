@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.identity.displacement import Displacements
 from swarmtrack.identity.evidence import Evidence
+from swarmtrack.identity.motion_evidence import REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.posterior import PRIOR, ReprojectionResiduals, log_ratios, residuals
 from swarmtrack.identity.reprojection import ObserverCamera, Predictions
 from swarmtrack.identity.scene import Scene
@@ -36,7 +36,9 @@ class Weighing:
         self._evidence = Evidence(window_s)
         self._scene = Scene(2.0 * math.atan(0.5 * camera.height / camera.fy))
         self._spans = Spans(camera.fx)
-        self._displacements = Displacements()
+        self._motion = MotionEvidence()
+        self._placed: dict[int, Announcement] = {}
+        """By drone: the last place that it said."""
 
     def watch(
         self, alive: Mapping[int, Track], view: ObserverCamera, places: Mapping[int, Announcement]
@@ -48,8 +50,13 @@ class Weighing:
             if track.coasting_since is None
             and (track.status is TrackStatus.CONFIRMED or track.probability >= RIVAL)
         ]
-        self._displacements.keep(alive)
-        self._displacements.observe(detected, view, places)
+        self._motion.keep(alive)
+        for drone, place in places.items():
+            before = self._placed.get(drone)
+            if before is None or place.t > before.t:
+                self._motion.hear(_said_by(place, before))
+                self._placed[drone] = place
+        self._motion.observe(detected, view)
 
     def weigh(self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera) -> Array:
         """(n, k), −inf outside every gate. Averages over the scans in which it was asked of the same pair."""
@@ -90,7 +97,7 @@ class Weighing:
 
     def motion(self, track_id: int, drone_id: int) -> float:
         """The part of a log ratio that tells how both moved."""
-        return self._displacements.log_ratio(track_id, drone_id)
+        return self._motion.log_ratio(track_id, drone_id)
 
     def log_missed(self, drone_id: int) -> float:
         """Log odds for a track that was named when a newcomer had no track yet: the drone would have been missed."""
@@ -129,7 +136,7 @@ class Weighing:
 
     def hide(self, track_id: int, log_odds: float) -> None:
         """The track was not seen for a while, or met another: how it moved before speaks for no more than this."""
-        self._displacements.weaken(track_id, log_odds)
+        self._motion.weaken(track_id, log_odds)
 
     def forget(self, drone_id: int) -> None:
         """Another life of the drone: it may be another airframe."""
@@ -143,6 +150,14 @@ def _residuals(tracks: Sequence[Track], predicted: Predictions) -> ReprojectionR
     size = np.nan_to_num([track.size for track in tracks], nan=0.0).reshape(-1, 2)
     cov[:, [0, 2], [0, 2]] += (OFF_CENTRE * size) ** 2
     return residuals(mean, cov, predicted)
+
+
+def _said_by(place: Announcement, before: Announcement | None) -> Saying:
+    """How a drone moves, by two places that it said."""
+    velocity = np.zeros(3)
+    if before is not None and before.boot == place.boot:
+        velocity = (place.position - before.position) / (place.t - before.t)
+    return Saying(place.drone_id, ("place", place.boot), place.t, place.position, velocity, REPORTED)
 
 
 def _elevations(tracks: Sequence[Track], view: ObserverCamera) -> list[float]:

@@ -1,20 +1,17 @@
-"""Names among houses, poles and birds: rivals, things that stand, sizes, and what is asked of whom."""
+"""Names among houses, poles and birds: rivals, sizes, and what is asked of whom."""
 
 import math
 
 import numpy as np
 import pytest
 
-from support.observer import CAMERA, FORWARD, LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
-from swarmtrack.identity import displacement, spans
-from swarmtrack.identity.displacement import Displacements
+from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
+from swarmtrack.identity import spans
 from swarmtrack.identity.posterior import PRIOR
-from swarmtrack.identity.reprojection import ObserverCamera
 from swarmtrack.identity.scene import PRIOR_S, Scene
 from swarmtrack.identity.spans import SPAN, Spans
 from swarmtrack.identity.whereabouts import Whereabouts
-from swarmtrack.messages import Announcement, SightingReport, Track, TrackStatus
-from swarmtrack.motion.ego import TeamPose
+from swarmtrack.messages import Announcement, SightingReport
 
 BESIDE = shifted(LEFT, right=14.0)
 
@@ -94,91 +91,6 @@ def test_of_the_names_stated_among_strangers_as_many_are_right_as_their_probabil
     assert len(right) > 300
     assert 0.98 < np.mean(promised) < 1.0
     assert np.mean(right) > np.mean(promised) - 2.0 * math.sqrt(0.02 / len(right))
-
-
-# --- things that stand ---
-
-
-def tracks_at(t, *pixels):
-    return [
-        Track(k + 1, t, np.array([u, 0.0, v, 0.0]), np.eye(4), TrackStatus.CONFIRMED, 1.0, np.full(2, 20.0))
-        for k, (u, v) in enumerate(pixels)
-    ]
-
-
-def compare(steps, observer=lambda t: np.zeros(3)):
-    """steps: each second, the pixels of the tracks and where drone 2 says that it is, (3,) m."""
-    found = Displacements()
-    for t, (pixels, position) in enumerate(steps):
-        place = Announcement(2, "0000000a", 2, float(t), 0.0, position, np.eye(3), 0.09 * np.eye(3))
-        view = ObserverCamera.of(
-            TeamPose(float(t), observer(t), np.eye(3), 0.1**2 * np.eye(3), 0.02**2 * np.eye(3)),
-            CAMERA,
-            FORWARD,
-        )
-        found.observe(tracks_at(float(t), *pixels), view, {2: place})
-    return found
-
-
-def test_while_nobody_moves_a_house_and_a_hovering_drone_stay_as_likely_however_long_it_lasts():
-    found = compare([([LEFT, BESIDE], at(LEFT))] * 60)
-    assert found.log_ratio(1, 2) == pytest.approx(found.log_ratio(2, 2))
-    # Only that it is a stranger in flight is ruled out: it was one of two.
-    assert 0.0 < found.log_ratio(1, 2) <= math.log(2.0) + 1e-9
-
-
-def test_one_step_of_a_drone_says_of_a_standing_thing_what_bayes_says():
-    """One track follows by 30 px, one stands: three models by their densities, without the module's own sums."""
-    moved = shifted(LEFT, down=-30.0)
-    found = compare([([LEFT, BESIDE], at(LEFT)), ([moved, BESIDE], at(moved))])
-    metres = np.linalg.norm(at(moved))
-    noise = displacement.ATTITUDE_SIGMA**2 + (displacement.POSITION_SIGMA / metres) ** 2
-
-    def ray(pixel):
-        return at(pixel) / np.linalg.norm(at(pixel))
-
-    def density(miss, variance):
-        return math.exp(-0.5 * miss @ miss / variance) / (2.0 * math.pi * variance)
-
-    for track, then, now in ((1, LEFT, moved), (2, BESIDE, BESIDE)):
-        follows = ray(then) + ray(moved) - ray(LEFT)
-        drone = density(ray(now) - follows / np.linalg.norm(follows), noise)
-        stands = density(ray(now) - ray(then), noise)
-        flies = density(ray(now) - ray(then), noise + displacement.STRANGER_RATE**2)
-        assert found.log_ratio(track, 2) == pytest.approx(
-            math.log(drone / (0.5 * stands + 0.5 * flies)), abs=1e-6
-        )
-    assert found.log_ratio(1, 2) > 1.5
-    assert found.log_ratio(2, 2) < -3.0
-
-
-@pytest.mark.parametrize("metres", [12.0, 30.0, 80.0, 1e4])
-def test_a_thing_that_stands_is_known_by_the_observer_s_own_way_at_any_distance(metres):
-    """The observer climbs with its teammate, 1 m a second: the drone stays where it is in the image."""
-
-    def climbed(t):
-        return np.array([0.0, 0.0, -1.0 * t])
-
-    def seen(t):
-        place = metres * at(BESIDE) / at(BESIDE)[0] - climbed(t)
-        return (320.0 + 430.0 * place[1] / place[0], 240.0 + 430.0 * place[2] / place[0])
-
-    found = compare([([LEFT, seen(t)], at(LEFT) + climbed(t)) for t in range(6)], climbed)
-    assert found.log_ratio(1, 2) > -0.5
-    assert found.log_ratio(1, 2) - found.log_ratio(2, 2) > (2.0 if metres < 50.0 else -0.5)
-
-
-def test_motion_never_decides_beyond_its_bound_and_a_track_that_was_hidden_keeps_little_of_it():
-    steps = [
-        ([shifted(LEFT, down=-40.0 * (t % 2)), BESIDE], at(shifted(LEFT, down=-40.0 * (t % 2))))
-        for t in range(40)
-    ]
-    found = compare(steps)
-    assert found.log_ratio(1, 2) == pytest.approx(displacement.MOST)
-    assert found.log_ratio(2, 2) == pytest.approx(-displacement.MOST)
-    for track in (1, 2):
-        found.weaken(track, 1.0)
-        assert abs(found.log_ratio(track, 2)) <= 1.0 + math.log(2.0)
 
 
 # --- sizes ---

@@ -1,0 +1,296 @@
+"""Does a track move as its drone says that it does, as something else would, or does it stand?
+
+A drone that says how it moves can be told from another by the ray on which it is seen, wherever it started: a proof
+that no wrong pad and no wrong compass spoils. Whenever something is said (`Saying`), the rays of the scan of that time
+are compared with what these models foretell, by the filters of `ray_filters.py`:
+
+* the track is the drone, and moves as it says;
+* it is a stranger that hovers and sways, or one that flies;
+* it is a thing that stands, near or far: its ray turns by the observer's own way alone.
+
+The last three are "none of them", and as good models as the first: else that would win or lose for the wrong reason.
+The log ratio of the two is what motion says of a pair. A team that hovers without a sway moves by no more than the
+noise, and then the drone and the standing thing foretell the same: nothing is learned, however long it lasts.
+
+Three kinds of sources say how a drone moves, and `Trust` is how closely it then flies: its own messages, the places in
+its reports, a code or plan that all know. What comes late counts at its own time: rays are kept for `MEMORY_S`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Container, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.identity.ray_filters import ATTITUDE_WHITE, Looks, Model, RayFilters
+from swarmtrack.identity.reprojection import NEAREST, ObserverCamera
+from swarmtrack.identity.spans import SPAN, SPAN_SIGMA
+from swarmtrack.messages import Array, Track
+
+# s of scans in which the time of a saying is looked up, and how far from it a scan may be.
+MEMORY_S, SIMULTANEOUS_S = 2.0, 0.12
+# s: less lies not between two sayings of a drone that are compared, and more is too long.
+SHORTEST_S, LONGEST_S = 0.11, 5.0
+# s and rad: a filter begins again after so long, or so far from the ray that it began with.
+LIFE_S, REACH = 20.0, 0.5
+# m: a displacement that leaves its own speed by so much was set, not flown.
+JUMP = 1.0
+# px: of a track's centre, beside what its tracker knows.
+CENTRE_SIGMA_PX = 1.0
+# m and rad/s: how a stranger sways, and how one flies; it may be anywhere around the first.
+SWAY, FLIGHT = (0.15, 1.5), (2.0, 0.5)
+# 1/m and one sigma: how far things are that stand near, and far.
+STANDS = ((0.08, 0.05), (0.0, 0.02))
+# 1/m: of a track without a size.
+KAPPA = 0.1
+# Of a distance by a place that was said, relative; and of a place, m.
+PLACED_SHARE, PLACED_M = 0.2, 2.0
+# Sayings that wait for their scan; who is told more is flooded.
+MANY = 256
+# Log odds that are remembered: a track may after all have changed over to another target.
+MOST = math.log(1e6)
+_MODELS = 5
+_NONE = math.log(1.0 / (_MODELS - 1))
+
+
+class Trust(NamedTuple):
+    """How closely a drone flies what a source says: smoothly off by `wander` m, at `bandwidth` rad/s, and by `white` m
+    from one saying to the next; clock [s]: by how much its time may be off. most: the log odds that it may give, either
+    way. placed: its displacement is a place in the team frame, which tells its distance too."""
+
+    wander: float
+    bandwidth: float
+    white: float
+    clock: float
+    most: float
+    placed: bool = False
+
+
+PUBLISHED = Trust(wander=0.03, bandwidth=0.5, white=0.02, clock=0.1, most=MOST)
+REPORTED = Trust(wander=0.15, bandwidth=0.5, white=0.1, clock=0.1, most=math.log(1e3), placed=True)
+CODED = Trust(wander=0.1, bandwidth=1.5, white=0.02, clock=0.1, most=MOST)
+PLANNED = Trust(wander=0.3, bandwidth=1.0, white=0.02, clock=0.25, most=math.log(1e3))
+
+
+class Saying(NamedTuple):
+    """Where a drone is at t, from wherever its source counts: displacement (3,) m and velocity (3,) m/s in the team
+    frame's axes. source: names the place from which it is counted, such as a boot; of two nothing can be compared."""
+
+    drone_id: int
+    source: tuple[object, ...]
+    t: float
+    displacement: Array
+    velocity: Array
+    trust: Trust
+
+
+class _Scan:
+    """Of one exposure: the tracks that were detected, and from where; their rays once somebody asks."""
+
+    def __init__(self, tracks: Sequence[Track], view: ObserverCamera) -> None:
+        self.t = view.observer.t
+        self.camera = view.team_from_camera.position
+        self.row = {track.id: row for row, track in enumerate(tracks)}
+        self._tracks = tracks
+        self._view = view
+
+    @cached_property
+    def rays(self) -> Array:
+        """(n, 3): unit vectors, team frame."""
+        return self._view.rays(np.array([track.mean[::2] for track in self._tracks]).reshape(-1, 2))
+
+    @cached_property
+    def noise(self) -> Array:
+        """(n,) rad²: of each ray."""
+        own = np.array([track.cov[0, 0] + track.cov[2, 2] for track in self._tracks]) / 2.0
+        return np.asarray((own + CENTRE_SIGMA_PX**2) / self._view.camera.fx**2 + ATTITUDE_WHITE**2)
+
+    @cached_property
+    def kappa(self) -> Array:
+        """(n,) 1/m: one over the distance of a drone that looks as large."""
+        side = np.array([track.size.max() for track in self._tracks]) / (self._view.camera.fx * SPAN)
+        return np.clip(np.where(side > 0.0, side, KAPPA), 1e-3, 1.0 / NEAREST)
+
+
+class MotionEvidence:
+    """Told of every scan, and of all that is said of how drones move."""
+
+    def __init__(self) -> None:
+        self._scans: deque[_Scan] = deque()
+        self._waiting: list[Saying] = []
+        self._last: dict[int, Saying] = {}
+        self._filters = RayFilters(_MODELS)
+        self._free: list[int] = list(range(self._filters.rows))
+        self._row: dict[tuple[int, int], int] = {}
+        self._begun: dict[tuple[int, int], float] = {}
+        """s: when the filters of a pair began; not there: they are to begin."""
+        self._ratio: dict[tuple[int, int], float] = {}
+
+    @property
+    def pairs(self) -> set[tuple[int, int]]:
+        """Of tracks and drones, those that were compared."""
+        return set(self._row)
+
+    def hear(self, saying: Saying) -> None:
+        """It counts with the first scan that is no older."""
+        if len(self._waiting) < MANY:
+            self._waiting.append(saying)
+
+    def observe(self, tracks: Sequence[Track], view: ObserverCamera) -> None:
+        """tracks: those that are detected."""
+        self._scans.append(_Scan(tracks, view))
+        now = self._scans[-1].t
+        while self._scans[0].t < now - MEMORY_S:
+            self._scans.popleft()
+        due = sorted((s for s in self._waiting if s.t <= now), key=lambda s: s.t)
+        self._waiting = [s for s in self._waiting if now < s.t < now + MEMORY_S]
+        while due:
+            # Each drone once: a filter takes one look after the other.
+            first = {saying.drone_id: saying for saying in reversed(due)}
+            self._compare(list(first.values()))
+            due = [saying for saying in due if saying is not first[saying.drone_id]]
+
+    def keep(self, tracks: Container[int]) -> None:
+        """Tracks that have ended are forgotten."""
+        for pair in [pair for pair in self._row if pair[0] not in tracks]:
+            self._free.append(self._row.pop(pair))
+            self._begun.pop(pair, None)
+            self._ratio.pop(pair, None)
+
+    def weaken(self, track_id: int, log_odds: float) -> None:
+        """It was not seen for a while, or met another: what it did before speaks for no more than this, nor than half
+        of what it did, and it may not be where it was."""
+        for scan in self._scans:
+            scan.row.pop(track_id, None)
+        for pair, row in self._row.items():
+            if pair[0] == track_id:
+                log = self._filters.log[row]
+                self._filters.log[row] = np.maximum(0.5 * (log - log.max()), -log_odds)
+                self._begun.pop(pair, None)
+                self._ratio[pair] = float(_ratios(self._filters.log[row]))
+
+    def log_ratio(self, track_id: int, drone_id: int) -> float:
+        """How much more likely the track is the drone than another thing, by how both moved."""
+        most = self._last[drone_id].trust.most if drone_id in self._last else 0.0
+        return min(max(self._ratio.get((track_id, drone_id), 0.0), -most), most)
+
+    def _compare(self, sayings: Sequence[Saying]) -> None:
+        """sayings: one of each drone, in order. The rays of the scan nearest to each are weighed by all models."""
+        pairs, looks, begins = [], [], []
+        for saying in sayings:
+            before = self._last.get(saying.drone_id)
+            if before is not None and saying.t - before.t < SHORTEST_S and saying.source == before.source:
+                continue
+            scan = min(self._scans, key=lambda scan: abs(scan.t - saying.t))
+            if abs(scan.t - saying.t) > SIMULTANEOUS_S:
+                continue
+            self._last[saying.drone_id] = saying
+            follows = before is not None and _follows(before, saying)
+            here = [(track, saying.drone_id) for track in scan.row]
+            pairs += here
+            looks += [_Look(saying, scan, row) for row in scan.row.values()]
+            begins += [not follows or scan.t - self._begun.get(pair, -math.inf) > LIFE_S for pair in here]
+        if pairs:
+            self._weigh(pairs, looks, np.array(begins))
+
+    def _weigh(
+        self, pairs: Sequence[tuple[int, int]], found: Sequence[_Look], begins: NDArray[np.bool_]
+    ) -> None:
+        rows = np.array([self._row_of(pair) for pair in pairs])
+        looks = _looks(found)
+        later = looks.t > self._filters.t[rows]
+        begins |= ~self._filters.reaches(rows, looks.ray, REACH)
+        goes_on, starts = np.flatnonzero(later & ~begins), np.flatnonzero(begins)
+        if goes_on.size:
+            self._filters.look(rows[goes_on], looks.only(goes_on))
+        if starts.size:
+            self._filters.begin(
+                rows[starts], looks.only(starts), _models([found[i] for i in starts.tolist()])
+            )
+            self._begun |= {pairs[i]: float(looks.t[i]) for i in starts.tolist()}
+        log = self._filters.log[rows]
+        log = np.maximum(log - log.max(axis=1, keepdims=True), -2.0 * MOST)
+        self._filters.log[rows] = log
+        self._ratio |= dict(zip(pairs, _ratios(log).tolist(), strict=True))
+
+    def _row_of(self, pair: tuple[int, int]) -> int:
+        row = self._row.get(pair)
+        if row is None:
+            if not self._free:
+                self._free = list(range(self._filters.rows, 2 * self._filters.rows))
+                self._filters.grow()
+            row = self._row[pair] = self._free.pop()
+            self._filters.log[row] = 0.0
+        return row
+
+
+class _Look(NamedTuple):
+    """What was said of a drone, and the track of this row in the scan of that time."""
+
+    saying: Saying
+    scan: _Scan
+    row: int
+
+
+def _follows(before: Saying, saying: Saying) -> bool:
+    """Whether a drone may have flown from the one to the other."""
+    dt = saying.t - before.t
+    if saying.source != before.source or dt > LONGEST_S:
+        return False
+    flown = 0.5 * dt * (before.velocity + saying.velocity)
+    off = float(np.linalg.norm(saying.displacement - before.displacement - flown))
+    return off < JUMP * max(dt, 1.0)
+
+
+def _looks(found: Sequence[_Look]) -> Looks:
+    said = np.array(
+        [look.saying.displacement + (look.scan.t - look.saying.t) * look.saying.velocity for look in found]
+    )
+    white = np.array([look.saying.trust.white * _inverse_distance(look)[0] for look in found])
+    foretold, speed = np.zeros((2, len(found), _MODELS, 3))
+    foretold[:, 0], speed[:, 0] = said, [look.saying.velocity for look in found]
+    return Looks(
+        np.array([look.scan.t for look in found]),
+        np.array([look.scan.rays[look.row] for look in found]),
+        np.array([look.scan.camera for look in found]),
+        np.array([look.scan.noise[look.row] for look in found]) + white**2,
+        foretold,
+        speed,
+    )
+
+
+def _models(found: Sequence[_Look]) -> Model:
+    """The drone as it says, one that sways, one that flies, and things that stand: none of them more exact than the
+    first, which would make them win by that alone."""
+    kappa = np.array([look.scan.kappa[look.row] for look in found])[:, None]
+    its, its_share = np.array([_inverse_distance(look) for look in found]).T[..., None]
+    trust = np.array([look.saying.trust for look in found], dtype=float)
+    n = len(found)
+    wander, bandwidth, clock = trust[:, :1], trust[:, 1:2], trust[:, 3:4]
+    stands = np.broadcast_to(np.array(STANDS), (n, 2, 2))
+    return Model(
+        np.hstack([its, kappa, kappa, stands[..., 0]]),
+        np.hstack([its_share * its, SPAN_SIGMA * kappa, SPAN_SIGMA * kappa, stands[..., 1]]),
+        np.repeat(clock, _MODELS, axis=1),
+        np.hstack([its * wander, kappa * SWAY[0], kappa * FLIGHT[0], its * wander, its * wander]),
+        np.hstack([bandwidth, np.tile([SWAY[1], FLIGHT[1]], (n, 1)), bandwidth, bandwidth]),
+    )
+
+
+def _inverse_distance(look: _Look) -> tuple[float, float]:
+    """Of the drone if the track is it [1/m], and its relative sigma: by the place that it says, or by its size."""
+    if not look.saying.trust.placed:
+        return float(look.scan.kappa[look.row]), SPAN_SIGMA
+    distance = max(float(np.linalg.norm(look.saying.displacement - look.scan.camera)), NEAREST)
+    return 1.0 / distance, math.hypot(PLACED_SHARE, PLACED_M / distance)
+
+
+def _ratios(log: Array) -> Array:
+    """Of log likelihoods (..., models): of the drone against the mean of the others."""
+    none = np.logaddexp.reduce(log[..., 1:], axis=-1) + _NONE
+    return np.asarray(log[..., 0] - none)
