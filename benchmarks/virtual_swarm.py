@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import heapq
+import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from swarmtrack.messages import (
     Array,
     Detections,
     HeadingNews,
+    MotionReport,
     PeerArrived,
     PoseWanted,
     ScanReport,
@@ -90,6 +92,7 @@ class _Drone:
     reports: int = 0
     reported_t: float = -np.inf
     reported: frozenset[int] = frozenset()
+    shared: int = 0
     wanted: list[int] = dataclasses.field(default_factory=list)
     """Whose pose it wants and has not asked for yet."""
     found: dict[int, tuple[Array, float]] = dataclasses.field(default_factory=dict)
@@ -98,6 +101,8 @@ class _Drone:
 
 class VirtualSwarm:
     """`fly` yields every scan of every drone, in the order of their exposure.
+
+    share_hz: how often each tells how it moves; 0: never.
 
     eyes: what finds drones in frames, `oracle_eyes` by default. camera_clocks_told: every drone knows by
     how much its camera's stamps are late, and does not estimate it.
@@ -111,6 +116,7 @@ class VirtualSwarm:
         identity: IdentityParameters | None = None,
         eyes: Eyes | None = None,
         camera_clocks_told: bool = False,
+        share_hz: float = 0.0,
     ) -> None:
         self.scenario = scenario
         self.announcements = 0
@@ -120,6 +126,7 @@ class VirtualSwarm:
         self._tracker = tracker
         self._eyes = eyes or oracle_eyes(scenario)
         self._camera_clocks_told = camera_clocks_told
+        self._share_hz = share_hz
         self._drones = {drone_id: self._make(drone_id) for drone_id in scenario.members}
 
     def _make(self, drone_id: int) -> _Drone:
@@ -198,6 +205,7 @@ class VirtualSwarm:
             if now >= drone.announce_at:
                 self._announce(drone_id, drone, now)
             self._report(drone_id, drone, now)
+            self._share(drone_id, drone, now)
             events = drone.onboard.events()
             drone.wanted += [event.drone_id for event in events if isinstance(event, PoseWanted)]
             for wanted in drone.wanted:
@@ -249,6 +257,21 @@ class VirtualSwarm:
         for other_id, other in self._drones.items():
             if other_id != drone_id:
                 other.onboard.tell(dataclasses.replace(report, t_sigma=CLOCK_SIGMA))
+
+    def _share(self, drone_id: int, drone: _Drone, now: float) -> None:
+        if self._share_hz == 0.0 or now * self._share_hz < drone.shared:
+            return
+        drone.shared = math.floor(now * self._share_hz) + 1
+        report = drone.onboard.motion_report(f"{drone_id:08x}", drone.shared)
+        if report is None:
+            return
+        for other_id, other in self._drones.items():
+            if other_id != drone_id:
+                other.onboard.tell(dataclasses.replace(self._said(report), t_sigma=CLOCK_SIGMA))
+
+    def _said(self, report: MotionReport) -> MotionReport:
+        """What a drone says of its motion; overridden where it lies."""
+        return report
 
 
 def _due(what: str, index: int, rate: float) -> float:

@@ -341,7 +341,40 @@ class SightingReport:
         _hold(self, "position", (3,))
 
 
-PeerEvent = Announcement | PeerArrived | PeerDeparted | IdClash | AnnouncementRequested | SightingReport
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionReport:
+    """How one drone moves, by its own autopilot: for teammates that want to know a track by its motion.
+
+    t: when it moved so, on *our* monotonic clock (converted by the transport), t_sigma its uncertainty. displacement
+    (3,) m: of its body since its process first knew where it was, along the team frame's axes; velocity (3,) m/s;
+    their covariances (3, 3).
+    """
+
+    drone_id: int
+    boot: str
+    sequence: int
+    t: float
+    t_sigma: float
+    displacement: Array
+    displacement_cov: Array
+    velocity: Array
+    velocity_cov: Array
+
+    def __post_init__(self) -> None:
+        for vector, cov in (("displacement", "displacement_cov"), ("velocity", "velocity_cov")):
+            _hold(self, vector, (3,))
+            _hold(self, cov, (3, 3))
+
+
+PeerEvent = (
+    Announcement
+    | PeerArrived
+    | PeerDeparted
+    | IdClash
+    | AnnouncementRequested
+    | SightingReport
+    | MotionReport
+)
 
 Membership = PeerArrived | PeerDeparted | IdClash
 Input = (
@@ -353,6 +386,7 @@ Input = (
     | Announcement
     | Membership
     | SightingReport
+    | MotionReport
 )
 """All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""
 

@@ -33,6 +33,7 @@ from swarmtrack.messages import (
     IdClash,
     ImuSample,
     Input,
+    MotionReport,
     PeerArrived,
     PeerDeparted,
     PoseWanted,
@@ -133,6 +134,8 @@ class Onboard:
             case SightingReport():
                 self._identities.on_report(event)
                 self._compare(event)
+            case MotionReport():
+                self._identities.on_motion(event)
             case Announcement():
                 self.counters.announcements_refused += not self._identities.announce(event)
             case PeerArrived() | PeerDeparted() | IdClash():
@@ -156,6 +159,10 @@ class Onboard:
         """Whom this drone saw in its last scan; None where it does not know where it stands."""
         view, known = self._view, self._identities.announced
         return None if view is None else view.report(self._drone_id, boot, sequence, known)
+
+    def motion_report(self, boot: str, sequence: int) -> MotionReport | None:
+        """How this drone itself moves; None where it does not know."""
+        return self._ego.moved(self._drone_id, boot, sequence)
 
     def tracks(self, now: float) -> TrackList:
         """Everything tracked, carried on to now; nothing once the scans have stayed away for too long."""

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement, Array, SightingReport, Track
+from swarmtrack.messages import Announcement, Array, MotionReport, SightingReport, Track
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.gyro_bias import BiasEstimate
@@ -51,3 +51,4 @@ class Perceived(Protocol):
     def ego_pose(self, t: float) -> TeamPose | None: ...
     def camera_pose(self, t: float) -> Pose | None: ...
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None: ...
+    def motion_report(self, boot: str, sequence: int) -> MotionReport | None: ...

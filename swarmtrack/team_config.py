@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -66,6 +66,12 @@ class TeamSection(Section):
         description="false: nothing is told to the team and nothing is asked; who is who comes from `drones` "
         "(docs/silent.md)",
     )
+    share: Literal["nothing", "velocity"] = Field(
+        default="nothing",
+        description='"velocity": this drone tells its team how it moves, so that names are proved by motion '
+        "(docs/swarm.md)",
+    )
+    share_hz: Annotated[Number, Field(ge=2.0, le=10.0)] = Field(default=5.0, description="how often it does")
     drones: dict[str, FiledDrone] = Field(
         default={},
         description="ID = { position_m, yaw_deg, position_sigma_m } for every drone of the team: where each starts, "
@@ -84,6 +90,10 @@ class TeamSection(Section):
 
     @model_validator(mode="after")
     def _somebody_is_known(self) -> TeamSection:
+        if not self.announce and self.share != "nothing":
+            raise ValueError(
+                f'announce = false with share = "{self.share}", expected one or the other: what is shared is told'
+            )
         if not self.announce and not self.drones:
             raise ValueError(
                 "announce = false without drones, expected 1 = { position_m = … } in [team.drones]"

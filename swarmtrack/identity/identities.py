@@ -51,6 +51,7 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     Identity,
     Membership,
+    MotionReport,
     PeerArrived,
     PeerDeparted,
     SightingReport,
@@ -177,6 +178,12 @@ class Identities:
         drone = report.observer
         if drone != self._drone_id and drone not in self._clashing:
             self._whereabouts.report(report)
+
+    def on_motion(self, report: MotionReport) -> None:
+        """A teammate says how it moves."""
+        drone = report.drone_id
+        if drone != self._drone_id and drone not in self._clashing:
+            self._weighing.hear(report)
 
     def on_membership(self, event: Membership) -> None:
         """Who lives. While two processes speak as one drone, nobody can tell which pose is its own."""

@@ -190,13 +190,19 @@ class MotionEvidence:
             if abs(scan.t - saying.t) > SIMULTANEOUS_S:
                 continue
             self._last[saying.drone_id] = saying
-            follows = before is not None and _follows(before, saying)
+            if before is not None and not _follows(before, saying):
+                self._begin_again(saying.drone_id)
             here = [(track, saying.drone_id) for track in scan.row]
             pairs += here
             looks += [_Look(saying, scan, row) for row in scan.row.values()]
-            begins += [not follows or scan.t - self._begun.get(pair, -math.inf) > LIFE_S for pair in here]
+            begins += [scan.t - self._begun.get(pair, -math.inf) > LIFE_S for pair in here]
         if pairs:
             self._weigh(pairs, looks, np.array(begins))
+
+    def _begin_again(self, drone_id: int) -> None:
+        """Where it is counted from has changed, also for the tracks that this scan lacks."""
+        for pair in [pair for pair in self._begun if pair[1] == drone_id]:
+            del self._begun[pair]
 
     def _weigh(
         self, pairs: Sequence[tuple[int, int]], found: Sequence[_Look], begins: NDArray[np.bool_]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.evidence import Evidence
-from swarmtrack.identity.motion_evidence import REPORTED, MotionEvidence, Saying
+from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.posterior import PRIOR, ReprojectionResiduals, log_ratios, residuals
 from swarmtrack.identity.reprojection import ObserverCamera, Predictions
 from swarmtrack.identity.scene import Scene
 from swarmtrack.identity.spans import Spans
-from swarmtrack.messages import Announcement, Array, Track, TrackStatus
+from swarmtrack.messages import Announcement, Array, MotionReport, Track, TrackStatus
 from swarmtrack.tracking.lifecycle import probability_in_view
 
 # Of a box's side, one sigma: between its middle and the drone's. Half hidden drones count, too.
@@ -26,6 +26,12 @@ RIVAL = 0.5
 LEAST_EXISTENCE = 1e-6
 # Of a probability, from zero or one: what is further from both is not known yet.
 DOUBT = 0.05
+
+
+# Of a position's sigma: by how much its error changes in some seconds.
+DRIFT_SHARE = 0.1
+# s after which a drone that said how it moves says it no more.
+SILENT_S = 3.0
 
 
 class Weighing:
@@ -39,6 +45,20 @@ class Weighing:
         self._motion = MotionEvidence()
         self._placed: dict[int, Announcement] = {}
         """By drone: the last place that it said."""
+        self._published: dict[int, float] = {}
+        """By drone: of when its last word on its motion was, s."""
+
+    def hear(self, report: MotionReport) -> None:
+        """How a drone moves, by its own word: as long as it says so, its places are no news of that."""
+        self._published[report.drone_id] = report.t
+        sigma = math.sqrt(float(report.displacement_cov.diagonal().max()))
+        trust = PUBLISHED._replace(
+            wander=max(PUBLISHED.wander, DRIFT_SHARE * sigma), clock=max(PUBLISHED.clock, report.t_sigma)
+        )
+        source = ("motion", report.boot)
+        self._motion.hear(
+            Saying(report.drone_id, source, report.t, report.displacement, report.velocity, trust)
+        )
 
     def watch(
         self, alive: Mapping[int, Track], view: ObserverCamera, places: Mapping[int, Announcement]
@@ -54,8 +74,9 @@ class Weighing:
         for drone, place in places.items():
             before = self._placed.get(drone)
             if before is None or place.t > before.t:
-                self._motion.hear(_said_by(place, before))
                 self._placed[drone] = place
+                if place.t - self._published.get(drone, -math.inf) > SILENT_S:
+                    self._motion.hear(_said_by(place, before))
         self._motion.observe(detected, view)
 
     def weigh(self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera) -> Array:

@@ -10,9 +10,11 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Array, EgoPose, FlightState
+from swarmtrack.messages import Array, EgoPose, FlightState, MotionReport
 from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
 
+SPEED_OVER = 0.3  # s: of poses, that tell a velocity
+POSITION_JITTER = 0.02  # m: of an autopilot's position, from one pose to the next
 SPEED_SIGMA = 1.0  # m/s: how fast a drone may be moving where no pose says so
 RATE_SIGMA = 0.5  # rad/s, likewise
 # m: of a drone that hovers where it was put, by an autopilot that knows no position
@@ -94,6 +96,7 @@ class EgoHistory:
         self._jumped_at = -math.inf
         self._shift: Array | None = None
         self._yaw: tuple[float, float] | None = None
+        self._first_place: Array | None = None
         self._placed: TeamPose | None = None  # the last whose position the autopilot knew
         self._poses: list[TeamPose] = []
 
@@ -171,6 +174,35 @@ class EgoHistory:
             before.world_from_body @ rotation.exp(fraction * turn),
             max(before.position_cov, after.position_cov, key=np.trace),
             max(before.attitude_cov, after.attitude_cov, key=np.trace),
+        )
+
+    def moved(self, drone_id: int, boot: str, sequence: int) -> MotionReport | None:
+        """How this drone moves, and how far it is from where it was first known to be; None where nobody knows.
+
+        As of the middle of the last `SPEED_OVER` of poses: their difference is the velocity of that time.
+        """
+        if self._placed is None or self._poses[-1].t - self._poses[0].t < SPEED_OVER:
+            return None
+        newest = self._poses[-1]
+        last = [pose for pose in self._poses if newest.t - pose.t <= SPEED_OVER]
+        if len(last) < 2:
+            return None
+        # A straight line through them: its middle and its slope.
+        places, times = np.array([pose.position for pose in last]), np.array([pose.t for pose in last])
+        t, place = float(times.mean()), places.mean(axis=0)
+        spread = float(((times - t) ** 2).sum())
+        if self._first_place is None:
+            self._first_place = place
+        return MotionReport(
+            drone_id,
+            boot,
+            sequence,
+            t=t,
+            t_sigma=0.0,
+            displacement=place - self._first_place,
+            displacement_cov=newest.position_cov,
+            velocity=(times - t) @ places / spread,
+            velocity_cov=POSITION_JITTER**2 / spread * np.eye(3),
         )
 
     def _place(self, pose: EgoPose) -> tuple[Array, Array] | None:

@@ -111,6 +111,7 @@ class Agent:
                     tasks.create_task(self._team.listen(), name="peers"),
                     tasks.create_task(self._team.announce(), name="announce"),
                     tasks.create_task(self._team.report(), name="identities"),
+                    tasks.create_task(self._team.share(), name="motion"),
                     tasks.create_task(self._publish_tracks(warm), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
                     tasks.create_task(self._feel_lag(), name="lag"),
@@ -358,7 +359,7 @@ def make_teamwork(
 ) -> Teamwork:
     """What speaks and listens to the team for these parts; tell: the way into their Onboard."""
     config = parts.config
-    drone = config.drone
+    drone, team = config.drone, config.team
     return Teamwork(
         tell,
         parts.door.perceived,
@@ -370,8 +371,9 @@ def make_teamwork(
         clock=parts.clock,
         start=parts.start,
         start_sigma_m=drone.start.frame_sigma_m,
-        silent=not config.team.announce,
+        silent=not team.announce,
         filed=partial(filed_announcements, config),
+        share_hz=team.share_hz if team.share == "velocity" else None,
         on_report=None if parts.recorder is None else parts.recorder.said,
         simulated=parts.simulated_teammates,
     )

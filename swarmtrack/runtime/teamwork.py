@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import math
 from collections import Counter
@@ -19,6 +20,7 @@ from swarmtrack.messages import (
     HeadingNews,
     IdClash,
     Input,
+    MotionReport,
     PeerArrived,
     PeerDeparted,
     PeerEvent,
@@ -30,6 +32,7 @@ from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
+from swarmtrack.wire.motion import motion_message
 from swarmtrack.wire.sightings import sightings_message
 
 log = logging.getLogger(__name__)
@@ -44,6 +47,7 @@ class Teamwork:
     tell: the way into Onboard; what comes out there comes back by `ask_for_pose` and `on_disagreement`. start: in the
     team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that frame.
     silent: nothing is told to the team, and nothing asked. filed: what is known of teammates before they say it.
+    share_hz: how often the team is told how this drone moves; None: never.
     on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
     """
 
@@ -62,6 +66,7 @@ class Teamwork:
         start_sigma_m: float,
         silent: bool = False,
         filed: Callable[[float], Sequence[Announcement]] | None = None,
+        share_hz: float | None = None,
         on_report: Callable[[SightingReport], None] | None = None,
         simulated: Sequence[tuple[Transport, Announcement]] = (),
     ) -> None:
@@ -77,6 +82,7 @@ class Teamwork:
         self._health = health
         self._notices = notices
         self._clock = clock
+        self._share_hz = share_hz
         self._on_report = on_report
         self._simulated = simulated
         self._posed = asyncio.Event()
@@ -109,6 +115,9 @@ class Teamwork:
                     self._tell(event)
                     self._notices.on_peer(event)
                     continue  # one a second from everybody: no news
+                case MotionReport():
+                    self._tell(event)
+                    continue
                 case AnnouncementRequested():
                     self._asked.set()
             about = 0 if isinstance(event, AnnouncementRequested) else event.drone_id  # who asks is not told
@@ -155,6 +164,22 @@ class Teamwork:
         self._transport.publish(Kind.IDENTITIES, payload)
         if self._on_report is not None:
             self._on_report(report)
+
+    async def share(self) -> None:
+        """Until cancelled, where that is asked for: how this drone moves, as soon as its autopilot knows."""
+        if self._share_hz is None:
+            return
+        for sequence in itertools.count():
+            await asyncio.sleep(1.0 / self._share_hz)
+            report, now = self._perceived.motion_report(self._boot, sequence), self._clock.now()
+            if report is None:
+                continue
+            try:
+                payload = codec.encode(motion_message(report, self._clock.utc() - now, now))
+            except ValueError:
+                self._health.drops["unsendable_motion"] += 1
+                continue
+            self._transport.publish(Kind.MOTION, payload)
 
     async def _announce(self, *, first: bool) -> None:
         """first: from where the config says that it starts; else from where the autopilot says it is."""
@@ -237,6 +262,8 @@ def _describe(event: PeerEvent) -> str:
             return "a teammate asked where we are: announced again"
         case SightingReport(observer=observer):
             return f"drone {observer} told whom it sees"
+        case MotionReport(drone_id=drone_id):
+            return f"drone {drone_id} told how it moves"
 
 
 def _describe_filed(announcement: Announcement) -> str:

@@ -16,11 +16,12 @@ class Kind(enum.StrEnum):
     ALIVE = "alive"
     TRACKS = "tracks"
     IDENTITIES = "identities"
+    MOTION = "motion"
     HEALTH = "health"
     VIDEO = "video"
 
 
-PUBLISHED: Final = (Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
+PUBLISHED: Final = (Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
 """What `Transport.publish` takes."""
 
 

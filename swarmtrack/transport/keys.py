@@ -11,6 +11,7 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.sightings import SightingsMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -23,6 +24,7 @@ ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
 ENCODINGS: dict[Kind, str] = {
     Kind.POSE: "application/msgpack;swarmtrack.Announcement/1",
     Kind.IDENTITIES: "application/msgpack;swarmtrack.Sightings/1",
+    Kind.MOTION: "application/msgpack;swarmtrack.Motion/1",
     Kind.TRACKS: "application/msgpack;swarmtrack.Tracks/1",
     Kind.HEALTH: "application/msgpack;swarmtrack.Health/1",
     Kind.VIDEO: "application/msgpack;swarmtrack.Video/1",
@@ -31,6 +33,7 @@ ENCODINGS: dict[Kind, str] = {
 MESSAGES: dict[Kind, type[Message]] = {
     Kind.POSE: AnnouncementMessage,
     Kind.IDENTITIES: SightingsMessage,
+    Kind.MOTION: MotionMessage,
     Kind.TRACKS: TracksMessage,
     Kind.HEALTH: HealthMessage,
     Kind.VIDEO: VideoMessage,
@@ -58,7 +61,7 @@ def key(team: str, kind: Kind | str, *rest: int | str) -> str:
 
 def all_but_video(team: str) -> list[str]:
     """For who wants to hear everything: video is only said while somebody listens to it, and then it costs."""
-    quiet = (Kind.POSE, Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH)
+    quiet = (Kind.POSE, Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH)
     return [key(team, Kind.ALIVE, "*", "*"), *(key(team, kind, "*") for kind in quiet)]
 
 

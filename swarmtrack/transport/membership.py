@@ -22,9 +22,14 @@ from dataclasses import dataclass, field
 from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted, PeerEvent
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.sightings import SightingsMessage
 
+Numbered = AnnouncementMessage | SightingsMessage | MotionMessage
+
 MAX_PEERS = 1024  # live IDs; beyond it is an attack or a mistake
+# As counters name them.
+_NAMES = {AnnouncementMessage: "announcements", SightingsMessage: "sightings", MotionMessage: "motion"}
 MAX_BOOTS = 4  # of one ID at a time
 
 
@@ -35,6 +40,8 @@ class LiveBoot:
     announcement: Announcement | None = None
     sightings: int | None = None
     """The sequence of its last report."""
+    motion: int | None = None
+    """That of the last one on how it moves."""
     clock: SenderClock = field(default_factory=SenderClock)
 
 
@@ -80,16 +87,15 @@ class Membership:
                 events.append(left.announcement)
         return events
 
-    def life(self, key_id: int, message: AnnouncementMessage | SightingsMessage) -> LiveBoot | None:
+    def life(self, key_id: int, message: Numbered) -> LiveBoot | None:
         """Whose message it is that came on a key of `key_id`; None where it does not count, and is counted."""
         reason = self._refusal(key_id, message)
         if reason is not None:
-            kind = "announcements" if isinstance(message, AnnouncementMessage) else "sightings"
-            self.counters[f"{kind}_{reason}"] += 1
+            self.counters[f"{_NAMES[type(message)]}_{reason}"] += 1
             return None
         return self._lives[key_id][message.boot]
 
-    def _refusal(self, key_id: int, message: AnnouncementMessage | SightingsMessage) -> str | None:
+    def _refusal(self, key_id: int, message: Numbered) -> str | None:
         if message.drone_id != key_id:
             return "on_wrong_key"
         if key_id == self._drone_id:
@@ -97,9 +103,13 @@ class Membership:
         life = self._lives.get(key_id, {}).get(message.boot)
         if life is None:
             return "before_token"  # no loss: an announcement is asked for as soon as the token is there
-        last = life.sightings
-        if isinstance(message, AnnouncementMessage):
-            last = None if life.announcement is None else life.announcement.sequence
+        match message:
+            case AnnouncementMessage():
+                last = None if life.announcement is None else life.announcement.sequence
+            case SightingsMessage():
+                last = life.sightings
+            case MotionMessage():
+                last = life.motion
         return "repeated" if last is not None and message.sequence <= last else None
 
     def alive(self, drone_id: int) -> tuple[str, ...]:

@@ -16,12 +16,13 @@ from swarmtrack.clock import Clock
 from swarmtrack.messages import AnnouncementRequested, PeerEvent
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
-from swarmtrack.transport.membership import Membership
+from swarmtrack.transport.membership import LiveBoot, Membership
 from swarmtrack.transport.outgoing import REQUEST_S
-from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
+from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S, StampedTime
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, signed_part
 from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.motion import MotionMessage, motion_from
 from swarmtrack.wire.sightings import SightingsMessage, report_from
 
 Verify = Callable[[int, bytes, bytes], bool]
@@ -36,6 +37,7 @@ MAX_EVENTS = 8192
 SUBSCRIBED = {
     Kind.POSE: "announcements",
     Kind.IDENTITIES: "sightings",
+    Kind.MOTION: "motion",
 }  # for `on_message`, as counters name them
 
 
@@ -70,16 +72,19 @@ class Peers:
             self._newcomer.set()
 
     def on_message(self, key: str, payload: bytes, arrived: float) -> None:
-        """An announcement or a report of sightings. arrived: by our monotonic clock."""
+        """An announcement, or a report of sightings or motion. arrived: by our monotonic clock."""
         address = self._address(key)
         if address is None or address.rest or address.kind not in SUBSCRIBED:
             self._counters["messages_on_no_key"] += 1
             return
         try:
-            if address.kind == Kind.POSE:
-                self._on_announcement(address.drone_id, key, payload, arrived)
-            else:
-                self._on_sightings(address.drone_id, payload, arrived)
+            match address.kind:
+                case Kind.POSE:
+                    self._on_announcement(address.drone_id, key, payload, arrived)
+                case Kind.IDENTITIES:
+                    self._on_sightings(address.drone_id, payload, arrived)
+                case Kind.MOTION:
+                    self._on_motion(address.drone_id, payload, arrived)
         except DecodeError as error:
             self._counters[f"{SUBSCRIBED[address.kind]}_malformed"] += 1
             log.debug("message refused key=%s: %s", key, error)
@@ -105,11 +110,23 @@ class Peers:
         life = self._membership.life(drone_id, message)
         if life is None:
             return
-        t, t_sigma = life.clock.time_of(
+        life.sightings = message.sequence
+        self._tell([report_from(message, *self._reported_time(life, message, arrived))])
+
+    def _on_motion(self, drone_id: int, payload: bytes, arrived: float) -> None:
+        message = codec.decode(MotionMessage, payload)
+        life = self._membership.life(drone_id, message)
+        if life is None:
+            return
+        life.motion = message.sequence
+        self._tell([motion_from(message, *self._reported_time(life, message, arrived))])
+
+    def _reported_time(
+        self, life: LiveBoot, message: SightingsMessage | MotionMessage, arrived: float
+    ) -> StampedTime:
+        return life.clock.time_of(
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )
-        life.sightings = message.sequence
-        self._tell([report_from(message, t, t_sigma)])
 
     def _is_genuine(self, drone_id: int, key: str, payload: bytes) -> bool:
         """Whether an announcement is signed by whom it names, where that is asked for."""

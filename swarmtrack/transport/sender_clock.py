@@ -13,6 +13,7 @@ from collections import deque
 from typing import Final, NamedTuple
 
 from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.sightings import SightingsMessage
 
 # s, how far apart two clocks that somebody keeps may seem: an announcement may have been on its way for so long,
@@ -39,7 +40,7 @@ class SenderClock:
 
     def time_of(
         self,
-        message: AnnouncementMessage | SightingsMessage,
+        message: AnnouncementMessage | SightingsMessage | MotionMessage,
         *,
         arrived: float,
         utc_offset: float,

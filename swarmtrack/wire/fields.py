@@ -47,7 +47,11 @@ Rate = Annotated[float, Meta(ge=-1e3, le=1e3)]
 """rad/s."""
 Quantity = Annotated[float, Meta(ge=-1e15, le=1e15)]
 
+Speed = Annotated[float, Meta(ge=-1e3, le=1e3)]
+"""m/s."""
+
 Position = tuple[Metres, Metres, Metres]
+Velocity = tuple[Speed, Speed, Speed]
 Direction = tuple[Component, Component, Component]
 Quaternion = tuple[Component, Component, Component, Component]
 

@@ -245,6 +245,18 @@ def test_a_place_that_was_set_anew_is_not_flown():
     assert found.log_ratio(1, 1) > math.log(1e3)
 
 
+def test_what_is_counted_from_elsewhere_begins_again_also_for_a_track_that_is_missed_just_then():
+    """First the drone tells places, 50 m from where it counts its motion; that track is not detected as it changes."""
+
+    def saying(t):
+        if t < 3.0:
+            return Saying(1, ("place",), t, hovering(1)(t)[0] + 50.0, hovering(1)(t)[1], REPORTED)
+        return published(1, hovering(1))(t)
+
+    flight = Flight(starts(2), [hovering(1), hovering(2)], misses=lambda scan: (1,) if scan == 21 else ())
+    assert flight.watched(9.0, [saying]).log_ratio(1, 1) > math.log(1e3)
+
+
 def test_nothing_is_weighed_while_nobody_says_anything():
     found = Flight(starts(3), [hovering(k) for k in range(3)]).watched(5.0, [])
     assert not found.pairs

@@ -33,6 +33,7 @@ from swarmtrack.messages import (
     FlightState,
     IdClash,
     ImuSample,
+    MotionReport,
     PeerArrived,
     PeerDeparted,
     Sighting,
@@ -80,6 +81,7 @@ EVENTS = [
     SightingReport(
         2, "0123abcd", 9, 5.5, 0.01, np.zeros(3), 0.1, (1, 3), (Sighting(3, 0.99, np.array([0.6, 0.8, 0.0]), 0.01),)
     ),
+    MotionReport(2, "0123abcd", 4, 5.7, 0.01, np.array(AWKWARD[:3]), EYE / 3, np.array(AWKWARD[1:4]), EYE),
     SightingReport(2, "0123abcd", 10, 5.6, 0.01, np.zeros(3), 0.1, (), ()),
 ]  # fmt: skip
 

@@ -10,11 +10,20 @@ import pytest
 from support.patience import PATIENCE
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
-from swarmtrack.messages import Announcement, HeadingNews, IdClash, PeerArrived, PeerDeparted
+from swarmtrack.messages import (
+    Announcement,
+    EgoPose,
+    HeadingNews,
+    IdClash,
+    MotionReport,
+    PeerArrived,
+    PeerDeparted,
+)
 from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import EVENTS_KEPT
 from swarmtrack.runtime.teamwork import LINES
+from swarmtrack.team_config import TeamSection
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
 CONFIG = """
@@ -150,3 +159,57 @@ def test_a_silent_drone_knows_its_teammates_from_the_file_and_says_nothing(parts
     asyncio.run(fly())
     assert list(silent.door.perceived.teammates) == [2]
     assert list(health.events) == ["drone 2 starts at [5.0, 1.0, -0.1] m, by the team's file"]
+
+
+@pytest.fixture
+def moving(parts):
+    """Parts of a drone that flies north at 2 m/s and climbs at 1 m/s, two seconds long."""
+    begin = parts.clock.now()
+    for k in range(100):
+        t = 0.02 * k
+        flown = np.array([2.0 * t, 5.0, -1.0 * t])
+        parts.door.tell(EgoPose(begin + t, flown, np.eye(3)))
+    return parts
+
+
+async def heard_of_sharing(parts, share_hz):
+    """The first two words on its motion, where it shares that."""
+    hub = MemoryHub()
+    transport = MemoryTransport(hub, "swarm", 1, parts.boot, parts.clock)
+    listener = MemoryTransport(hub, "swarm", 9, "00000009", parts.clock)
+    ours = replace(parts, transport=transport)
+    team = make_teamwork(ours, make_health(ours), make_notices(ours), ours.door.tell)
+    await listener.open()
+    await transport.open()
+    heard = []
+
+    async def listen():
+        async for event in listener.events():
+            if isinstance(event, MotionReport):
+                heard.append(event)
+                if len(heard) == 2:
+                    return
+
+    sharing, listening = asyncio.create_task(team.share()), asyncio.create_task(listen())
+    await asyncio.wait({listening}, timeout=PATIENCE if share_hz else 0.3)
+    for task in (sharing, listening):
+        task.cancel()
+    await asyncio.gather(sharing, listening, return_exceptions=True)
+    await transport.close()
+    await listener.close()
+    return heard
+
+
+async def test_a_drone_that_shares_its_velocity_tells_how_it_moves_and_not_where_it_is(moving):
+    config = moving.config.model_copy(
+        update={"team": TeamSection(share="velocity", share_hz=10.0)}, deep=True
+    )
+    first, second = await heard_of_sharing(replace(moving, config=config), 10.0)
+    assert second.sequence > first.sequence
+    np.testing.assert_allclose(first.velocity, [2.0, 0.0, -1.0], atol=1e-6)
+    # Counted from the first word, whatever the place.
+    np.testing.assert_allclose(first.displacement, 0.0, atol=1e-6)
+
+
+async def test_by_default_nothing_is_said_of_the_motion(moving):
+    assert await heard_of_sharing(moving, None) == []

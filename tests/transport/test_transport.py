@@ -21,6 +21,7 @@ from swarmtrack.messages import (
     Announcement,
     AnnouncementRequested,
     IdClash,
+    MotionReport,
     PeerArrived,
     PeerDeparted,
     PeerEvent,
@@ -36,6 +37,7 @@ from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.transport.settings import NetworkSettings, check
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message
+from swarmtrack.wire.motion import motion_message
 from swarmtrack.wire.sightings import SightingsMessage, sightings_message
 
 
@@ -49,6 +51,10 @@ def report(observer: int, boot: str, sequence: int = 0, t: float = 0.0) -> Sight
     return SightingReport(
         observer, boot, sequence, t, 0.05, np.array([observer, 0, -1.5]), 0.1, (9,), (sighting,)
     )
+
+
+def motion(drone_id: int, boot: str, sequence: int) -> MotionReport:
+    return MotionReport(drone_id, boot, sequence, 0.0, 0.05, np.ones(3), np.eye(3), np.zeros(3), np.eye(3))
 
 
 # --- the list that every transport passes -----------------------------------------------
@@ -337,6 +343,33 @@ async def test_a_report_on_a_key_or_of_a_boot_that_is_not_its_own_is_refused(
     assert reports(listener.told) == []
 
 
+async def test_motions_are_told_in_order_once_and_only_of_their_own_drone(
+    start: Start, world: World, team: str
+) -> None:
+    listener, drone = await start(1), await start(2)
+    await listener.until(lambda told: PeerArrived(2, drone.boot) in told)
+
+    def motions() -> list[MotionReport]:
+        return [event for event in listener.told if isinstance(event, MotionReport)]
+
+    async def put(key_id: int, said: MotionReport) -> None:
+        payload = codec.encode(motion_message(said, 1.7e9, 0.0))
+        await world.put(keys.key(team, Kind.MOTION, key_id), payload)
+
+    async def put_until(said: Callable[[], bool], key_id: int, what: MotionReport) -> None:
+        async with asyncio.timeout(PATIENCE):
+            while not said():  # again: what is put before the links stand is lost
+                await put(key_id, what)
+                await asyncio.sleep(0.01)
+
+    await put_until(lambda: bool(motions()), 2, motion(2, drone.boot, 3))
+    await put_until(lambda: listener.counter("motion_repeated") > 0, 2, motion(2, drone.boot, 2))
+    await put_until(lambda: listener.counter("motion_on_wrong_key") > 0, 2, motion(3, drone.boot, 4))
+    await put_until(lambda: listener.counter("motion_before_token") > 0, 2, motion(2, "00000000", 5))
+    await put_until(lambda: listener.counter("motion_of_own_id") > 0, 1, motion(1, drone.boot, 6))
+    assert [(said.drone_id, said.sequence) for said in motions()] == [(2, 3)]
+
+
 def sign(text: bytes) -> bytes:
     """No cryptography: a transport asks for a signature and for a verdict, whose they are is not its business."""
     return hashlib.sha512(text).digest()
@@ -452,7 +485,7 @@ async def test_only_what_is_repeated_is_published(start: Start) -> None:
     agent.transport.publish(Kind.TRACKS, b"tracks")
     agent.transport.publish(Kind.HEALTH, b"health")
     assert agent.counter("tracks_sent") == agent.counter("health_sent") == 1
-    with pytest.raises(ValueError, match="expected one of identities, tracks, health"):
+    with pytest.raises(ValueError, match="expected one of identities, motion, tracks, health"):
         agent.transport.publish(Kind.POSE, b"pose")
 
 

@@ -19,6 +19,7 @@ from swarmtrack.messages import (
     Announcement,
     IdentifiedTrack,
     LinkStatus,
+    MotionReport,
     Sighting,
     SightingReport,
     Track,
@@ -47,6 +48,7 @@ from swarmtrack.wire.health import (
     TimeOffsetHealth,
     link_health,
 )
+from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
 from swarmtrack.wire.records import as_record, from_record
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage, track_cov, tracks_message
@@ -56,7 +58,14 @@ UTC_OFFSET = 1.7e9
 NOW = 14.0  # four seconds after the pose of the announcement held
 DECODERS: list[Callable[[bytes], Message]] = [
     partial(codec.decode, kind)
-    for kind in (AnnouncementMessage, SightingsMessage, TracksMessage, HealthMessage, VideoMessage)
+    for kind in (
+        AnnouncementMessage,
+        SightingsMessage,
+        MotionMessage,
+        TracksMessage,
+        HealthMessage,
+        VideoMessage,
+    )
 ]
 
 ANNOUNCEMENT = Announcement(
@@ -80,6 +89,18 @@ REPORT = SightingReport(
     position_sigma=0.25,
     known=(2, 300),
     sightings=(Sighting(2, 0.75, np.array([0.0, 0.0, -1.0]), 0.125),),
+)
+
+MOTION = MotionReport(
+    drone_id=7,
+    boot="0123abcd",
+    sequence=9,
+    t=13.75,
+    t_sigma=0.5,
+    displacement=np.array([1.0, 2.0, -3.0]),
+    displacement_cov=np.diag([0.5, 0.5, 2.0]),
+    velocity=np.array([0.25, 0.0, -1.0]),
+    velocity_cov=np.diag([0.25, 0.25, 0.5]),
 )
 
 TRACKS = TracksMessage(
@@ -137,6 +158,10 @@ def reported() -> bytes:
     return codec.encode(sightings_message(REPORT, UTC_OFFSET, NOW))
 
 
+def moving() -> bytes:
+    return codec.encode(motion_message(MOTION, UTC_OFFSET, NOW))
+
+
 def signed() -> bytes:
     return sign_announcement(announced(), "some/key", lambda text: bytes(64))
 
@@ -160,6 +185,13 @@ TRACKS_BYTES = (
     "9acb4010000000000000cb0000000000000000cb0000000000000000cb0000000000000000cb4022000000000000"
     "cb0000000000000000cb0000000000000000cb4010000000000000cb0000000000000000cb4022000000000000"
     "cb4030000000000000cb4020000000000000a9636f6e6669726d6564cb3ff0000000000000c0"
+)
+MOTION_BYTES = (
+    "9b0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd000000000000093cb3ff000000000"
+    "0000cb4000000000000000cbc00800000000000096cb3fe0000000000000cb0000000000000000cb0000000000000000"
+    "cb3fe0000000000000cb0000000000000000cb400000000000000093cb3fd0000000000000cb0000000000000000cbbf"
+    "f000000000000096cb3fd0000000000000cb0000000000000000cb0000000000000000cb3fd0000000000000cb000000"
+    "0000000000cb3fe0000000000000"
 )
 SIGHTINGS_BYTES = (
     "9b0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd0000000000000"
@@ -185,6 +217,7 @@ HEALTH_BYTES = (
         pytest.param(announced(), ANNOUNCEMENT_BYTES, id="announcement"),
         pytest.param(codec.encode(TRACKS), TRACKS_BYTES, id="tracks"),
         pytest.param(reported(), SIGHTINGS_BYTES, id="sightings"),
+        pytest.param(moving(), MOTION_BYTES, id="motion"),
         pytest.param(codec.encode(HEALTH), HEALTH_BYTES, id="health"),
     ],
 )
@@ -279,6 +312,34 @@ def test_sightings_come_back_as_they_went() -> None:
     ((sighting,), (sent,)) = (got.sightings, REPORT.sightings)
     assert (sighting.drone_id, sighting.probability, sighting.sigma) == (2, 0.75, 0.125)
     np.testing.assert_array_equal(sighting.direction, sent.direction)
+
+
+def test_a_motion_comes_back_as_it_went() -> None:
+    message = codec.decode(MotionMessage, moving())
+    assert (message.t_utc_s, message.t_sigma_s, message.age_s) == (UTC_OFFSET + 13.75, 0.5, 0.25)
+    got = motion_from(message, 5.0, 0.75)
+    assert (got.drone_id, got.boot, got.sequence, got.t, got.t_sigma) == (7, "0123abcd", 9, 5.0, 0.75)
+    for name in ("displacement", "displacement_cov", "velocity", "velocity_cov"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(MOTION, name))
+    assert len(moving()) < 240
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "why"),
+    [
+        (7, [0.0, 0.0, 1e8], "displacement_m"),
+        (7, [0.0, math.nan, 0.0], "motion"),
+        (8, [1.0, 0.0, 0.0, 1.0, 0.0, -1.0], "displacement_cov_m2: has the eigenvalue -1"),
+        (9, [0.0, 0.0, 2e3], "velocity_m_s"),
+        (10, [0.0, 0.0, 0.0, 0.0, 0.0, math.inf], "motion"),
+        (10, [1.0, 2.0, 0.0, 1.0, 0.0, 1.0], "velocity_cov_m2_s2: has the eigenvalue -1"),
+    ],
+)
+def test_a_motion_that_nobody_can_fly_is_refused(place: int, value: Any, why: str) -> None:
+    fields = msgpack.unpackb(moving())
+    fields[place] = value
+    with pytest.raises(DecodeError, match=why):
+        codec.decode(MotionMessage, msgpack.packb(fields))
 
 
 def test_the_largest_report_fits_into_one_message() -> None:
