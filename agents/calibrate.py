@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
-from swarmtrack.arguments import add_file, add_flag, add_seconds
+from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera
@@ -29,13 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     add_board_command(steps)
     add_intrinsics_command(steps)
-    extrinsics = steps.add_parser(
+    extrinsics = add_action(
+        steps,
         "extrinsics",
-        help="how the camera is mounted relative to the gyro, and the offset of their clocks",
+        "how the camera is mounted relative to the gyro, and the offset of their clocks",
         description="How the camera is mounted relative to the gyro, and the offset of their clocks. Take the "
         "propellers off. Turn the drone by hand for a minute, to and fro about all its axes, in a room or yard with "
         "much texture and nothing nearer than three metres. Exit code 0: good. 1: not good, with the reason.",
-        allow_abbrev=False,
     )
     add_file(extrinsics, "--config", "the drone's config: its camera and autopilot")
     add_file(extrinsics, "--video", "instead of a config: a recorded minute, …")

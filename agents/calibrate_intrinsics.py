@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_flag, add_seconds
+from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds
 
 if TYPE_CHECKING:
     from swarmtrack.calibration.board import Board
@@ -27,11 +27,11 @@ ARROW = 0.02  # of the image's width: a usual residual is drawn so long
 
 
 def add_board_command(steps: Any) -> None:
-    board = steps.add_parser(
+    board = add_action(
+        steps,
         "board",
-        help="write a board to print",
+        "write a board to print",
         description="Write a board to print, as a PDF to scale or as a PNG. Glue it onto something flat.",
-        allow_abbrev=False,
     )
     add_file(board, "--out", "board.pdf or board.png", required=True)
     board.add_argument(
@@ -41,13 +41,13 @@ def add_board_command(steps: Any) -> None:
 
 
 def add_intrinsics_command(steps: Any) -> None:
-    intrinsics = steps.add_parser(
+    intrinsics = add_action(
+        steps,
         "intrinsics",
-        help="focal lengths, centre and distortion of a camera, from views of a board",
+        "focal lengths, centre and distortion of a camera, from views of a board",
         description="Focal lengths, centre and distortion of a camera. Hold the board still in all parts of the "
         "image, near and far, tilted to all sides. The terminal shows what is still missing. Ctrl-C ends it early. "
         "Exit code 0: good. 1: not good.",
-        allow_abbrev=False,
     )
     intrinsics.add_argument(
         "source",

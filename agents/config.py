@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from swarmtrack.arguments import add_file
+from swarmtrack.arguments import add_action, add_file
 from swarmtrack.errors import ConfigError, SwarmtrackError
 
 EXAMPLE = """\
@@ -26,14 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLE
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
 
-    new = actions.add_parser(
-        "new", help="write a commented config for a drone and its team", allow_abbrev=False
-    )
+    new = add_action(actions, "new", "write a commented config for a drone and its team")
     wizard.add_arguments(new)
 
-    check = actions.add_parser(
+    check = add_action(
+        actions,
         "check",
-        help="check a config, as swarmtrack-agent --check does; several files are also checked as a team",
+        "check a config, as swarmtrack-agent --check does; several files are also checked as a team",
     )
     add_file(check, "files", "a drone's config", nargs="+")
 
@@ -41,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("schema", "all keys as a JSON schema"),
         ("reference", "all keys as a page in Markdown"),
     ):
-        writing = actions.add_parser(action, help=text)
+        writing = add_action(actions, action, text)
         add_file(writing, "--out", "write to this file (default: print it)")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from swarmtrack.arguments import add_folder
+from swarmtrack.arguments import add_action, add_folder
 from swarmtrack.clock import SystemClock
 
 EXAMPLE = """\
@@ -23,10 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLE
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
 
-    init = actions.add_parser("init", help="make the team's CA")
+    init = add_action(actions, "init", "make the team's CA")
     init.add_argument("--team", default="swarm", metavar="NAME", help="network.team (default: %(default)s)")
 
-    issue = actions.add_parser("issue", help="make keys and a certificate for each of NAME")
+    issue = add_action(actions, "issue", "make keys and a certificate for each of NAME")
     add_folder(issue, "--out", "where the folders go (default: the CA's)")
     issue.add_argument(
         "--days", type=_days, metavar="N", help="how long a certificate is valid (default: 90)"
@@ -40,11 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for overwriting in (init, renew_or_force):
         overwriting.add_argument("--force", action="store_true", help="overwrite keys")
 
-    revoke = actions.add_parser(
-        "revoke", help="take a name out of the roster: drones with the new roster ignore it"
+    revoke = add_action(
+        actions, "revoke", "take a name out of the roster: drones with the new roster ignore it"
     )
 
-    listing = actions.add_parser("list", help="who has keys, their fingerprints, and when they expire")
+    listing = add_action(actions, "list", "who has keys, their fingerprints, and when they expire")
 
     for action in (init, issue, revoke, listing):
         add_folder(action, "folder", "the CA's folder; it stays with you")

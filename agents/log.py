@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_flag
+from swarmtrack.arguments import add_action, add_file, add_flag
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="info|repair|merge")
-    info = actions.add_parser("info", help="topics, counts, rates, gaps and damage", allow_abbrev=False)
+    info = add_action(actions, "info", "topics, counts, rates, gaps and damage")
     info.add_argument("path", type=Path, metavar="FILE|DIR")
     add_flag(info, "--json", "print JSON")
-    repair = actions.add_parser("repair", help="complete truncated files; the originals are kept as *.cut")
+    repair = add_action(actions, "repair", "complete truncated files; the originals are kept as *.cut")
     repair.add_argument("path", type=Path, metavar="FILE|DIR")
-    merge = actions.add_parser("merge", help="merge several recordings into one file, on one timeline")
+    merge = add_action(actions, "merge", "merge several recordings into one file, on one timeline")
     merge.add_argument("paths", type=Path, nargs="+", metavar="FILE|DIR")
     add_file(merge, "--out", "the new file, .mcap", required=True)
 

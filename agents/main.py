@@ -37,6 +37,12 @@ COMMANDS = {
     "import": ("swarmtrack.agents.import_flight", "make a recording of a telemetry log and a video"),
 }
 
+EXAMPLES = """where to begin:
+  swarmtrack sim                           # three drones, without any hardware
+  swarmtrack config new                    # a config for your own; it asks
+  swarmtrack doctor --config drone-1.toml  # why it does not work, and what to do
+"""
+
 
 def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
@@ -52,6 +58,8 @@ def parse(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="swarmtrack",
         description="Relative perception for drone swarms. One drone's agent: swarmtrack-agent.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")

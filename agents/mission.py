@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, count, positive
+from swarmtrack.arguments import add_action, add_file, count, positive
 from swarmtrack.errors import SourceError
 
 if TYPE_CHECKING:
@@ -42,13 +42,13 @@ VELOCITY = ("north_m_s", "east_m_s", "down_m_s")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    sway = actions.add_parser(
+    sway = add_action(
+        actions,
         "sway",
-        help="set points of the codes by which a team is recognised without a message",
+        "set points of the codes by which a team is recognised without a message",
         description=ABOUT,
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     sway.add_argument("ids", type=count, nargs="+", metavar="ID", help="the IDs of the whole team")
     add_file(sway, "--out", "the file to write: .csv or .json", required=True)

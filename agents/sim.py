@@ -59,7 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seconds(parser, "--seconds", "length of the flight (default: the scenario's)")
     add_seed(parser, "seed of everything random (default: 1, or the world file's)", default=None)
     parser.add_argument(
-        "--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS), help="(default: %(default)s)"
+        "--tracker",
+        default=DEFAULT_TRACKER,
+        choices=list(TRACKERS),
+        help="of every agent (default: %(default)s)",
     )
     parser.add_argument(
         "--detector",

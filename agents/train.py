@@ -53,12 +53,19 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="how long to train, instead of --minutes: gives the same weights each time",
     )
-    parser.add_argument("--network", choices=NETWORKS, default="plain", help="(default: %(default)s)")
     parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda"), default="auto", help="(default: %(default)s)"
+        "--network", choices=NETWORKS, default="plain", help="its kind (default: %(default)s)"
     )
-    add_seed(parser, "(default: %(default)s)", default=0)
-    parser.add_argument("--batch", type=count, default=32, metavar="N", help="(default: %(default)s)")
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="where to train (default: %(default)s)",
+    )
+    add_seed(parser, "seed of samples and first weights (default: %(default)s)", default=0)
+    parser.add_argument(
+        "--batch", type=count, default=32, metavar="N", help="samples per step (default: %(default)s)"
+    )
     parser.add_argument(
         "--crop",
         type=_crop,

@@ -19,8 +19,16 @@ def add_commands(
     """
     commands = parser.add_subparsers(dest=dest, required=True, metavar=metavar, parser_class=_Command)
     for name, (module, summary) in table.items():
-        about = f"{summary[0].upper()}{summary[1:]}."
-        commands.add_parser(name, help=summary, description=about, allow_abbrev=False).module = module
+        add_action(commands, name, summary).module = module
+
+
+def add_action(actions: Any, name: str, summary: str, **more: Any) -> Any:
+    """The parser of one of the `add_subparsers` actions; more: as `add_parser` takes it.
+
+    summary: for the list of actions; without a description of its own, its help begins with it.
+    """
+    about = f"{summary[0].upper()}{summary[1:]}."
+    return actions.add_parser(name, help=summary, allow_abbrev=False, **({"description": about} | more))
 
 
 class _Command(argparse.ArgumentParser):

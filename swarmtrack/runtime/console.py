@@ -68,7 +68,9 @@ class Console:
         else:
             what = f"sees {who or 'nobody'}"
         self._scans_told = self._scans
-        self._print(f"{self._elapsed:7.1f} s  {what}   ({', '.join(footnotes)})")
+        # A clock that stands at 0 looks like a program that hangs.
+        when = f"{self._elapsed:7.1f} s" if self._scans else 9 * " "
+        self._print(f"{when}  {what}   ({', '.join(footnotes)})")
 
     def summary(self, facts: Iterable[str]) -> None:
         """Who was seen, for how long; then the facts, one a line."""
