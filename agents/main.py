@@ -22,10 +22,7 @@ COMMANDS = {
     "config": ("swarmtrack.agents.config", "write, check and explain configs"),
     "judge": ("swarmtrack.agents.judge", "watch a simulated swarm that others started, and give a verdict"),
     "healthy": ("swarmtrack.agents.healthy", "tell whether an agent does its work, for health checks"),
-    "mission": (
-        "swarmtrack.agents.mission",
-        "write what autopilots are to fly, so that teammates know each other",
-    ),
+    "mission": ("swarmtrack.agents.mission", "write what autopilots fly so that teammates know each other"),
     "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
     "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
     "train": ("swarmtrack.agents.train", "train a detector"),

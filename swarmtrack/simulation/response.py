@@ -31,9 +31,9 @@ class Axis:
 
     The demanded acceleration follows `gain` times the error of velocity [1/s], or less where it could not be taken back
     in time (the square-root controller of ArduPilot); `integral` [1/s²] is the gain on its integral. `lag` [s]: from
-    demand to acceleration. foresight: the share of the lag that the controller makes up for; less overshoots, less than
-    none stands for a delay of its own, more than all for a derivative's gain. drag [1/s]: deceleration per speed.
-    approach [m/s²]: deceleration in front of a way point.
+    demand to acceleration. foresight: the share of the lag that the controller makes up for; less overshoots, and less
+    than none stands for a delay of its own. drag [1/s]: deceleration per speed. approach [m/s²]: deceleration in front
+    of a way point.
     """
 
     speed: float
@@ -81,15 +81,7 @@ ARDUPILOT = Response(
 # Its simulator has drag, which only the slow integral of the velocity controller takes up: a steep start, a long tail.
 PX4 = Response(
     level=Axis(
-        speed=12.0,
-        acceleration=9.0,
-        jerk=40.0,
-        lag=0.12,
-        gain=2.0,
-        approach=2.0,
-        foresight=1.15,
-        integral=0.36,
-        drag=0.82,
+        speed=12.0, acceleration=9.0, jerk=37.0, lag=0.12, gain=1.9, approach=2.0, integral=0.36, drag=0.82
     ),
     vertical=Axis(speed=3.0, acceleration=4.0, jerk=8.0, lag=0.10, gain=3.0, approach=1.5),
     yaw_omega=7.0,
