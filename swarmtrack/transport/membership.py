@@ -38,10 +38,8 @@ class LiveBoot:
     """What is known of one live boot."""
 
     announcement: Announcement | None = None
-    sightings: int | None = None
-    """The sequence of its last report."""
-    motion: int | None = None
-    """That of the last one on how it moves."""
+    reported: dict[type[Numbered], int] = field(default_factory=dict)
+    """The sequence of its last report of each kind."""
     clock: SenderClock = field(default_factory=SenderClock)
 
 
@@ -103,13 +101,9 @@ class Membership:
         life = self._lives.get(key_id, {}).get(message.boot)
         if life is None:
             return "before_token"  # no loss: an announcement is asked for as soon as the token is there
-        match message:
-            case AnnouncementMessage():
-                last = None if life.announcement is None else life.announcement.sequence
-            case SightingsMessage():
-                last = life.sightings
-            case MotionMessage():
-                last = life.motion
+        last = life.reported.get(type(message))
+        if isinstance(message, AnnouncementMessage):
+            last = None if life.announcement is None else life.announcement.sequence
         return "repeated" if last is not None and message.sequence <= last else None
 
     def alive(self, drone_id: int) -> tuple[str, ...]:

@@ -11,20 +11,22 @@ import contextlib
 import logging
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
+from typing import TypeVar
 
 from swarmtrack.clock import Clock
 from swarmtrack.messages import AnnouncementRequested, PeerEvent
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
-from swarmtrack.transport.membership import LiveBoot, Membership
+from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.outgoing import REQUEST_S
-from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S, StampedTime
+from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, signed_part
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.motion import MotionMessage, motion_from
 from swarmtrack.wire.sightings import SightingsMessage, report_from
 
+R = TypeVar("R", SightingsMessage, MotionMessage)
 Verify = Callable[[int, bytes, bytes], bool]
 """Whether the drone of this ID signed these bytes with this signature."""
 
@@ -82,9 +84,13 @@ class Peers:
                 case Kind.POSE:
                     self._on_announcement(address.drone_id, key, payload, arrived)
                 case Kind.IDENTITIES:
-                    self._on_sightings(address.drone_id, payload, arrived)
+                    self._on_report(
+                        address.drone_id, codec.decode(SightingsMessage, payload), report_from, arrived
+                    )
                 case Kind.MOTION:
-                    self._on_motion(address.drone_id, payload, arrived)
+                    self._on_report(
+                        address.drone_id, codec.decode(MotionMessage, payload), motion_from, arrived
+                    )
         except DecodeError as error:
             self._counters[f"{SUBSCRIBED[address.kind]}_malformed"] += 1
             log.debug("message refused key=%s: %s", key, error)
@@ -105,28 +111,18 @@ class Peers:
         life.announcement = announcement_from(message, t, t_sigma)
         self._tell([life.announcement])
 
-    def _on_sightings(self, drone_id: int, payload: bytes, arrived: float) -> None:
-        message = codec.decode(SightingsMessage, payload)
+    def _on_report(
+        self, drone_id: int, message: R, understood: Callable[[R, float, float], PeerEvent], arrived: float
+    ) -> None:
+        """understood: the report in a message, by when it held on our clock [s], and how well we know when [s]."""
         life = self._membership.life(drone_id, message)
         if life is None:
             return
-        life.sightings = message.sequence
-        self._tell([report_from(message, *self._reported_time(life, message, arrived))])
-
-    def _on_motion(self, drone_id: int, payload: bytes, arrived: float) -> None:
-        message = codec.decode(MotionMessage, payload)
-        life = self._membership.life(drone_id, message)
-        if life is None:
-            return
-        life.motion = message.sequence
-        self._tell([motion_from(message, *self._reported_time(life, message, arrived))])
-
-    def _reported_time(
-        self, life: LiveBoot, message: SightingsMessage | MotionMessage, arrived: float
-    ) -> StampedTime:
-        return life.clock.time_of(
+        life.reported[type(message)] = message.sequence
+        t, t_sigma = life.clock.time_of(
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )
+        self._tell([understood(message, t, t_sigma)])
 
     def _is_genuine(self, drone_id: int, key: str, payload: bytes) -> bool:
         """Whether an announcement is signed by whom it names, where that is asked for."""
