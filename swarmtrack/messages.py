@@ -203,14 +203,22 @@ class Track(NamedTuple):
     coasting_since: float | None = None
 
 
+class MotionProof(NamedTuple):
+    """That how a track moves says alone who it is: how surely, and since when [s]."""
+
+    probability: float
+    since: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedTrack:
     """A track and who it is. `identity_probability`: that whoever is stated is there; 0 while unknown. It falls with
-    the track's own while that is not detected."""
+    the track's own while that is not detected. proof: where motion alone says the same."""
 
     track: Track
     identity: Identity
     identity_probability: float
+    proof: MotionProof | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,6 +22,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
 from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
     Announcement,
     Array,
@@ -58,7 +59,7 @@ from swarmtrack.tracking.scan import make_scan
 MAX_SILENCE = 1.0
 
 
-Output = ScanReport | Disagreement | PoseWanted | HeadingNews
+Output = ScanReport | Disagreement | PoseWanted | HeadingNews | Astray
 
 
 @dataclass(slots=True)
@@ -277,6 +278,7 @@ class Onboard:
         observer = self._ego.at(t)
         if observer is not None:
             self._identities.observe(tracks, observer)
+            self._events += self._identities.take_astray()
             for track_id in self._identities.take_vouched():
                 self._tracker.vouch(track_id)
             seen = self._identities.sightings(observer.t)

@@ -30,6 +30,7 @@ from swarmtrack.identity.assignment import HELD_LOG_ODDS, HIDDEN_LOG_ODDS, Assig
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.posterior import LOG_ANYWHERE, nearest
+from swarmtrack.identity.proof import Astray
 from swarmtrack.identity.reprojection import (
     NOBODY,
     LastSeen,
@@ -147,6 +148,7 @@ class Identities:
         self._expected: dict[int, bool] = {}
         """By drone without a settled track: whether it should be in view, or nearly."""
         self._pose_requests = PoseRequests()
+        self._astray: list[Astray] = []
 
     @property
     def announced(self) -> dict[int, Announcement]:
@@ -163,6 +165,7 @@ class Identities:
         self._whereabouts.announce(announcement)
         self._unannounced.discard(drone)
         self._overruled.pop(drone, None)
+        self._weighing.proofs.forget(drone)
         held = self._holder(drone)
         if held is not None and known is not None:
             self._fire(held, Event.ANNOUNCED)
@@ -211,7 +214,10 @@ class Identities:
                     self._departed.add(drone)
 
     def overrule(self, drone_id: int, t: float) -> None:
-        """Others see it elsewhere: no track is this drone until it announces itself again, or the dispute is old."""
+        """Others see it elsewhere: no track is this drone until it announces itself again, or the dispute is old. What
+        motion proves is not for them to say."""
+        if self._weighing.proofs.track_of(drone_id) is not None:
+            return
         self._withdraw(drone_id, Event.OVERRULED)
         self._overruled[drone_id] = t
         self._pose_requests.put(drone_id)
@@ -238,7 +244,7 @@ class Identities:
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
-        return tuple(IdentifiedTrack(track, *self._name(track)) for track in tracks)
+        return tuple(self._labelled(track) for track in tracks)
 
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
         """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
@@ -250,9 +256,19 @@ class Identities:
         vouched, self._vouched = tuple(sorted(self._vouched)), set()
         return vouched
 
+    def take_astray(self) -> tuple[Astray, ...]:
+        """The drones that motion finds elsewhere than they say; each is returned once."""
+        astray, self._astray = tuple(self._astray), []
+        return astray
+
     def take_wanted(self) -> tuple[int, ...]:
         """The drones that should announce their pose again; each is returned once."""
         return self._pose_requests.take()
+
+    def _labelled(self, track: Track) -> IdentifiedTrack:
+        name, probability = self._name(track)
+        proof = self._weighing.proofs.of(track.id, name) if isinstance(name, int) else None
+        return IdentifiedTrack(track, name, probability, proof)
 
     def _name(self, track: Track) -> tuple[Identity, float]:
         """An ID says where its drone is. That is so as surely as the track still has its target."""
@@ -402,8 +418,10 @@ class Identities:
         t = view.observer.t
         places = {drone: self._whereabouts.latest(drone) for drone in self._announced}
         self._weighing.watch(self._alive, view, places)
+        self._astray += self._weighing.proofs.astray(self._alive, view, places)
         contested, held = self._contested(undecided, view)
         tracks, predicted = [*undecided, *held], joined(self._predict(view), contested)
+        predicted = joined(predicted, self._unexpected(tracks, predicted))
         self._ask_who_enters(predicted, t)
         ratios = self._weighing.weigh(tracks, predicted, view)
         probability = matching_marginals(self._with_history(ratios, tracks, predicted))
@@ -423,6 +441,16 @@ class Identities:
             if track.id not in self._assignments and track.status is not TrackStatus.TENTATIVE:
                 candidates = {drone: match.probability for drone, match in matches.items()}
                 self._keep_unassigned(track, candidates, p_none[i], t)
+
+    def _unexpected(self, tracks: Sequence[Track], predicted: Predictions) -> Predictions:
+        """Drones that no track has for certain and that should not be in the image, of which a track has the motion."""
+        unmoved = {
+            held.drone_id
+            for held in self._assignments.values()
+            if held.standing is Standing.SETTLED and not self._is_contradicted(held)
+        }
+        known = self._announced.keys() - self._clashing.keys() - unmoved - set(predicted.drone_id)
+        return self._weighing.astray(tracks, sorted(known))
 
     def _contested(self, undecided: Sequence[Track], view: ObserverCamera) -> tuple[Predictions, list[Track]]:
         """Where the settled drones should be in whose gate a nameless track is, or whose track does not move as they
@@ -508,6 +536,8 @@ class Identities:
         match = matches.get(drone)
         if held.standing is Standing.SETTLED:
             if match is not None and match.probability < p:
+                if self._weighing.disproves(held.track_id, drone):
+                    self._astray.append(Astray(drone, held.track_id, None))
                 self._doubt(held, matches, t)
             return
         held.scans += 1

@@ -136,6 +136,11 @@ class MotionEvidence:
         """Of tracks and drones, those that were compared."""
         return set(self._row)
 
+    @property
+    def exact(self) -> tuple[int, ...]:
+        """The drones whose motion is known well enough to prove a name."""
+        return tuple(drone for drone, last in self._last.items() if last.trust.most >= MOST)
+
     def hear(self, saying: Saying) -> None:
         """It counts with the first scan that is no older."""
         if len(self._waiting) < MANY:

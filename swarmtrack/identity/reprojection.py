@@ -35,6 +35,8 @@ TURNED_AWAY = 0.3
 AHEAD_S = 0.1
 # px: of what lies further off, there is nothing more to tell.
 WIDE_PX = 300.0
+# px, and the share of drones: whose place is not at all what they say.
+ANYWHERE_PX, ASTRAY = 1e5, 0.003
 # m: no teammate is closer, so the observer's motion turns no bearing by more than one at it.
 NEAREST = 2.0
 
@@ -149,6 +151,19 @@ def reproject(
         share[:, valid],
         cov[:, valid],
         np.column_stack([distance, np.sqrt(along)])[valid],
+    )
+
+
+def anywhere(drones: Sequence[int]) -> Predictions:
+    """Drones whose place is wrong by more than it says: so wide that no track is out of their gate."""
+    k = len(drones)
+    return Predictions(
+        [("anywhere", drone) for drone in drones],
+        list(drones),
+        np.zeros((k, 2)),
+        np.full((1, k), ASTRAY),
+        np.broadcast_to(ANYWHERE_PX**2 * np.eye(2), (1, k, 2, 2)),
+        np.full((k, 2), np.nan),
     )
 
 

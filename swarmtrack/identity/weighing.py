@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
-from swarmtrack.identity.posterior import PRIOR, ReprojectionResiduals, log_ratios, residuals
-from swarmtrack.identity.reprojection import ObserverCamera, Predictions
+from swarmtrack.identity.posterior import LOG_ANYWHERE, PRIOR, ReprojectionResiduals, log_ratios, residuals
+from swarmtrack.identity.proof import PROVED, Proofs
+from swarmtrack.identity.reprojection import ASTRAY, ObserverCamera, Predictions, anywhere
 from swarmtrack.identity.scene import Scene
 from swarmtrack.identity.spans import Spans
 from swarmtrack.messages import Announcement, Array, MotionReport, Track, TrackStatus
@@ -28,6 +29,10 @@ LEAST_EXISTENCE = 1e-6
 DOUBT = 0.05
 
 
+# Log ratio of a drone that is not where it says, and so anywhere, and a stranger; and the log odds by motion from which
+# on it may be that.
+LOG_ASTRAY = LOG_ANYWHERE + math.log(ASTRAY)
+MOVES_AS = math.log(20.0)
 # Of a position's sigma: by how much its error changes in some seconds.
 DRIFT_SHARE = 0.1
 # s after which a drone that said how it moves says it no more.
@@ -43,6 +48,7 @@ class Weighing:
         self._scene = Scene(2.0 * math.atan(0.5 * camera.height / camera.fy))
         self._spans = Spans(camera.fx)
         self._motion = MotionEvidence()
+        self.proofs = Proofs()
         self._placed: dict[int, Announcement] = {}
         """By drone: the last place that it said."""
         self._published: dict[int, float] = {}
@@ -78,12 +84,15 @@ class Weighing:
                 if place.t - self._published.get(drone, -math.inf) > SILENT_S:
                     self._motion.hear(_said_by(place, before))
         self._motion.observe(detected, view)
+        self.proofs.keep(alive)
+        self.proofs.judge(view.observer.t, [track.id for track in detected], self._motion)
 
     def weigh(self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera) -> Array:
         """(n, k), −inf outside every gate. Averages over the scans in which it was asked of the same pair."""
         found = _residuals(tracks, predicted)
         self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
-        ratios = log_ratios(self._evidence.residuals, self._camera)
+        by_place = log_ratios(self._evidence.residuals, self._camera)
+        ratios = np.logaddexp(by_place, self._astray(tracks, predicted.drone_id))
         in_view, elevation = self._in_view(predicted), _elevations(tracks, view)
         for j, drone in enumerate(predicted.drone_id):
             distance, sigma = predicted.distance[j].tolist()
@@ -94,8 +103,30 @@ class Weighing:
                 ratios[i, j] += prior - PRIOR.log_ratio
                 if weak or track.coasting_since is not None:
                     ratios[i, j] += math.log(max(track.probability, LEAST_EXISTENCE))
-                ratios[i, j] += self._spans.log_ratio(drone, track.size, distance, sigma)
+                if by_place[i, j] > LOG_ASTRAY:
+                    ratios[i, j] += self._spans.log_ratio(drone, track.size, distance, sigma)
                 ratios[i, j] += self.motion(track.id, drone)
+        return ratios
+
+    def disproves(self, track_id: int, drone_id: int) -> bool:
+        """Whether motion alone says that a track is not a drone, as surely as it ever proves one."""
+        surely = math.log((1.0 - PROVED) / PROVED)
+        return drone_id in self._motion.exact and self.motion(track_id, drone_id) < surely
+
+    def astray(self, tracks: Sequence[Track], drones: Iterable[int]) -> Predictions:
+        """Of drones that should not be in the image, those that a track moves as: they may be anywhere in it."""
+        known = list(drones)
+        moving = np.flatnonzero(np.isfinite(self._astray(tracks, known)).any(axis=0))
+        return anywhere([known[j] for j in moving.tolist()])
+
+    def _astray(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
+        """(n, k): the log ratio of a drone whose start is not what it says, where motion speaks for it; else −inf."""
+        ratios = np.full((len(tracks), len(drones)), -np.inf)
+        exact = self._motion.exact
+        for j in [j for j, drone in enumerate(drones) if drone in exact]:
+            for i, track in enumerate(tracks):
+                if self.motion(track.id, drones[j]) > MOVES_AS:
+                    ratios[i, j] = LOG_ASTRAY
         return ratios
 
     def _in_view(self, predicted: Predictions) -> list[float]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.identity.consensus import Disagreement
+from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
@@ -244,6 +245,8 @@ class Agent:
                     self._team.ask_for_pose(drone_id)
                 case Disagreement():
                     self._team.on_disagreement(event)
+                case Astray():
+                    self._team.on_astray(event)
                 case HeadingNews():
                     self._team.on_heading(event)
 

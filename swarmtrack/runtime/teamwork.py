@@ -14,6 +14,7 @@ import numpy as np
 from swarmtrack.clock import UTC_SIGMA, Clock
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
+from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
     Announcement,
     AnnouncementRequested,
@@ -213,6 +214,10 @@ class Teamwork:
         self._note(self._drone_id, _describe_heading(news), logging.INFO)
         self._asked.set()
 
+    def on_astray(self, found: Astray) -> None:
+        """A teammate is not where it says, by how it moves."""
+        self._note(found.drone_id, _describe_astray(found), logging.WARNING)
+
     def on_disagreement(self, found: Disagreement) -> None:
         """Another drone sees it otherwise: said once per pair, and whenever we give in."""
         pair = (found.observer, found.drone_id)
@@ -277,6 +282,17 @@ def _describe_heading(news: HeadingNews) -> str:
     if news.step:
         return f"our heading stepped by {math.degrees(news.step):+.1f}° against the gyro: announced again"
     return "our heading has been aligned in flight: announced again"
+
+
+def _describe_astray(found: Astray) -> str:
+    if found.miss_m is None:
+        return (
+            f"track {found.track_id} does not move as drone {found.drone_id} says, whose name it had: doubted"
+        )
+    return (
+        f"drone {found.drone_id} moves as track {found.track_id}, {found.miss_m:.1f} m from where it says that it is: "
+        f"its start or our heading is wrong, and its name follows the motion"
+    )
 
 
 def _describe_disagreement(found: Disagreement) -> str:

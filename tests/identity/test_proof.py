@@ -1,0 +1,132 @@
+"""Names that motion proves, by the whole of `Identities`: wrong starts, spoofed motion, and what is told of them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at
+from swarmtrack.identity.proof import PROVED
+from swarmtrack.messages import MotionReport, SightingReport
+
+SIZE = (24.0, 24.0)
+
+
+class Sway:
+    """Drones at 8 m that sway; each says how, or something else, and once a second where it thinks that it is."""
+
+    def __init__(self, places, sways, thinks, said=None):
+        self.places, self.sways, self.said = places, sways, sways if said is None else said
+        self.observer = Observer()
+        self.observer.sizes = dict.fromkeys(places, SIZE)
+        self.sequence = 0
+        self.told = []
+        self.thinks = thinks
+        for drone, pixel in thinks.items():
+            self.observer.hears(drone, pixel)
+
+    def flies(self, seconds):
+        """The names after so long."""
+        end = self.observer.t + seconds - 1e-9
+        while self.observer.t < end:
+            t = self.observer.t + SCAN_S
+            if self.sequence % 2 == 0:
+                for drone, sway in self.said.items():
+                    self._say(drone, sway, t)
+            self.sequence += 1
+            if self.sequence % 10 == 0:
+                for drone, pixel in self.thinks.items():
+                    self._report(drone, at(pixel) + swaying(self.said[drone], t), t)
+            pixels = {name: self._pixel(name, t) for name in self.places}
+            names = self.observer.sees(SCAN_S, **pixels)
+            self.told += self.observer.identities.take_astray()
+        return names
+
+    def _say(self, drone, sway, t):
+        velocity = (swaying(sway, t + 0.01) - swaying(sway, t - 0.01)) / 0.02
+        self.observer.identities.on_motion(
+            MotionReport(
+                drone,
+                "0000000a",
+                self.sequence,
+                t,
+                0.0,
+                swaying(sway, t),
+                0.01 * np.eye(3),
+                velocity,
+                np.eye(3),
+            )
+        )
+
+    def _report(self, drone, place, t):
+        self.observer.identities.on_report(
+            SightingReport(drone, "0000000a", self.sequence, t, 0.0, place, 0.1, (), ())
+        )
+
+    def _pixel(self, name, t):
+        sway = self.sways[{"a": 2, "b": 3, "c": 4}[name]]
+        place = at(self.places[name]) + swaying(sway, t)
+        return (320.0 + 430.0 * place[1] / place[0], 240.0 + 430.0 * place[2] / place[0])
+
+    def proofs(self):
+        labels = self.observer.identities.label(self.observer.tracks)
+        return {entry.identity: entry.proof for entry in labels}
+
+
+def swaying(seed, t):
+    """(3,) m: a few slow sines by chance."""
+    rng = np.random.default_rng(seed)
+    rate, angle = rng.uniform(0.4, 2.5, (4, 3)), rng.uniform(0.0, 2.0 * math.pi, (4, 3))
+    return 0.15 * np.sin(rate * t + angle).sum(axis=0)
+
+
+def test_a_name_that_its_place_gave_is_proved_by_motion_in_seconds_and_says_since_when():
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: RIGHT})
+    assert flight.flies(1.0) == {"a": 2, "b": 3}
+    assert set(flight.proofs().values()) == {None}
+    flight.flies(9.0)
+    for proof in flight.proofs().values():
+        assert proof.probability > PROVED
+        assert 1.0 < proof.since < 10.0
+    assert flight.told == []
+
+
+def test_who_starts_on_the_other_s_pad_gets_its_own_name_by_its_motion_and_that_is_said():
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: RIGHT, 3: LEFT})
+    assert flight.flies(1.0) == {"a": 3, "b": 2}
+    assert flight.flies(14.0) == {"a": 2, "b": 3}
+    found = {told.drone_id: told for told in flight.told if told.miss_m is not None}
+    assert found.keys() == {2, 3}
+    apart = np.linalg.norm(at(LEFT) - at(RIGHT))
+    for told in found.values():
+        assert told.miss_m == pytest.approx(apart, rel=0.2)
+
+
+def test_a_drone_is_named_by_its_motion_although_it_should_be_behind_the_camera():
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT})
+    flight.observer.hears(3, RIGHT, metres=-8.0)
+    assert flight.flies(1.0)["b"] is None
+    assert flight.flies(11.0) == {"a": 2, "b": 3}
+
+
+def test_a_drone_that_lies_about_its_motion_loses_its_name_and_that_is_said():
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: RIGHT}, said={2: 12, 3: 33})
+    assert flight.flies(1.0) == {"a": 2, "b": 3}
+    names = flight.flies(11.0)
+    assert names["a"] == 2
+    assert names["b"] != 3
+    assert (3, None) in {(told.drone_id, told.miss_m) for told in flight.told}
+
+
+def test_others_that_see_it_elsewhere_do_not_overrule_what_motion_proves():
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: RIGHT})
+    flight.flies(10.0)
+    flight.observer.identities.overrule(2, flight.observer.t)
+    assert flight.flies(SCAN_S)["a"] == 2
+
+
+def test_a_stranger_that_sways_by_itself_is_nobody_although_it_is_where_a_drone_should_be():
+    flight = Sway({"c": MIDDLE, "a": LEFT}, {2: 12, 4: 14}, {2: LEFT, 3: MIDDLE}, said={2: 12, 3: 13})
+    names = flight.flies(12.0)
+    assert names["a"] == 2
+    assert names["c"] != 3
