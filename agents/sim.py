@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds, add_seed, port
 from swarmtrack.errors import SourceError
-from swarmtrack.localswarm.machine_load import BUSY, MachineLoad
+from swarmtrack.localswarm.machine_load import BUSY, MachineLoad, lighter_flights
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
     if code == FAILED and load.share() > BUSY:
         console.print(
             f"  this machine's {os.cpu_count()} cores were {load.share():.0%} busy, so this says little of the swarm: "
-            "try again with fewer --drones, with --detector oracle, or on a free machine",
+            f"try again {lighter_flights(report.drones, report.detector)}",
             highlight=False,
             soft_wrap=True,
         )

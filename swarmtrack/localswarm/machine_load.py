@@ -31,3 +31,10 @@ class MachineLoad:
             return ticks[3] + ticks[4], sum(ticks)
         except (OSError, ValueError, IndexError):
             return None
+
+
+def lighter_flights(drones: int, detector: str) -> str:
+    """What to try where the machine was too busy for a flight of so many drones with that detector."""
+    fewer = ["with fewer --drones"] if drones > 2 else []
+    oracle = ["with --detector oracle"] if detector != "oracle" else []
+    return " or ".join([*fewer, *oracle, "when nothing else runs on it"])

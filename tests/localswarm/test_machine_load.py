@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from swarmtrack.localswarm.machine_load import MachineLoad
+from swarmtrack.localswarm.machine_load import MachineLoad, lighter_flights
 
 
 def stat(path, user, idle, waiting=0):
@@ -23,6 +23,13 @@ def test_where_the_kernel_does_not_say_it_is_unknown(tmp_path, content):
     assert math.isnan(MachineLoad(tmp_path / "missing").share())
     (tmp_path / "stat").write_text(content)
     assert math.isnan(MachineLoad(tmp_path / "stat").share())
+
+
+def test_only_what_was_not_flown_yet_is_advised():
+    assert lighter_flights(3, "onnx") == (
+        "with fewer --drones or with --detector oracle or when nothing else runs on it"
+    )
+    assert lighter_flights(2, "oracle") == "when nothing else runs on it"
 
 
 def test_this_machine_is_somewhere_between_idle_and_busy():
