@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import heapq
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,7 @@ from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
 from swarmtrack.perceived import Perceived
+from swarmtrack.runtime.filed import coded_motion, filed_announcement
 from swarmtrack.simulation.oracle import OracleDetector
 from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters
@@ -105,7 +106,8 @@ class VirtualSwarm:
     share_hz: how often each tells how it moves; 0: never.
 
     eyes: what finds drones in frames, `oracle_eyes` by default. camera_clocks_told: every drone knows by
-    how much its camera's stamps are late, and does not estimate it.
+    how much its camera's stamps are late, and does not estimate it. observers: the members that perceive, all by
+    default; of a team that tells each other nothing the rest need not be computed.
     """
 
     def __init__(
@@ -117,6 +119,7 @@ class VirtualSwarm:
         eyes: Eyes | None = None,
         camera_clocks_told: bool = False,
         share_hz: float = 0.0,
+        observers: Collection[int] | None = None,
     ) -> None:
         self.scenario = scenario
         self.announcements = 0
@@ -127,7 +130,7 @@ class VirtualSwarm:
         self._eyes = eyes or oracle_eyes(scenario)
         self._camera_clocks_told = camera_clocks_told
         self._share_hz = share_hz
-        self._drones = {drone_id: self._make(drone_id) for drone_id in scenario.members}
+        self._drones = {drone_id: self._make(drone_id) for drone_id in observers or scenario.members}
 
     def _make(self, drone_id: int) -> _Drone:
         scenario = self.scenario
@@ -148,7 +151,23 @@ class VirtualSwarm:
         )
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
         ego = Ego(scenario.world, drone_id)
+        if not scenario.announces:
+            self._file(onboard, drone_id)
+            return _Drone(onboard, imu, ego)
         return _Drone(onboard, imu, ego, announce_at=max(scenario.starts_s.get(drone_id, 0.0) - 0.5, -0.5))
+
+    def _file(self, onboard: Onboard, drone_id: int) -> None:
+        """Tell it what the team's file says of its teammates: their starts, and the codes that they will sway."""
+        scenario = self.scenario
+        for other, start in scenario.announced.items():
+            if other == drone_id:
+                continue
+            sigma = start.position_sigma_m
+            onboard.tell(
+                filed_announcement(other, -LEAD_S, position=start.position_m, yaw=start.yaw, sigma=sigma)
+            )
+            for begin in scenario.codes_s:
+                onboard.tell(coded_motion(other, scenario.members, begin))
 
     def stamps_late(self, drone_id: int) -> float:
         """By how much the stamps of its camera are late, s."""
@@ -201,6 +220,8 @@ class VirtualSwarm:
         drone.onboard.tell(found)
 
     def _say(self, now: float) -> None:
+        if not self.scenario.announces:
+            return
         for drone_id, drone in self._drones.items():
             if now >= drone.announce_at:
                 self._announce(drone_id, drone, now)

@@ -30,7 +30,7 @@ from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, R
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.heading import HeadingSigma
-from swarmtrack.team_config import TeamSection, roster_problems, take_own_start
+from swarmtrack.team_config import TeamSection, resolve_plan, roster_problems, take_own_start
 from swarmtrack.toml.layers import Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml.sections import (
     Count,
@@ -635,6 +635,7 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
         ("network", "keys", lambda name: str(folder / Path(name).expanduser())),
         ("detector", "model", lambda name: str(folder / name) if name.endswith(".onnx") else name),
     ]
+    resolve_plan(table, folder)
     for section, key, resolve in rules:
         entries = table.get(section)
         if isinstance(entries, dict) and isinstance(entries.get(key), str):

@@ -374,6 +374,27 @@ class MotionReport:
             _hold(self, cov, (3, 3))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AgreedMotion:
+    """How a teammate moves by what was agreed before the flight; nothing of it was on the air.
+
+    t (n,) s, increasing, n ≥ 2, on our monotonic clock; displacement (n, 3) m in the team frame's axes, counted from
+    anywhere. planned: by a plan of its way, which is flown less exactly than a code.
+    """
+
+    drone_id: int
+    t: Array
+    displacement: Array
+    planned: bool
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        _hold(self, "t", (n,))
+        _hold(self, "displacement", (n, 3))
+        if n < 2 or not (np.diff(self.t) > 0.0).all():
+            raise ValueError(f"AgreedMotion.t: expected two or more times that increase, got {n} that do not")
+
+
 PeerEvent = (
     Announcement
     | PeerArrived
@@ -395,6 +416,7 @@ Input = (
     | Membership
     | SightingReport
     | MotionReport
+    | AgreedMotion
 )
 """All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""
 

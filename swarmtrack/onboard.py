@@ -24,6 +24,7 @@ from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
+    AgreedMotion,
     Announcement,
     Array,
     AutopilotRebooted,
@@ -137,6 +138,8 @@ class Onboard:
                 self._compare(event)
             case MotionReport():
                 self._identities.on_motion(event)
+            case AgreedMotion():
+                self._identities.agree(event)
             case Announcement():
                 self.counters.announcements_refused += not self._identities.announce(event)
             case PeerArrived() | PeerDeparted() | IdClash():

@@ -106,6 +106,7 @@ class AgentsSection(Section):
     position_sigma_m: Positive = Field(
         default=0.05, description="standard deviation of the measured starts, m per axis"
     )
+    announce: Switch = Field(default=True, description="false: they tell each other nothing")
     late: Annotated[int, Strict(), Field(ge=0)] = Field(
         default=0, description="how many agents start late: those with the highest IDs"
     )
@@ -409,6 +410,9 @@ class ScenarioFile(Section):
     origin: TeamOrigin | None = Field(
         default=None, description="{ lat_deg, lon_deg, alt_m } of the world's origin on the Earth"
     )
+    codes_s: tuple[NotNegative, ...] = Field(
+        default=(), description="when all drones sway by their codes, world time, s"
+    )
     camera: ScenarioCameraSection = ScenarioCameraSection()
     agents: AgentsSection = AgentsSection()
     clocks: ClocksSection = ClocksSection()
@@ -495,6 +499,9 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
         wrong(
             ("formation", "drones"), f"{wanted} drones wanted, expected {max(1, one_by_one)} to {MAX_DRONES}"
         )
+    by_others = [drone.id for drone in file.drone if drone.guided]
+    if file.codes_s and (by_others or (file.formation is not None and file.formation.errand is not None)):
+        wrong(("codes_s",), "with guided drones or errands, expected drones that hover or fly by plan")
     if problems:
         return problems
     flying = {*ids, *_formation_ids(file, wanted)}
@@ -544,7 +551,8 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
             departs_s={drone_id: file.hover_s + starts.get(drone_id, 0.0) for drone_id in ids},
             view=VIEW,
         )
-    world = fly(seed, dict(sorted(plans.items())), file.drift_m)
+    team = tuple(members)
+    world = fly(seed, dict(sorted(plans.items())), file.drift_m, codes_s=file.codes_s, team=team)
     events: tuple[ScenarioEvent, ...] = ()
     if file.formation is not None and file.formation.errand is not None:
         responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
@@ -569,6 +577,8 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
             for drone_id, start in announced_starts(world, agents.position_sigma_m).items()
             if drone_id not in strangers
         },
+        announces=agents.announce,
+        codes_s=file.codes_s,
         strangers=strangers,
         starts_s=starts,
         utc_offset_s=in_turn(file.clocks.utc_offset_s),

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from datetime import datetime
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from swarmtrack.geometry.geodesy import Geodetic
-from swarmtrack.toml.layers import Layers, Problem
+from swarmtrack.toml.layers import Layers, Problem, Table
 from swarmtrack.toml.sections import Number, Positive, Section, Switch, Vector, found
 
 # Of what the file says: further off, a drone's own start contradicts it.
@@ -54,6 +56,40 @@ class FiledDrone(Section):
         return self
 
 
+Utc = Annotated[datetime, Field(strict=True)]
+
+
+class CodeSection(Section):
+    """When the drones of the team sway by their codes (`swarmtrack mission sway`)."""
+
+    begins: tuple[Utc, ...] = Field(
+        min_length=1, description="UTC, such as 2026-05-01T10:00:00Z; several for more than once"
+    )
+
+    @field_validator("begins")
+    @classmethod
+    def _with_a_zone(cls, begins: tuple[datetime, ...]) -> tuple[datetime, ...]:
+        return tuple(map(_zoned, begins))
+
+
+class PlanSection(Section):
+    """Trajectories that everybody has."""
+
+    file: Path = Field(description="CSV with the columns id, t_s, north_m, east_m, down_m")
+    begins: Utc = Field(description="UTC at t_s = 0, such as 2026-05-01T10:00:00Z")
+
+    @field_validator("begins")
+    @classmethod
+    def _with_a_zone(cls, begins: datetime) -> datetime:
+        return _zoned(begins)
+
+
+def _zoned(begin: datetime) -> datetime:
+    if begin.tzinfo is None:
+        raise ValueError(f"{begin.isoformat()}, expected UTC with its Z: {begin.isoformat()}Z")
+    return begin
+
+
 class TeamSection(Section):
     """[team]: the team frame, and who starts where. The same for every drone: keep it in the file that all extend."""
 
@@ -78,6 +114,14 @@ class TeamSection(Section):
         "known without an announcement",
     )
 
+    code: CodeSection | None = Field(
+        default=None,
+        description="when all drones sway by their codes, which tell who they are (docs/silent.md)",
+    )
+    plan: PlanSection | None = Field(
+        default=None, description="trajectories that tell who they are (docs/silent.md)"
+    )
+
     @field_validator("drones")
     @classmethod
     def _drones_by_id(cls, drones: dict[str, FiledDrone]) -> dict[str, FiledDrone]:
@@ -94,11 +138,21 @@ class TeamSection(Section):
             raise ValueError(
                 f'announce = false with share = "{self.share}", expected one or the other: what is shared is told'
             )
-        if not self.announce and not self.drones:
-            raise ValueError(
-                "announce = false without drones, expected 1 = { position_m = … } in [team.drones]"
-            )
+        for needs, name in (
+            (not self.announce, "announce = false"),
+            (self.code, "code"),
+            (self.plan, "plan"),
+        ):
+            if needs and not self.drones:
+                raise ValueError(f"{name} without drones, expected 1 = {{ position_m = … }} in [team.drones]")
         return self
+
+
+def resolve_plan(table: Table, folder: Path) -> None:
+    """Make the path of a plan absolute, from the folder of the file that names it."""
+    plan = _table(_table(table.get("team")).get("plan"))
+    if isinstance(plan.get("file"), str):
+        plan["file"] = str(folder / Path(plan["file"]).expanduser())
 
 
 def take_own_start(layers: Layers) -> None:

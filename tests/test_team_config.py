@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from swarmtrack.agents.main import main
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError
 from swarmtrack.geometry import rotation
-from swarmtrack.runtime.filed import filed_announcements
+from swarmtrack.motion.sway import sway
+from swarmtrack.runtime.filed import SOMEWHERE_M, agreed_motions, filed_announcements
+from swarmtrack.trajectory_file import write_trajectories
 
 CAMERA = """
 [camera]
@@ -41,9 +44,10 @@ def test_a_drone_starts_where_the_file_says_and_knows_where_the_others_do(load):
     config = load("drone.id = 2")
     assert config.drone.start.position_m == (5.0, 1.0, -0.1)
     assert (config.drone.start.yaw_deg, config.drone.start.stated_sigma_m) == (180.0, 0.5)
-    (other,) = filed_announcements(config, 12.0)
+    other, nowhere = filed_announcements(config, 12.0)
     assert (other.drone_id, other.t, list(other.position)) == (1, 12.0, [0.0, 0.0, -0.1])
     assert other.position_cov[1, 1] == pytest.approx(0.09)
+    assert (nowhere.drone_id, nowhere.position_cov[0, 0]) == (7, SOMEWHERE_M**2)
     seen_by_seven = filed_announcements(load("drone.id = 7"), 0.0)
     assert [one.drone_id for one in seen_by_seven] == [1, 2]
     assert rotation.to_euler(seen_by_seven[1].world_from_body)[2] == pytest.approx(3.14159, abs=1e-4)
@@ -58,6 +62,38 @@ def test_a_local_frame_begins_where_the_file_says(load):
 def test_a_start_of_its_own_may_be_better_than_the_file(load):
     own = load("drone.id = 2\ndrone.start = { position_m = [5.2, 1.1, -0.1], position_sigma_m = 0.05 }")
     assert own.drone.start.position_m == (5.2, 1.1, -0.1)
+
+
+CODES = TEAM.replace(
+    "[team.drones]", "code = { begins = [2026-05-01T10:00:00Z, 2026-05-01T10:01:00Z] }\n[team.drones]"
+)
+PLAN = TEAM.replace(
+    "[team.drones]", 'plan = { file = "plan.csv", begins = 2026-05-01T10:00:00Z }\n[team.drones]'
+)
+UTC_S = 1777629600.0  # 2026-05-01T10:00:00Z
+
+
+def test_the_codes_of_the_others_are_those_of_the_whole_team_at_their_times(load):
+    motions = agreed_motions(load("drone.id = 2", CODES), 100.0 - UTC_S)
+    assert [(one.drone_id, one.t[0], one.planned) for one in motions] == [
+        (drone_id, begin, False) for begin in (100.0, 160.0) for drone_id in (1, 7)
+    ]
+    seven = motions[1]
+    k = 60
+    assert seven.displacement[k] == pytest.approx(sway(7, (1, 2, 7), seven.t[k] - 100.0)[0])
+
+
+def test_a_plan_lies_beside_the_file_that_names_it_and_counts_from_its_beginning(load, tmp_path):
+    write_trajectories(tmp_path / "plan.csv", [(d, t, t, 0.0, -5.0) for d in (1, 2) for t in (0.0, 3.0)])
+    (way,) = agreed_motions(load("drone.id = 2", PLAN), 100.0 - UTC_S)
+    assert (way.drone_id, way.planned, list(way.t)) == (1, True, [100.0, 103.0])
+    assert way.displacement == pytest.approx(np.array([[0.0, 0.0, -5.0], [3.0, 0.0, -5.0]]))
+
+
+def test_a_plan_with_a_drone_that_is_not_of_the_team_is_refused(load, tmp_path):
+    write_trajectories(tmp_path / "plan.csv", [(4, t, 0.0, 0.0, 0.0) for t in (0.0, 3.0)])
+    with pytest.raises(ConfigError, match=r"team\.plan\.file: .*plan\.csv has drone 4, expected those of"):
+        agreed_motions(load("drone.id = 2", PLAN), 0.0)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +113,13 @@ def test_a_start_of_its_own_may_be_better_than_the_file(load):
             "drone.id = 1",
             TEAM + "8 = { position_m = [0.0, 0.0, 0.0] }\n",
             "position_m without position_sigma_m, expected both",
+        ),
+        ("drone.id = 1", CODES.replace("10:00:00Z", "10:00:00"), "expected UTC with its Z"),
+        ("drone.id = 1", "team.code.begins = [2026-05-01T10:00:00Z]\n", "code without drones, expected"),
+        (
+            "drone.id = 1",
+            CODES.replace("[2026-05-01T10:00:00Z, 2026-05-01T10:01:00Z]", "[]"),
+            "team.code.begins: []",
         ),
         ("drone.id = 1", "team.announce = false\n", "announce = false without drones, expected"),
     ],

@@ -46,6 +46,7 @@ from swarmtrack.identity.weighing import RIVAL, Weighing
 from swarmtrack.identity.whereabouts import Whereabouts
 from swarmtrack.messages import (
     FOREIGN,
+    AgreedMotion,
     Announcement,
     Array,
     IdClash,
@@ -175,6 +176,10 @@ class Identities:
         if known is not None and known.boot != announcement.boot:
             self._weighing.forget(drone)
         return True
+
+    def agree(self, motion: AgreedMotion) -> None:
+        """A teammate moves like that, as was agreed before the flight."""
+        self._weighing.agree(motion)
 
     def on_report(self, report: SightingReport) -> None:
         """A teammate says with what it sees where it is: nobody has to ask it."""

@@ -37,6 +37,8 @@ AHEAD_S = 0.1
 WIDE_PX = 300.0
 # px, and the share of drones: whose place is not at all what they say.
 ANYWHERE_PX, ASTRAY = 1e5, 0.003
+# m: of a place that is vaguer, a projection tells nothing.
+VAGUE_M = 100.0
 # m: no teammate is closer, so the observer's motion turns no bearing by more than one at it.
 NEAREST = 2.0
 
@@ -120,8 +122,14 @@ def reproject(
 
     The covariance is that of the announced position, of the observer's own and of its attitude; for a drone that has
     flown off also of how far it may be: drift_speed [m/s] times the age of the pose, or `FAST` times that. Of those
-    on_pad half are still there after stay_s [s]; the others fly.
+    on_pad half are still there after stay_s [s]; the others fly. Whose place is vaguer than
+    `VAGUE_M` may be anywhere in the image.
     """
+    vague = [a for a in announcements if np.trace(a.position_cov) > 3.0 * VAGUE_M**2]
+    if vague:
+        placed = [a for a in announcements if a not in vague]
+        known = reproject(placed, view, drift_speed=drift_speed, stay_s=stay_s, on_pad=on_pad)
+        return joined(known, _somewhere(vague, view.camera))
     if not announcements:
         return NOBODY
     observer, camera = view.observer, view.camera
@@ -163,6 +171,19 @@ def anywhere(drones: Sequence[int]) -> Predictions:
         np.zeros((k, 2)),
         np.full((1, k), ASTRAY),
         np.broadcast_to(ANYWHERE_PX**2 * np.eye(2), (1, k, 2, 2)),
+        np.full((k, 2), np.nan),
+    )
+
+
+def _somewhere(announcements: Sequence[Announcement], camera: PinholeCamera) -> Predictions:
+    """Drones of which nobody knows where they are: as likely here as there."""
+    k = len(announcements)
+    return Predictions(
+        [(a.drone_id, a.boot, a.sequence, a.t) for a in announcements],
+        [a.drone_id for a in announcements],
+        np.tile([0.5 * camera.width, 0.5 * camera.height], (k, 1)),
+        np.ones((1, k)),
+        np.broadcast_to(np.diag([camera.width**2, camera.height**2]).astype(float), (1, k, 2, 2)),
         np.full((k, 2), np.nan),
     )
 

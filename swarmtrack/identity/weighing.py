@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.agreed import AgreedMotions
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.posterior import LOG_ANYWHERE, PRIOR, ReprojectionResiduals, log_ratios, residuals
@@ -17,7 +18,7 @@ from swarmtrack.identity.proof import PROVED, Proofs
 from swarmtrack.identity.reprojection import ASTRAY, ObserverCamera, Predictions, anywhere
 from swarmtrack.identity.scene import Scene
 from swarmtrack.identity.spans import Spans
-from swarmtrack.messages import Announcement, Array, MotionReport, Track, TrackStatus
+from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, Track, TrackStatus
 from swarmtrack.tracking.lifecycle import probability_in_view
 
 # Of a box's side, one sigma: between its middle and the drone's. Half hidden drones count, too.
@@ -49,6 +50,7 @@ class Weighing:
         self._spans = Spans(camera.fx)
         self._motion = MotionEvidence()
         self.proofs = Proofs()
+        self._agreed = AgreedMotions()
         self._placed: dict[int, Announcement] = {}
         """By drone: the last place that it said."""
         self._published: dict[int, float] = {}
@@ -65,6 +67,10 @@ class Weighing:
         self._motion.hear(
             Saying(report.drone_id, source, report.t, report.displacement, report.velocity, trust)
         )
+
+    def agree(self, motion: AgreedMotion) -> None:
+        """A drone moves like that, as was agreed."""
+        self._agreed.agree(motion)
 
     def watch(
         self, alive: Mapping[int, Track], view: ObserverCamera, places: Mapping[int, Announcement]
@@ -83,6 +89,8 @@ class Weighing:
                 self._placed[drone] = place
                 if place.t - self._published.get(drone, -math.inf) > SILENT_S:
                     self._motion.hear(_said_by(place, before))
+        for saying in self._agreed.at(view.observer.t):
+            self._motion.hear(saying)
         self._motion.observe(detected, view)
         self.proofs.keep(alive)
         self.proofs.judge(view.observer.t, [track.id for track in detected], self._motion)

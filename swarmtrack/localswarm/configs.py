@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -50,16 +51,20 @@ def write_configs(
     radio: Mapping[int, RadioEnds] | None = None,
     recordings: Path | None = None,
     origin: TeamOrigin | None = None,
+    epoch_utc: float = 0.0,
 ) -> dict[int, Path]:
     """team.toml and drone-N.toml; returns each drone's file.
 
     simulator: the command of a simulator for them, for whoever reads them later. radio: None for a swarm on this
     machine's loopback. recordings: the folder where every agent records. origin: of the team frame on the Earth.
+    epoch_utc: world time 0, s since 1970.
     """
     text = _team_file(scenario, team, tracker, simulator)
     if origin is not None:
         place = f"lat_deg = {origin.lat_deg!r}, lon_deg = {origin.lon_deg!r}, alt_m = {origin.alt_m!r}"
         text += f"\n[team]\norigin = {{ {place} }}\n"
+    if not scenario.announces:
+        text += _silent_team(scenario, epoch_utc)
     if recordings is not None:
         text += f"\n[recording]\ndir = {_text(str(recordings))}\n"
     (folder / "team.toml").write_text(text, encoding="utf-8")
@@ -99,6 +104,20 @@ imu_rate_hz = {scenario.imu_rate_hz:g}
 [output]
 tracks_hz = {scenario.tracks_hz:g}
 """
+
+
+def _silent_team(scenario: Scenario, epoch_utc: float) -> str:
+    """Who starts where, for drones that do not say it."""
+    lines = ["", "[team]", "announce = false                    # nothing is told, and nothing asked"]
+    lines += ["", "[team.drones]"]
+    for drone_id in scenario.members:
+        start = scenario.announced[drone_id]
+        place = f"position_m = {_numbers(start.position_m)}, yaw_deg = {np.degrees(start.yaw):.3f}"
+        lines.append(f"{drone_id} = {{ {place}, position_sigma_m = {start.position_sigma_m:g} }}")
+    if scenario.codes_s:
+        begins = (datetime.fromtimestamp(epoch_utc + begin, UTC) for begin in scenario.codes_s)
+        lines += ["", "[team.code]", f"begins = [{', '.join(begin.isoformat() for begin in begins)}]"]
+    return "\n".join([*lines, ""])
 
 
 def _drone_file(scenario: Scenario, drone_id: int, sources: Sources, radio: RadioEnds | None) -> str:

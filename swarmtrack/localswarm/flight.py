@@ -168,6 +168,7 @@ class _SwarmFlight:
             radio=self._radio_ends(),
             recordings=self._plan.record and self._plan.record.absolute(),
             origin=None if self._flown.outside is None else self._flown.outside.origin,
+            epoch_utc=ready["epoch_s"] + self._clock.utc() - self._clock.now(),
         )
         if self._flown.outside is None:
             for drone_id in self._flown.followed:

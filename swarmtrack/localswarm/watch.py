@@ -160,6 +160,8 @@ class Watch:
             if address.kind is Kind.ALIVE:
                 if sample.alive and len(address.rest) == 1:
                     await self._on_boot(agent, address.rest[0])
+                    if not self._scenario.announces:
+                        self._on_silent(address.drone_id, agent, address.rest[0])
                 continue
             kind = keys.MESSAGES.get(address.kind)
             if kind is None:
@@ -192,6 +194,15 @@ class Watch:
             agent.boot, agent.last_index, agent.sequence = boot, None, -1
         async with self._arrivals:
             self._arrivals.notify_all()
+
+    def _on_silent(self, drone_id: int, agent: AgentView, boot: str) -> None:
+        """Of a team that tells each other nothing, whoever lives is known by the file that all have."""
+        t = self._heard_t
+        agent.announcement_bytes = agent.announcement_bytes or 0
+        self.scorer.announced(drone_id, t)
+        for teammate in self.agents.keys() - {drone_id}:
+            self.scorer.knows(drone_id, boot, teammate, t)
+            self._known[drone_id].setdefault(teammate, t)
 
     def _on_message(self, drone_id: int, agent: AgentView, message: Message, size: int) -> None:
         match message:

@@ -16,6 +16,7 @@ import numpy as np
 
 from swarmtrack.errors import RecordingError
 from swarmtrack.messages import (
+    AgreedMotion,
     Announcement,
     AutopilotRebooted,
     Detections,
@@ -171,6 +172,17 @@ FORMS: tuple[Form, ...] = (
             Entry("displacement_cov", "displacement_cov_m2", (3, 3)),
             Entry("velocity", "velocity_m_s", (3,)),
             Entry("velocity_cov", "velocity_cov_m2_s2", (3, 3)),
+        ),
+    ),
+    Form(
+        "/team/agreed",
+        "swarmtrack.AgreedMotion",
+        AgreedMotion,
+        (
+            _DRONE,
+            Entry("t", "t_s", (-1,)),
+            Entry("displacement", "displacement_m", (-1, 3)),
+            Entry("planned", "planned", type="boolean"),
         ),
     ),
 )

@@ -7,7 +7,6 @@ import logging
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +26,6 @@ from swarmtrack.messages import (
 )
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
-from swarmtrack.runtime.filed import filed_announcements
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.live_video import LiveVideo
@@ -375,7 +373,8 @@ def make_teamwork(
         start=parts.start,
         start_sigma_m=drone.start.frame_sigma_m,
         silent=not team.announce,
-        filed=partial(filed_announcements, config),
+        filed=parts.filed,
+        agreed=parts.agreed,
         share_hz=team.share_hz if team.share == "velocity" else None,
         on_report=None if parts.recorder is None else parts.recorder.said,
         simulated=parts.simulated_teammates,

@@ -10,8 +10,9 @@ from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement
+from swarmtrack.messages import AgreedMotion, Announcement
 from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.filed import agreed_motions, filed_announcements
 from swarmtrack.runtime.perception import make_detector, make_onboard
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
@@ -60,6 +61,10 @@ class Parts:
     start: Pose | None
     """Where the drone says it starts, in the team frame; None: wherever its autopilot says it is."""
     simulated_teammates: list[tuple[Transport, Announcement]]
+    filed: list[Announcement]
+    """Where teammates start, by the team's file."""
+    agreed: list[AgreedMotion]
+    """How they move without saying it: by codes and by a plan."""
 
 
 def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = None) -> Parts:
@@ -110,6 +115,8 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         transport=transport,
         start=start,
         simulated_teammates=_teammates(config, simulation, hub, clock),
+        filed=filed_announcements(config, clock.now()),
+        agreed=agreed_motions(config, clock.now() - clock.utc()),
     )
 
 

@@ -46,6 +46,8 @@ def check(path: Path) -> None:
     print(f"tracker    {config.tracker.name}")
     if config.team.drones:
         print(f"teammates  {_filed(config)}")
+    if parts.agreed:
+        print(f"agreed     {_agreed(config)}")
     if not config.team.announce:
         print("silent     nothing is told to the team, and nothing asked")
     for word in config.autopilot.tell:
@@ -67,6 +69,13 @@ def _filed(config: DroneConfig) -> str:
         )
         said.append(f"{drone_id} at {place}")
     return ", ".join(said).replace("at somewhere", "somewhere") or "none"
+
+
+def _agreed(config: DroneConfig) -> str:
+    """How the others move without saying it."""
+    code, plan = config.team.code, config.team.plan
+    said = [f"codes at {begin.isoformat()}" for begin in (code.begins if code else ())]
+    return ", ".join([*said, *([f"{plan.file} at {plan.begins.isoformat()}"] if plan else [])])
 
 
 def _absence(device: str) -> str:

@@ -8,6 +8,7 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
+    AgreedMotion,
     Announcement,
     AnnouncementRequested,
     HeadingNews,
@@ -47,7 +49,8 @@ class Teamwork:
 
     tell: the way into Onboard; what comes out there comes back by `ask_for_pose` and `on_disagreement`. start: in the
     team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that frame.
-    silent: nothing is told to the team, and nothing asked. filed: what is known of teammates before they say it.
+    silent: nothing is told to the team, and nothing asked. filed: what is known of teammates before they
+    say it, and agreed: how they move without saying it.
     share_hz: how often the team is told how this drone moves; None: never.
     on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
     """
@@ -66,7 +69,8 @@ class Teamwork:
         start: Pose | None,
         start_sigma_m: float,
         silent: bool = False,
-        filed: Callable[[float], Sequence[Announcement]] | None = None,
+        filed: Sequence[Announcement] = (),
+        agreed: Sequence[AgreedMotion] = (),
         share_hz: float | None = None,
         on_report: Callable[[SightingReport], None] | None = None,
         simulated: Sequence[tuple[Transport, Announcement]] = (),
@@ -77,6 +81,7 @@ class Teamwork:
         self._start_sigma_m = start_sigma_m
         self._silent = silent
         self._filed = filed
+        self._agreed = agreed
         self._tell = tell
         self._perceived = perceived
         self._transport = transport
@@ -102,9 +107,11 @@ class Teamwork:
 
     async def listen(self) -> None:
         """Every event of the transport into Onboard, and a line of it into health and log; first what is filed."""
-        for announcement in self._filed(self._clock.now()) if self._filed else ():
-            self._tell(announcement)
+        for announcement in self._filed:
+            self._tell(replace(announcement, t=self._clock.now()))
             self._note(announcement.drone_id, _describe_filed(announcement), logging.INFO)
+        for motion in self._agreed:
+            self._tell(motion)
         async for event in self._transport.events():
             match event:
                 case Announcement():

@@ -27,6 +27,7 @@ from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.response import ARDUPILOT, PX4, Response
 from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.trajectory import (
+    Coded,
     Facing,
     Handover,
     Hover,
@@ -147,8 +148,9 @@ class Scenario:
     begins. utc_offset_s: how wrong its companion's wall clock is. autopilot_skew: how much faster than true time its
     autopilot's clock runs (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. camera_offset_s:
     by how much its camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an
-    ArduPilot that was switched on at world time 0. ghosts are for detectors that are not shown pictures; the pictures
-    have houses, poles and trees.
+    ArduPilot that was switched on at world time 0. announces: whether the drones tell each other anything; where they
+    do not, all know `announced` from a file, and codes_s is when all sway by their codes [s]. ghosts are for detectors
+    that are not shown pictures; the pictures have houses, poles and trees.
     """
 
     world: World
@@ -163,6 +165,8 @@ class Scenario:
     tracks_hz: float = 100.0
     detector: DetectorParameters = field(default_factory=DetectorParameters)
     announced: Mapping[int, AnnouncedStart] = field(default_factory=dict)
+    announces: bool = True
+    codes_s: tuple[float, ...] = ()
     strangers: frozenset[int] = frozenset()
     starts_s: Mapping[int, float] = field(default_factory=dict)
     utc_offset_s: Mapping[int, float] = field(default_factory=dict)
@@ -231,8 +235,16 @@ class Plan:
     guided: Response | None = None
 
 
-def fly(seed: int, plans: Mapping[int, Plan], drift_m: float = DRIFT_M) -> World:
-    """The world in which each drone follows its plan, give or take the drift of a drone that holds its position."""
+def fly(
+    seed: int,
+    plans: Mapping[int, Plan],
+    drift_m: float = DRIFT_M,
+    *,
+    codes_s: tuple[float, ...] = (),
+    team: tuple[int, ...] = (),
+) -> World:
+    """The world in which each drone follows its plan, give or take the drift of a drone that holds its position, and
+    those of the team sway by their codes from each of codes_s [s] on."""
     chance = World(seed, {}).chance
     drones: dict[int, Drawn] = {}
     for drone_id, plan in plans.items():
@@ -245,7 +257,8 @@ def fly(seed: int, plans: Mapping[int, Plan], drift_m: float = DRIFT_M) -> World
             continue
         if plan.flight is not None:
             path = Handover(path, plan.flight, plan.departs_s, DEPARTURE_S)
-        drones[drone_id] = Trajectory(Together((path, drift)), plan.view)
+        code = Coded(drone_id, team, codes_s if drone_id in team else ())
+        drones[drone_id] = Trajectory(Together((path, drift, code)), plan.view)
     return World(seed, drones)
 
 

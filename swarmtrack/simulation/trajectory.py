@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 from swarmtrack.motion.smooth import DERIVATIVES, scaled, sinusoid, smooth_step
+from swarmtrack.motion.sway import sway
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # m/s², NED: down is positive
@@ -354,6 +355,21 @@ class Together:
         for path in self.paths:
             total += path.derivatives(t)
         return total
+
+
+@dataclass(frozen=True, slots=True)
+class Coded:
+    """The sway by which its team recognises a drone (`motion.sway`), about zero, from each of begins_s [s] on."""
+
+    drone_id: int
+    team: tuple[int, ...]
+    begins_s: tuple[float, ...]
+
+    def derivatives(self, t: float) -> Array:
+        flat = np.zeros((DERIVATIVES, 3))
+        for begin in self.begins_s:
+            flat += sway(self.drone_id, self.team, t - begin)
+        return flat
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,7 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.errors import RecordingError
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import (
+    AgreedMotion,
     Announcement,
     AutopilotRebooted,
     Detections,
@@ -82,6 +83,7 @@ EVENTS = [
         2, "0123abcd", 9, 5.5, 0.01, np.zeros(3), 0.1, (1, 3), (Sighting(3, 0.99, np.array([0.6, 0.8, 0.0]), 0.01),)
     ),
     MotionReport(2, "0123abcd", 4, 5.7, 0.01, np.array(AWKWARD[:3]), EYE / 3, np.array(AWKWARD[1:4]), EYE),
+    AgreedMotion(2, np.array([-0.1, 0.3]), np.array([AWKWARD[:3], AWKWARD[1:4]]), planned=True),
     SightingReport(2, "0123abcd", 10, 5.6, 0.01, np.zeros(3), 0.1, (), ()),
 ]  # fmt: skip
 

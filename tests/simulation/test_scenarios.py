@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from support.places import ROOT, writer
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import ConfigError
+from swarmtrack.motion.sway import sway
 from swarmtrack.scenario_file import load_scenario, scenario_names
 from swarmtrack.sensors.simulated import open_simulation
 from swarmtrack.simulation.scenarios import FaultKind, Radio, Scenario, best_view
@@ -28,7 +29,7 @@ ASKED = [
     "late-joiner",
     "lossy-radio",
 ]
-ASKED += ["mixed", "occlusion", "thirty", "yawing-observer"]
+ASKED += ["mixed", "occlusion", "silent", "thirty", "yawing-observer"]
 FIXED = "yawing-observer"  # its three drones are described one by one
 COMMANDED = "guided"  # its drones fly where somebody sends them
 ON_THE_GROUND = "errand"  # at first
@@ -416,4 +417,24 @@ def test_a_guided_drone_stands_where_it_was_put_and_has_no_plan(write):
     swings = ONE_BY_ONE + "guided = true\nswing = { peak_rad_s = 1.0, period_s = 2.0 }\n"
     assert problems_of(write(swings)) == [
         "flight.toml:8: drone[1]: guided with swing, expected one of them: who is guided has no plan"
+    ]
+
+
+# --- nothing on the air --------------------------------------------------------------------------------
+
+
+def test_drones_that_say_nothing_sway_by_their_codes_when_the_scenario_says_so(write):
+    text = RING + "[agents]\nannounce = false\n"
+    silent, coded = load_scenario(write(text)), load_scenario(write("codes_s = [6.0]\n" + text))
+    assert not coded.announces
+    for drone_id in coded.members:
+        for t in (5.9, 8.0, 11.0, 14.1):
+            added = coded.world.flown(drone_id).position(t) - silent.world.flown(drone_id).position(t)
+            assert added == pytest.approx(sway(drone_id, coded.members, t - 6.0)[0], abs=1e-9)
+
+
+def test_codes_are_for_drones_that_fly_by_plan(write):
+    errand = "codes_s = [3.0]\n" + RING.replace("ring = { radius_m = 3.0 }", "errand = {}")
+    assert problems_of(write(errand)) == [
+        "flight.toml:1: codes_s: with guided drones or errands, expected drones that hover or fly by plan"
     ]

@@ -1,0 +1,23 @@
+"""Who is who without a word on the air, in a few flights: nobody is called by another's name."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmtrack.benchmarks import silent
+
+
+@pytest.mark.parametrize("mode", silent.MODES, ids=lambda mode: mode.words)
+def test_nobody_is_called_by_another_s_name(mode):
+    flights = [silent.look(3, mode, "mbm", seed) for seed in (1, 2)]
+    assert sum(flight.wrong for flight in flights) == 0
+    if mode.code:
+        assert max(flight.all_named_s for flight in flights) < 8.0
+
+
+def test_the_page_says_what_was_flown(tmp_path):
+    flights = [silent.Flight(2.0, 3, 0), silent.Flight(float("inf"), 2, 1)]
+    row = silent.summary(3, flights)
+    assert row["all_named_s"] == {"p50": 2.0, "p95": float("inf")}
+    assert row["named"]["value"] == pytest.approx(5 / 6)
+    assert (row["wrong_names"], row["names"]) == (1, 6)

@@ -1,0 +1,76 @@
+"""What was agreed before the flight is said at the time of a scan, and only while it lasts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from support.observer import LEFT, RIGHT, SCAN_S, Observer, at
+from swarmtrack.identity.agreed import AgreedMotions
+from swarmtrack.identity.motion_evidence import CODED, PLANNED
+from swarmtrack.identity.spans import SPAN
+from swarmtrack.messages import AgreedMotion
+from swarmtrack.motion.sway import sway
+from swarmtrack.runtime.filed import SOMEWHERE_M, coded_motion, filed_announcement
+
+
+def motion(drone_id=2, begin=10.0, *, planned=False):
+    t = np.linspace(0.0, 4.0, 81)
+    way = np.stack([0.0 * t, 2.0 * t, 0.5 * np.sin(t)], axis=1)
+    return AgreedMotion(drone_id, begin + t, way, planned)
+
+
+def test_it_says_where_a_drone_is_and_how_fast_while_it_lasts():
+    agreed = AgreedMotions()
+    agreed.agree(motion())
+    assert list(agreed.at(9.9)) == []
+    (said,) = agreed.at(11.0)
+    assert (said.drone_id, said.t, said.trust) == (2, 11.0, CODED)
+    assert said.displacement == pytest.approx([0.0, 2.0, 0.5 * np.sin(1.0)], abs=1e-3)
+    assert said.velocity == pytest.approx([0.0, 2.0, 0.5 * np.cos(1.0)], abs=1e-3)
+    assert list(agreed.at(14.1)) == []
+    assert list(agreed.at(11.0)) == []  # it is over
+
+
+def test_a_code_and_a_plan_are_counted_from_different_places_and_trusted_differently():
+    agreed = AgreedMotions()
+    for planned in (False, True):
+        agreed.agree(motion(planned=planned))
+    code, plan = agreed.at(12.0)
+    assert code.source != plan.source
+    assert plan.trust == PLANNED
+
+
+def test_what_is_told_again_counts_once():
+    agreed = AgreedMotions()
+    for _ in range(2):
+        agreed.agree(motion())
+    assert len(list(agreed.at(12.0))) == 1
+
+
+def test_times_that_do_not_increase_are_refused():
+    with pytest.raises(ValueError, match=r"AgreedMotion\.t: expected two or more times that increase"):
+        AgreedMotion(2, np.zeros(2), np.zeros((2, 3)), planned=False)
+
+
+def test_drones_that_start_somewhere_are_known_by_how_they_sway_and_by_nothing_else():
+    """Drone 2 is the left one and drone 3 the right one; all that is known of them is how each sways."""
+    watching = Observer(probability=0.999)
+    begin, team = 1.0, (2, 3)
+    for drone_id in team:
+        watching.identities.announce(
+            filed_announcement(drone_id, 0.0, position=np.zeros(3), yaw=0.0, sigma=SOMEWHERE_M)
+        )
+        watching.identities.agree(coded_motion(drone_id, team, begin))
+    size = (430.0 * SPAN / 8.0,) * 2
+    watching.sizes = {"a": size, "b": size}
+
+    def seen(pixel, drone_id):
+        place = at(pixel) + sway(drone_id, team, watching.t + SCAN_S - begin)[0]
+        return (320.0 + 430.0 * place[1] / place[0], 240.0 + 430.0 * place[2] / place[0])
+
+    while watching.t < begin:
+        assert watching.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": None, "b": None}
+    while watching.t < begin + 7.5:
+        names = watching.sees(SCAN_S, a=seen(LEFT, 2), b=seen(RIGHT, 3))
+    assert names == {"a": 2, "b": 3}
