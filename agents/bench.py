@@ -48,6 +48,7 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.monitor_cost",
         "what being watched costs, and the page with thirty drones",
     ),
+    "motion": ("swarmtrack.benchmarks.motion", "who is who by how drones move alone"),
     "offset": (
         "swarmtrack.benchmarks.time_offset",
         "how well the camera's clock and the gyro's bias are estimated",

@@ -423,7 +423,9 @@ class Identities:
         t = view.observer.t
         places = {drone: self._whereabouts.latest(drone) for drone in self._announced}
         self._weighing.watch(self._alive, view, places)
-        self._astray += self._weighing.proofs.astray(self._alive, view, places)
+        for found in self._weighing.proofs.astray(self._alive, view, places):
+            self._astray.append(found)
+            self._whereabouts.doubt(found.drone_id, found.miss_m or 0.0)
         contested, held = self._contested(undecided, view)
         tracks, predicted = [*undecided, *held], joined(self._predict(view), contested)
         predicted = joined(predicted, self._unexpected(tracks, predicted))

@@ -34,11 +34,14 @@ class Whereabouts:
         self.on_pad: set[int] = set()
         self._pads: dict[int, Announcement] = {}
         self._reported: dict[int, Announcement] = {}
+        self._off: dict[int, float] = {}
+        """By drone that was found elsewhere than it says: how far from there, m."""
 
     def announce(self, announcement: Announcement) -> None:
         """A drone's announcement, newer than the one before."""
         drone = announcement.drone_id
         if announcement.sequence <= 1:
+            self._off.pop(drone, None)
             self._pads[drone] = announcement
             self.on_pad.add(drone)
         else:
@@ -73,6 +76,7 @@ class Whereabouts:
         """Nobody knows where it is."""
         self.announced.pop(drone_id, None)
         self._reported.pop(drone_id, None)
+        self._off.pop(drone_id, None)
         self.on_pad.discard(drone_id)
 
     def _follow(self, drone: int, boot: str, position: Array) -> None:
@@ -87,4 +91,10 @@ class Whereabouts:
 
     def latest(self, drone_id: int) -> Announcement:
         """The newest that is known of the place of a drone that has announced itself."""
-        return self._reported.get(drone_id) or self.announced[drone_id]
+        place = self._reported.get(drone_id) or self.announced[drone_id]
+        off = self._off.get(drone_id)
+        return place if off is None else replace(place, position_cov=place.position_cov + off**2 * np.eye(3))
+
+    def doubt(self, drone_id: int, off_m: float) -> None:
+        """It was found that far from where it says that it is; whatever it says of its place is wrong by as much."""
+        self._off[drone_id] = max(off_m, self._off.get(drone_id, 0.0))

@@ -28,6 +28,7 @@ def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, An
     centre = camera.distort(ideal)
     undo = camera.undistort_jacobian(centre)
     share = view.width / view.lens.width
+    proved = {proof.track_id: round(proof.proved_s, 1) for proof in tracks.proofs}
     found = []
     for track, uv, J, v in zip(shown, centre, undo, velocity, strict=True):
         if not (np.isfinite(uv).all() and np.isfinite(J).all()):
@@ -44,6 +45,7 @@ def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, An
                 "identity": track.identity,
                 "probability": round(track.identity_probability, 3),
                 "lost": track.status == "lost",
+                "proved_s": proved.get(track.id),
                 "box": [round(float(x), 1) for x in (u, v_px, share * track.w_px, share * track.h_px)],
                 "tip": [round(float(x), 1) for x in tip],
                 "ellipse": [round(float(x), 2) for x in (major, minor, np.arctan2(axes[1, 1], axes[0, 1]))],

@@ -86,6 +86,14 @@ class JsonLines:
 def _record(seen: SeenTrack) -> dict[str, Any]:
     track = seen.entry.track
     w, h = (None if np.isnan(side) else round(float(side), 2) for side in seen.size)
+    proof = seen.entry.proof
+    proved = (
+        {}
+        if proof is None
+        else {
+            "proof": {"probability": round(proof.probability, 6), "proved_s": round(track.t - proof.since, 3)}
+        }
+    )
     return {
         "id": track.id,
         "identity": seen.entry.identity,
@@ -99,6 +107,7 @@ def _record(seen: SeenTrack) -> dict[str, Any]:
         "h_px": h,
         "status": str(track.status),
         "probability": round(track.probability, 6),
+        **proved,
     }
 
 

@@ -60,7 +60,8 @@ def encode(message: Message) -> bytes:
     data = _ENCODER.encode(message)
     kind = type(message)
     try:
-        if kind is TracksMessage:
+        if isinstance(message, TracksMessage):
+            data = tracks.shortened(data, message)
             _typed(kind, data)
         else:
             decode(kind, data)

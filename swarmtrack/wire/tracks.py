@@ -47,10 +47,20 @@ class TrackMessage(Record, frozen=True):
     coasting_s: Seconds | None
 
 
+class ProofMessage(Record, frozen=True):
+    """That how a track moves says alone who it is: how surely, and for how long already."""
+
+    what: ClassVar[str] = "proof"
+    track_id: Annotated[int, Meta(ge=0, le=2**53)]
+    probability: Probability
+    proved_s: Seconds
+
+
 class TracksMessage(Record, frozen=True):
     """`tracks/<id>`: all that one drone tracks at `t_utc_s`; its last scan was exposed `scan_age_s` earlier.
 
-    sequence counts what this boot published, so a jump by more than one is a lost message.
+    sequence counts what this boot published, so a jump by more than one is a lost message. proofs: of the tracks whose
+    motion proves their name; without any, the field is not on the wire (`shortened`).
     """
 
     what: ClassVar[str] = "tracks"
@@ -60,6 +70,7 @@ class TracksMessage(Record, frozen=True):
     sequence: Sequence
     scan_age_s: Seconds
     tracks: Annotated[tuple[TrackMessage, ...], Meta(max_length=MAX_TRACKS)]
+    proofs: Annotated[tuple[ProofMessage, ...], Meta(max_length=MAX_TRACKS)] = ()
 
 
 def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma: float) -> TracksMessage:
@@ -77,6 +88,13 @@ def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma:
         sequence=sequence,
         scan_age_s=max(0.0, float(tracks.t - tracks.scan_t)),
         tracks=tuple(_track_message(k, tracks.t) for k in kept),
+        proofs=tuple(
+            ProofMessage(
+                int(k.track.id), float(k.proof.probability), max(0.0, float(tracks.t - k.proof.since))
+            )
+            for k in kept
+            if k.proof is not None
+        ),
     )
 
 
@@ -102,8 +120,24 @@ def _track_message(identified: IdentifiedTrack, now: float) -> TrackMessage:
     )
 
 
+# A message of seven fields whose last is an empty array; and the head of one of six.
+_ARRAY_OF_7, _ARRAY_OF_6, _EMPTY = b"\x97", b"\x96", b"\x90"
+
+
+def shortened(data: bytes, message: TracksMessage) -> bytes:
+    """The bytes of a message without its proofs where there are none: those that readers from before they came know."""
+    if message.proofs:
+        return data
+    assert data[:1] == _ARRAY_OF_7, "as encode makes it"
+    assert data[-1:] == _EMPTY, "as encode makes it"
+    return _ARRAY_OF_6 + data[1:-1]
+
+
 def check(message: TracksMessage) -> None:
     """Raises DecodeError."""
+    proved = [proof.track_id for proof in message.proofs]
+    if len(set(proved)) < len(proved) or not set(proved) <= {track.id for track in message.tracks}:
+        raise DecodeError(f"tracks: proofs: of tracks {proved}, expected each once and among the tracks")
     if message.tracks:
         check_covariances("tracks: cov_upper", [track.cov_upper for track in message.tracks], 4)
 

@@ -201,6 +201,16 @@ def test_a_drone_is_where_it_reported_itself_last_and_no_surer_of_it_than_its_an
     assert np.diag(places.latest(2).position_cov).min() >= 0.09
 
 
+def test_who_was_found_elsewhere_than_it_says_is_believed_no_more_than_that_until_it_starts_again():
+    places = Whereabouts()
+    places.announce(announced())
+    places.doubt(2, 3.0)
+    places.report(report(1.0, at(MIDDLE)))
+    assert np.diag(places.latest(2).position_cov).min() >= 9.0
+    places.announce(announced(t=5.0, boot="0000000b"))
+    assert places.latest(2).position_cov == pytest.approx(announced().position_cov)
+
+
 def test_a_report_from_the_pad_says_that_the_drone_still_waits_and_one_from_elsewhere_that_it_flies():
     places = Whereabouts()
     places.announce(announced())

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,16 @@ import pytest
 
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
-from swarmtrack.messages import Frame, IdentifiedTrack, ScanReport, StampKind, Track, TrackList, TrackStatus
+from swarmtrack.messages import (
+    Frame,
+    IdentifiedTrack,
+    MotionProof,
+    ScanReport,
+    StampKind,
+    Track,
+    TrackList,
+    TrackStatus,
+)
 from swarmtrack.runtime.annotated_video import AnnotatedVideo, annotate
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import LatencyMeter, RateMeter
@@ -49,6 +59,18 @@ def test_a_json_line_has_no_nan_and_time_counts_from_the_first_frame(tmp_path):
     assert [line["t_s"] for line in written] == [0.0, 0.5]
     assert written[0]["tracks"][0]["w_px"] is None
     assert written[0]["tracks"][0]["identity"] == 2
+
+
+def test_a_name_that_motion_proves_says_so_and_no_other(tmp_path):
+    plain = track(300.0, 200.0, identity=2, t=100.0)
+    proved = replace(plain, proof=MotionProof(0.9995, 88.0))
+    lines = JsonLines(tmp_path / "tracks.jsonl")
+    scan = report(100.0, plain, proved)
+    lines.write(scan, as_seen(scan, LENS))
+    lines.close()
+    first, second = json.loads((tmp_path / "tracks.jsonl").read_text())["tracks"]
+    assert "proof" not in first
+    assert second["proof"] == {"probability": 0.9995, "proved_s": 12.0}
 
 
 def test_a_full_disk_loses_lines_and_nothing_else():

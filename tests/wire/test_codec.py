@@ -19,6 +19,7 @@ from swarmtrack.messages import (
     Announcement,
     IdentifiedTrack,
     LinkStatus,
+    MotionProof,
     MotionReport,
     Sighting,
     SightingReport,
@@ -51,7 +52,14 @@ from swarmtrack.wire.health import (
 from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
 from swarmtrack.wire.records import as_record, from_record
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message
-from swarmtrack.wire.tracks import TrackMessage, TracksMessage, track_cov, tracks_message
+from swarmtrack.wire.tracks import (
+    ProofMessage,
+    TrackMessage,
+    TracksMessage,
+    track_cov,
+    tracks_message,
+    tracks_sequence,
+)
 from swarmtrack.wire.video import LensMessage, VideoMessage, camera_from, lens_message
 
 UTC_OFFSET = 1.7e9
@@ -375,6 +383,33 @@ def test_a_signature_covers_the_key_and_every_field_before_it() -> None:
 @pytest.mark.parametrize("data", [announced(), announced()[:3], b"", b"\xdc\x00\x0b" + signed()[1:]])
 def test_what_is_not_signed_in_the_one_way_has_no_signed_part(data: bytes) -> None:
     assert signed_part(data, "some/key") is None
+
+
+def proved(*track_ids: int) -> TracksMessage:
+    return msgspec.structs.replace(TRACKS, proofs=tuple(ProofMessage(k, 0.9995, 12.5) for k in track_ids))
+
+
+def test_proofs_are_on_the_wire_only_where_there_are_some_so_that_older_readers_read_the_rest() -> None:
+    assert len(msgpack.unpackb(codec.encode(TRACKS))) == 6
+    assert codec.decode(TracksMessage, codec.encode(TRACKS)).proofs == ()
+    data = codec.encode(proved(1))
+    assert msgpack.unpackb(data)[6] == [[1, 0.9995, 12.5]]
+    assert codec.decode(TracksMessage, data) == proved(1)
+    assert tracks_sequence(data) == TRACKS.sequence
+
+
+@pytest.mark.parametrize("ids", [(2,), (1, 1)], ids=["of no track", "twice"])
+def test_proofs_that_cannot_be_are_refused(ids: tuple[int, ...]) -> None:
+    fields = msgpack.unpackb(codec.encode(proved(*ids)))
+    with pytest.raises(DecodeError, match="proofs"):
+        codec.decode(TracksMessage, msgpack.packb(fields))
+
+
+def test_a_proof_says_for_how_long_the_track_has_been_proved() -> None:
+    track = Track(9, 5.0, np.ones(4), np.eye(4), TrackStatus.CONFIRMED, 1.0, np.ones(2))
+    named = IdentifiedTrack(track, 2, 0.99, MotionProof(0.9999, 2.0))
+    message = tracks_message(TrackList(5.0, 5.0, (named,)), 1, UTC_OFFSET, 0.01)
+    assert message.proofs == (ProofMessage(9, 0.9999, 3.0),)
 
 
 @pytest.mark.parametrize("identity", [None, "foreign", 1, 65535])

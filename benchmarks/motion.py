@@ -1,0 +1,331 @@
+"""Who is who by how they move alone: nobody says where it started, and any track may be a stranger.
+
+An observer that hovers sees N drones 5 to 20 m away, 7 times a second, nine times in ten, to 1.5 px. Its attitude is
+off by 12 mrad, for some 15 s in the same way. Each drone tells 5 times a second how it moved, to 2 cm. Its clock is off
+by 30 ms, and boxes tell distances to 30 %. The estimator is the agent's (`identity/motion_evidence.py`), without its
+tracker: a track is a drone.
+
+A name is given where its probability over all matchings exceeds 0.999; a track is a stranger with 0.02 beforehand.
+
+    swarmtrack bench motion [--seeds 60] [--teams 3 5 10] --out DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.arguments import count
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_seeds
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.identity.motion_evidence import PUBLISHED, MotionEvidence, Saying
+from swarmtrack.identity.proof import PROVED
+from swarmtrack.identity.reprojection import ObserverCamera
+from swarmtrack.messages import Array, Track, TrackStatus
+from swarmtrack.motion.ego import TeamPose
+from swarmtrack.tracking.marginals import matching_marginals
+
+NAME = "motion"
+SEEDS, QUICK_SEEDS = 60, 2
+TEAMS = (3, 5, 10)
+SECONDS, SCAN_S, SAY_S = 20.0, 1 / 7, 0.2
+STEP_S = SCAN_S / 4
+CAMERA = PinholeCamera(600.0, 600.0, 319.5, 255.5, 640, 512)
+MOUNT = Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+CENTRE_SIGMA_PX, P_DETECTION, SPAN_M, SPAN_SIGMA = 1.5, 0.9, 0.45, 0.3
+ATTITUDE_SIGMA, ATTITUDE_S = 0.012, 15.0
+SAID_M, SAID_M_S = 0.02, 0.05
+CLOCK_S = 0.03
+P_STRANGER = 0.02
+STRANGER = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """How a team moves. sway [m]: RMS per axis of a hover, None: it flies at 1 m/s; lie: drone 0 tells another motion
+    ("spoof"), or 0 and 1 each other's ("swap"); clock [s]: by how much clocks are off, either way."""
+
+    name: str
+    sway: float | None
+    lie: str = ""
+    clock: float = CLOCK_S
+
+
+ROWS = (
+    Row("free flight", None),
+    Row("hover, sways 15 cm", 0.15),
+    Row("hover, sways 5 cm", 0.05),
+    Row("hover, clocks 0.2 s off", 0.15, clock=0.2),
+    Row("free flight, one is spoofed", None, "spoof"),
+    Row("hover, one is spoofed", 0.15, "spoof"),
+    Row("hover, two IDs swapped", 0.15, "swap"),
+)
+
+
+class Trial(NamedTuple):
+    """named [s]: when the last track had a name, inf: never; found [s]: when the lie was; names: by track, what it was
+    called first; scan_s: CPU time per scan [s]."""
+
+    named: float
+    found: float
+    names: dict[int, int]
+    scan_s: float
+
+
+class _Told(NamedTuple):
+    """(drones, steps, 3): displacement [m] and velocity [m/s]."""
+
+    place: Array
+    speed: Array
+
+
+def wander(rng: np.random.Generator, drones: int, sigma: float, bandwidth: float) -> _Told:
+    """Hovers: critically damped wander of `sigma` m at `bandwidth` rad/s, per axis."""
+    steps, w, dt = round(SECONDS / STEP_S), bandwidth, STEP_S
+    F = math.exp(-w * dt) * np.array([[1.0 + w * dt, dt], [-w * w * dt, 1.0 - w * dt]])
+    steady = np.diag([sigma**2, (sigma * w) ** 2])
+    L = np.linalg.cholesky(steady - F @ steady @ F.T)
+    x = np.sqrt(np.diag(steady)) * rng.standard_normal((drones, 3, 2))
+    found = np.empty((steps, drones, 3, 2))
+    for k in range(steps):
+        found[k] = x
+        x = x @ F.T + rng.standard_normal(x.shape) @ L.T
+    found = found.transpose(3, 1, 0, 2)
+    return _Told(found[0] - found[0][:, :1], found[1])
+
+
+def flight(rng: np.random.Generator, drones: int) -> _Told:
+    """Flies at 1 m/s RMS, on a course of 3 s."""
+    steps, kept = round(SECONDS / STEP_S), math.exp(-STEP_S / 3.0)
+    v = rng.standard_normal((drones, 3)) / math.sqrt(3.0)
+    speed = np.empty((steps, drones, 3))
+    for k in range(steps):
+        speed[k] = v
+        v = kept * v + math.sqrt((1.0 - kept**2) / 3.0) * rng.standard_normal(v.shape)
+    speed = speed.transpose(1, 0, 2)
+    place = np.cumsum(speed, axis=1) * STEP_S
+    return _Told(place - place[:, :1], speed)
+
+
+class _Scene:
+    """One seed of a row: the truth, and what is seen and said of it."""
+
+    def __init__(self, row: Row, n: int, seed: int) -> None:
+        self.rng = rng = np.random.default_rng([seed, n])
+        self.n = n
+        self.truth = flight(rng, n) if row.sway is None else wander(rng, n, row.sway, 1.5)
+        self.told = self._told(row)
+        self._own = wander(rng, 1, 0.15, 1.5).place[0]
+        bearing, height = rng.uniform(-0.45, 0.45, n), rng.uniform(-0.2, 0.2, n)
+        ray = np.stack(
+            [np.cos(height) * np.cos(bearing), np.cos(height) * np.sin(bearing), np.sin(height)], axis=1
+        )
+        self._start = rng.uniform(5.0, 20.0, n)[:, None] * ray
+        self._size = SPAN_M * np.exp(SPAN_SIGMA * rng.standard_normal(n)) * CAMERA.fx
+        self._attitude = ATTITUDE_SIGMA * rng.standard_normal(2)
+        sign = rng.choice((-1.0, 1.0), n)
+        self._late = row.clock * (rng.standard_normal(n) if row.clock == CLOCK_S else sign)
+        self._phase = rng.uniform(0.0, SAY_S, n)
+
+    def _told(self, row: Row) -> _Told:
+        place, speed = self.truth.place.copy(), self.truth.speed.copy()
+        if row.lie == "swap":
+            place[[0, 1]], speed[[0, 1]] = place[[1, 0]], speed[[1, 0]]
+        if row.lie == "spoof":
+            other = flight(self.rng, 1) if row.sway is None else wander(self.rng, 1, row.sway, 1.5)
+            place[0], speed[0] = other.place[0], other.speed[0]
+        return _Told(place, speed)
+
+    def say(self, found: MotionEvidence, t: float) -> None:
+        """All that the drones said in the last scan's time."""
+        for drone in range(self.n):
+            due = np.arange(
+                math.ceil((t - SCAN_S - self._phase[drone]) / SAY_S), 1 + (t - self._phase[drone]) // SAY_S
+            )
+            for k in due[due >= 0]:
+                said = self._phase[drone] + k * SAY_S
+                step = min(round(said / STEP_S), self.told.place.shape[1] - 1)
+                place = self.told.place[drone, step] + SAID_M * self.rng.standard_normal(3)
+                speed = self.told.speed[drone, step] + SAID_M_S * self.rng.standard_normal(3)
+                t_said = step * STEP_S + self._late[drone]
+                found.hear(Saying(drone, ("told",), t_said, place, speed, PUBLISHED))
+
+    def see(self, k: int) -> tuple[list[Track], ObserverCamera]:
+        """Of scan k: the tracks, by drone, and the camera as the observer believes that it is."""
+        rng, t = self.rng, k * SCAN_S
+        kept = math.exp(-SCAN_S / ATTITUDE_S)
+        self._attitude = kept * self._attitude + ATTITUDE_SIGMA * math.sqrt(
+            1.0 - kept**2
+        ) * rng.standard_normal(2)
+        turned = rotation.exp(np.array([0.0, *self._attitude]))
+        sure = 1e-4 * np.eye(3)
+        view = ObserverCamera.of(TeamPose(t, self._own[4 * k], np.eye(3), sure, sure), CAMERA, MOUNT)
+        away = (self._start + self.truth.place[:, 4 * k] - self._own[4 * k]) @ turned.T
+        pixel, _, _ = CAMERA.project_undistorted(away @ BODY_FROM_FORWARD_CAMERA)
+        pixel = pixel + CENTRE_SIGMA_PX * rng.standard_normal(pixel.shape)
+        side = self._size / np.linalg.norm(away, axis=1)
+        cov = CENTRE_SIGMA_PX**2 * np.eye(4)
+        seen = np.flatnonzero(rng.random(self.n) < P_DETECTION).tolist()
+        return [
+            Track(
+                m,
+                t,
+                np.array([pixel[m, 0], 0.0, pixel[m, 1], 0.0]),
+                cov,
+                TrackStatus.CONFIRMED,
+                1.0,
+                np.full(2, side[m]),
+            )
+            for m in seen
+        ], view
+
+
+def trial(row: Row, n: int, seed: int) -> Trial:
+    """One flight of n drones; the same arguments give the same."""
+    scene, found = _Scene(row, n, seed), MotionEvidence()
+    names: dict[int, int] = {}
+    named, exposed, spent, scans = math.inf, math.inf, 0.0, 0
+    liar = {"spoof": STRANGER, "swap": 1}.get(row.lie)
+    for k in range(round(SECONDS / SCAN_S)):
+        scene.say(found, k * SCAN_S)
+        tracks, view = scene.see(k)
+        began = time.process_time()
+        found.observe(tracks, view)
+        spent, scans = spent + time.process_time() - began, scans + 1
+        called = _called(found, n)
+        for track, name in called.items():
+            names.setdefault(track, name)
+        if called.get(0) == liar:
+            exposed = min(exposed, k * SCAN_S)
+        if len(names) == n:
+            named = min(named, k * SCAN_S)
+            if liar is None or exposed < math.inf:
+                break
+    return Trial(named, exposed, names, spent / scans)
+
+
+def _called(found: MotionEvidence, n: int) -> dict[int, int]:
+    """By track, the name that is sure enough by now."""
+    ratios = np.array([[found.log_ratio(track, drone) for drone in range(n)] for track in range(n)])
+    probability = matching_marginals(ratios - math.log(P_STRANGER))
+    probability = np.column_stack([probability, 1.0 - probability.sum(axis=1)])
+    best = probability.argmax(axis=1).tolist()
+    return {
+        track: STRANGER if name == n else name
+        for track, name in enumerate(best)
+        if probability[track, name] > PROVED
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """Of one row and team, over all flights; times in s, None: not in every flight."""
+
+    row: str
+    drones: int
+    flights: int
+    named_s: float | None
+    named_p95_s: float | None
+    found_s: float | None
+    found_p95_s: float | None
+    names: int
+    wrong: int
+    wrong_as_stranger: int
+    scan_ms: float
+
+
+def summarise(row: Row, n: int, trials: Sequence[Trial]) -> Result:
+    truth = {track: track for track in range(n)}
+    if row.lie:
+        truth |= {0: STRANGER} if row.lie == "spoof" else {0: 1, 1: 0}
+    wrong = [name for t in trials for track, name in t.names.items() if name != truth[track]]
+
+    def quantile(times: list[float], share: float) -> float | None:
+        value = float(np.quantile(times, share, method="higher"))
+        return round(value, 2) if value < math.inf else None
+
+    named, found = [t.named for t in trials], [t.found for t in trials]
+    return Result(
+        row=row.name,
+        drones=n,
+        flights=len(trials),
+        named_s=quantile(named, 0.5),
+        named_p95_s=quantile(named, 0.95),
+        found_s=quantile(found, 0.5) if row.lie else None,
+        found_p95_s=quantile(found, 0.95) if row.lie else None,
+        names=sum(len(t.names) for t in trials),
+        wrong=len(wrong),
+        wrong_as_stranger=wrong.count(STRANGER),
+        scan_ms=round(1e3 * float(np.mean([t.scan_s for t in trials])), 2),
+    )
+
+
+def page(results: Sequence[Result]) -> str:
+    header = (
+        "what they do",
+        "drones",
+        "flights",
+        "all named, s: median",
+        "p95",
+        "lie found, s: median",
+        "p95",
+        "wrong names",
+        "of these as strangers",
+        "CPU per scan, ms",
+    )
+
+    def text(value: float | None) -> str:
+        return "–" if value is None else f"{value:.1f}"
+
+    rows = [
+        (
+            r.row,
+            str(r.drones),
+            str(r.flights),
+            text(r.named_s),
+            text(r.named_p95_s),
+            text(r.found_s),
+            text(r.found_p95_s),
+            f"{r.wrong} of {r.names}",
+            str(r.wrong_as_stranger),
+            f"{r.scan_ms:.2f}",
+        )
+        for r in results
+    ]
+    return f"# Who is who by motion alone\n\n{report.table(header, rows)}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+    parser.add_argument(
+        "--teams",
+        type=count,
+        nargs="+",
+        default=list(TEAMS),
+        metavar="N",
+        help="drones in view (default: %(default)s)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    seeds = args.seeds or (QUICK_SEEDS if args.quick else SEEDS)
+    results = []
+    with report.progress("motion", len(ROWS) * len(args.teams)) as advance:
+        for row in ROWS:
+            for n in args.teams:
+                if not row.lie or n > 1:
+                    results.append(summarise(row, n, [trial(row, n, seed) for seed in range(seeds)]))
+                advance(row.name)
+    report.write(args.out, NAME, {"rows": [asdict(result) for result in results]}, page(results))
+    return 0
