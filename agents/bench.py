@@ -44,6 +44,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.identity.layouts",
         "who is who from one look: the paper's rule and ours",
     ),
+    "misconfigured": (
+        "swarmtrack.benchmarks.misconfigured",
+        "names when pads, compasses, mountings or starts are wrong",
+    ),
     "monitor": (
         "swarmtrack.benchmarks.monitor_cost",
         "what being watched costs, and the page with thirty drones",

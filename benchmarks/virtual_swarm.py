@@ -10,16 +10,20 @@ from __future__ import annotations
 import dataclasses
 import heapq
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import (
     Announcement,
     Array,
     Detections,
+    DoubtNews,
+    EgoPose,
     HeadingNews,
     MotionReport,
     PeerArrived,
@@ -83,6 +87,16 @@ class ObservedScan(NamedTuple):
     exposed_t: float
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class Mistake:
+    """What is wrong with one drone before it flies, rad, clockwise seen from above; its start is the scenario's."""
+
+    compass: float = 0.0
+    """The autopilot's heading less the true one."""
+    mounting: float = 0.0
+    """The yaw of the camera in the config less the true one."""
+
+
 @dataclasses.dataclass(slots=True)
 class _Drone:
     onboard: Onboard
@@ -107,7 +121,7 @@ class VirtualSwarm:
 
     eyes: what finds drones in frames, `oracle_eyes` by default. camera_clocks_told: every drone knows by
     how much its camera's stamps are late, and does not estimate it. observers: the members that perceive, all by
-    default; of a team that tells each other nothing the rest need not be computed.
+    default; of a team that tells each other nothing the rest need not be computed. mistakes: by drone.
     """
 
     def __init__(
@@ -120,6 +134,7 @@ class VirtualSwarm:
         camera_clocks_told: bool = False,
         share_hz: float = 0.0,
         observers: Collection[int] | None = None,
+        mistakes: Mapping[int, Mistake] | None = None,
     ) -> None:
         self.scenario = scenario
         self.announcements = 0
@@ -130,17 +145,20 @@ class VirtualSwarm:
         self._eyes = eyes or oracle_eyes(scenario)
         self._camera_clocks_told = camera_clocks_told
         self._share_hz = share_hz
+        self._mistakes = mistakes or {}
         self._drones = {drone_id: self._make(drone_id) for drone_id in observers or scenario.members}
 
     def _make(self, drone_id: int) -> _Drone:
         scenario = self.scenario
         # The autopilot's frame begins where its drone hovers: there, as well as its config was measured.
         start = scenario.announced[drone_id]
+        mounted = scenario.body_from_camera
+        turned = _yaw(self._mistake(drone_id).mounting) @ mounted.rotation
         onboard = Onboard(
             drone_id,
             camera=scenario.camera,
             mounting=Mounting(
-                scenario.body_from_camera,
+                Pose(turned, mounted.position),
                 time_offset_s=-self.stamps_late(drone_id) if self._camera_clocks_told else 0.0,
                 estimate_time_offset=not self._camera_clocks_told,
             ),
@@ -168,6 +186,9 @@ class VirtualSwarm:
             )
             for begin in scenario.codes_s:
                 onboard.tell(coded_motion(other, scenario.members, begin))
+
+    def _mistake(self, drone_id: int) -> Mistake:
+        return self._mistakes.get(drone_id, Mistake())
 
     def stamps_late(self, drone_id: int) -> float:
         """By how much the stamps of its camera are late, s."""
@@ -198,7 +219,7 @@ class VirtualSwarm:
                 self._say(now)
                 if index % int(rates["pose"]) == 0:
                     drone.onboard.tell(drone.ego.flight_state(index / rates["pose"]))
-                drone.onboard.tell(drone.ego.pose(index))
+                drone.onboard.tell(self._pose(drone_id, index))
             else:
                 self._scan(drone_id, index)
             for event in drone.onboard.events():
@@ -207,10 +228,15 @@ class VirtualSwarm:
                     yield ObservedScan(drone_id, event.tracks.t, event.tracks, centres, exposed_t)
                 elif isinstance(event, PoseWanted):
                     drone.wanted.append(event.drone_id)
-                elif isinstance(event, HeadingNews) and drone.announced:
+                elif isinstance(event, HeadingNews | DoubtNews) and drone.announced:
                     drone.announce_at = min(drone.announce_at, now)
             rate = rates[what]
             heapq.heappush(queue, (_due(what, index + 1, rate), drone_id, what, index + 1))
+
+    def _pose(self, drone_id: int, index: int) -> EgoPose:
+        pose = self._drones[drone_id].ego.pose(index)
+        turned = _yaw(self._mistake(drone_id).compass) @ pose.world_from_body
+        return dataclasses.replace(pose, world_from_body=turned)
 
     def _scan(self, drone_id: int, index: int) -> None:
         drone, t = self._drones[drone_id], index / self.scenario.fps
@@ -293,6 +319,11 @@ class VirtualSwarm:
     def _said(self, report: MotionReport) -> MotionReport:
         """What a drone says of its motion; overridden where it lies."""
         return report
+
+
+def _yaw(angle: float) -> Array:
+    """(3, 3): a turn about the vertical axis, rad."""
+    return rotation.from_euler(0.0, 0.0, angle)
 
 
 def _due(what: str, index: int, rate: float) -> float:

@@ -247,6 +247,14 @@ class HeadingNews(NamedTuple):
     step: float
 
 
+class DoubtNews(NamedTuple):
+    """What this drone sees tells that its own start or heading is wrong, or does so no more: it should announce itself
+    again."""
+
+    t: float
+    doubted: bool
+
+
 class PoseWanted(NamedTuple):
     """That drone should announce its pose again: its last one is too old to tell who is who."""
 

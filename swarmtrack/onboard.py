@@ -14,8 +14,10 @@ once they are known well enough. Both are functions of the stamps, so that here 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import assert_never
+
+import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -29,6 +31,7 @@ from swarmtrack.messages import (
     Array,
     AutopilotRebooted,
     Detections,
+    DoubtNews,
     EgoPose,
     FlightState,
     HeadingNews,
@@ -58,9 +61,11 @@ from swarmtrack.tracking.scan import make_scan
 
 # s that a scan may stay away beyond the history: by then a target may be anywhere.
 MAX_SILENCE = 1.0
+# m: how well a drone knows its place that doubts its start or heading. For whoever hears it, that is nowhere.
+DOUBTED_M = 1000.0
 
 
-Output = ScanReport | Disagreement | PoseWanted | HeadingNews | Astray
+Output = ScanReport | Disagreement | PoseWanted | HeadingNews | DoubtNews | Astray
 
 
 @dataclass(slots=True)
@@ -110,6 +115,7 @@ class Onboard:
         self._drone_id = drone_id
         self._consensus = Consensus()
         self._view: OwnView | None = None
+        self._doubted = False
         # Of the camera, at the tracker's time.
         self._orientation: Orientation | None = None
         self._waiting = WaitingScans(self.camera_clock, gyro)
@@ -185,8 +191,10 @@ class Onboard:
         return self._tracker.at(t, turn.matrix, turn.variance)
 
     def ego_pose(self, t: float) -> TeamPose | None:
-        """Where this drone itself was at t, in the team frame."""
-        return self._ego.at(t)
+        """Where this drone itself was at t, in the team frame, and how well it knows that: not at all while it doubts
+        it."""
+        pose = self._ego.at(t)
+        return pose if pose is None else self._as_sure_as_it_is(pose)
 
     def camera_pose(self, t: float) -> Pose | None:
         """world_from_camera at t, in the team frame; None where the drone does not know."""
@@ -197,6 +205,11 @@ class Onboard:
     def scan_t(self) -> float | None:
         """Exposure of the last scan."""
         return self._tracker.t
+
+    @property
+    def self_doubt(self) -> bool:
+        """Whether what this drone sees tells that its own start or heading is wrong."""
+        return self._identities.self_doubt
 
     @property
     def has_waiting(self) -> bool:
@@ -251,6 +264,15 @@ class Onboard:
         if news is not None:
             self._events.append(news)
 
+    def _watch_doubt(self, t: float) -> None:
+        if self.self_doubt != self._doubted:
+            self._doubted = self.self_doubt
+            self._events.append(DoubtNews(t, self._doubted))
+
+    def _as_sure_as_it_is(self, pose: TeamPose) -> TeamPose:
+        more = DOUBTED_M**2 * np.eye(3) if self._doubted else 0.0
+        return replace(pose, position_cov=pose.position_cov + more)
+
     def _compare(self, report: SightingReport) -> None:
         """Whom a teammate sees, and where it stands: do we see the same?"""
         for disagreement in self._consensus.compare(report):
@@ -284,7 +306,9 @@ class Onboard:
             self._events += self._identities.take_astray()
             for track_id in self._identities.take_vouched():
                 self._tracker.vouch(track_id)
+            self._watch_doubt(t)
             seen = self._identities.sightings(observer.t)
-            self._view = OwnView.of(observer, self._mounting.body_from_camera, seen)
+            own = self._as_sure_as_it_is(observer)
+            self._view = OwnView.of(own, self._mounting.body_from_camera, seen)
             self._consensus.remember(self._view)
         self._events.append(ScanReport(detections.sequence, TrackList(t, t, self._identities.label(tracks))))

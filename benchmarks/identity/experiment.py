@@ -126,6 +126,7 @@ def draw(cell: Cell, k: int) -> Layout:
         share=np.ones((1, n)),
         cov=np.broadcast_to(variance * np.eye(2), (1, n, 2, 2)),
         distance=np.full((n, 2), np.nan),
+        turn=np.zeros((n, 2)),
     )
     return Layout(mean, cov, predicted, truth[order])
 

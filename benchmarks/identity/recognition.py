@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -63,8 +63,10 @@ def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> 
     return judge(VirtualSwarm(flown, tracker=tracker), flown, seconds)
 
 
-def judge(swarm: VirtualSwarm, flown: Scenario, seconds: float) -> Flight:
-    """Let the swarm fly, and judge it by the truth of `flown`."""
+def judge(
+    swarm: VirtualSwarm, flown: Scenario, seconds: float, see: Callable[[Glance], None] | None = None
+) -> Flight:
+    """Let the swarm fly, and judge it by the truth of `flown`. see: told of every glance, once it is judged."""
     truth = SwarmTruth(flown.world, flown.camera, flown.body_from_camera)
     scorer = SwarmScorer(flown.members, start=0.0, end=seconds)
     judged: dict[int, int] = {}
@@ -78,7 +80,10 @@ def judge(swarm: VirtualSwarm, flown: Scenario, seconds: float) -> Flight:
         judged[look.observer] = index
         view = truth.view(look.observer, look.t)
         tracks = confirmed_tracks(look.tracks)
-        scorer.add(Glance(look.observer, "virtual", index, look.t, view.in_view, view.hidden, tracks))
+        glance = Glance(look.observer, "virtual", index, look.t, view.in_view, view.hidden, tracks)
+        scorer.add(glance)
+        if see is not None:
+            see(glance)
     return Flight(scorer.score(), swarm.announcements / len(flown.members))
 
 

@@ -11,6 +11,8 @@ from swarmtrack.messages import LinkStatus
 MOST_REASONS = 8
 LONGEST_REASON = 256  # characters, as the wire takes them
 
+SELF_DOUBT = "what we see of our teammates says that our own start or heading is wrong"
+
 
 class Readiness(NamedTuple):
     """reasons: why not, one sentence each; none where ready."""
@@ -26,8 +28,10 @@ def judge(
     detector: LinkStatus | None,
     network: LinkStatus,
     clones: tuple[str, ...] = (),
+    doubts_itself: bool = False,
 ) -> Readiness:
-    """Failures count, warnings do not. clones: boots of other agents that speak as this drone."""
+    """Failures count, warnings do not. clones: boots of other agents that speak as this drone. doubts_itself: what it
+    sees does not fit its own pose."""
     findings: list[Finding] = check_camera(camera)
     if autopilot.wanted:
         findings += check_autopilot(autopilot)
@@ -39,4 +43,6 @@ def judge(
     ]
     if clones:
         reasons.append(f"another agent speaks as this drone (boots {', '.join(clones)})")
+    if doubts_itself:
+        reasons.append(f"{SELF_DOUBT}: check drone.start, the compass and camera.body_from_camera")
     return Readiness(not reasons, tuple(reason[:LONGEST_REASON] for reason in reasons[:MOST_REASONS]))

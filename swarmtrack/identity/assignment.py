@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.reprojection import LastSeen
 from swarmtrack.identity.standing import Standing
 
@@ -61,3 +62,27 @@ class Assignment:
     def weaken(self, log_odds: float) -> None:
         """There is reason to believe in it no more than this."""
         self.log_odds = min(log_odds, self.log_odds)
+
+
+@dataclass(slots=True)
+class Unassigned:
+    """A track without an ID."""
+
+    first_t: float
+    unexplained_since: float | None = None
+    """s: since when it is probably no announced drone."""
+    p_none: float = 0.0
+    """The probability that it is none."""
+    foreign: bool = False
+    """Unexplained for long enough."""
+
+    def weigh(self, p_none: float, t: float, parameters: IdentityParameters) -> bool:
+        """p_none: that it is no announced drone, by the scan of t. Whether one of them may explain it."""
+        self.p_none = p_none
+        if p_none < parameters.probability:
+            self.unexplained_since, self.foreign = None, False
+            return True
+        if self.unexplained_since is None:
+            self.unexplained_since = t
+        self.foreign = t - self.unexplained_since >= parameters.foreign_s
+        return False

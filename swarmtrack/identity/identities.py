@@ -19,14 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.assignment import HELD_LOG_ODDS, HIDDEN_LOG_ODDS, Assignment
+from swarmtrack.identity.assignment import HELD_LOG_ODDS, HIDDEN_LOG_ODDS, Assignment, Unassigned
+from swarmtrack.identity.boxes import coincide, meet
+from swarmtrack.identity.disputes import Disputes
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.posterior import LOG_ANYWHERE, nearest
@@ -36,13 +36,15 @@ from swarmtrack.identity.reprojection import (
     LastSeen,
     ObserverCamera,
     Predictions,
+    is_vague,
     joined,
     rays_to,
     reproject,
     retrace,
 )
+from swarmtrack.identity.self_doubt import SelfDoubt
 from swarmtrack.identity.standing import Event, Standing, fire
-from swarmtrack.identity.weighing import RIVAL, Weighing
+from swarmtrack.identity.weighing import RIVAL, Match, Weighing
 from swarmtrack.identity.whereabouts import Whereabouts
 from swarmtrack.messages import (
     FOREIGN,
@@ -61,15 +63,12 @@ from swarmtrack.messages import (
     TrackStatus,
 )
 from swarmtrack.motion.ego import TeamPose
-from swarmtrack.tracking.marginals import matching_marginals
 
 # Of these, the track does not show where the drone is.
 UNSEEN = (Standing.HIDDEN, Standing.DOUBTED)
 
 # s without a detection: no longer a miss.
 HIDDEN_S = 0.25
-# Between two boxes, so near that one of them may take the other's detections.
-MEETING_PX = 10.0
 # s between two questions to drones that keep hiding each other.
 VERIFY_S = 1.0
 # The least probability of a candidate that is worth a question.
@@ -78,8 +77,6 @@ LIKELY = 0.01
 ASKED = 2
 # s after which a drone whose process is gone is no candidate any more.
 DEPARTED_S = 60.0
-# s that an overruled drone stays unnamed, unless it is heard.
-DISPUTE_S = 5.0
 # s after which it does not matter where somebody was last seen.
 FORGET_S = 30.0
 # s that a track is nameless before its candidates are asked for their poses.
@@ -92,29 +89,6 @@ FRESH_S = 1.5
 SOON = 0.5
 # Log odds: a name whose track does not move as its drone does is judged again.
 CONTRADICTED = -math.log(10.0)
-
-
-class Match(NamedTuple):
-    """That a track is a drone: probability; elsewhere, that another track is the drone; log_ratio, by all evidence
-    but its past; distance m of the drone, NaN where nobody knows."""
-
-    probability: float
-    elsewhere: float
-    log_ratio: float
-    distance: float
-
-
-@dataclass(slots=True)
-class _Unassigned:
-    """A track without an ID."""
-
-    first_t: float
-    unexplained_since: float | None = None
-    """s: since when it is probably no announced drone."""
-    p_none: float = 0.0
-    """The probability that it is none."""
-    foreign: bool = False
-    """Unexplained for long enough."""
 
 
 class Identities:
@@ -135,21 +109,26 @@ class Identities:
         """Whose process is gone."""
         self._clashing: dict[int, set[str]] = {}
         """By drone that several processes speak as: their boots."""
-        self._overruled: dict[int, float] = {}
-        """By drone: since when."""
+        self._disputes = Disputes()
         self._assignments: dict[int, Assignment] = {}
         """By track."""
-        self._unassigned: dict[int, _Unassigned] = {}
+        self._unassigned: dict[int, Unassigned] = {}
         """By track."""
         self._lost: dict[int, Assignment] = {}
         """By drone: its assignment when its track ended."""
         self._alive: dict[int, Track] = {}
         self._weighing = Weighing(camera, parameters.window_s)
+        self._self_doubt = SelfDoubt(drift_speed=parameters.drift_speed, stay_s=parameters.stay_s)
         self._vouched: set[int] = set()
         self._expected: dict[int, bool] = {}
         """By drone without a settled track: whether it should be in view, or nearly."""
         self._pose_requests = PoseRequests()
         self._astray: list[Astray] = []
+
+    @property
+    def self_doubt(self) -> bool:
+        """Whether this drone says that its own start or heading is wrong."""
+        return self._self_doubt.said
 
     @property
     def announced(self) -> dict[int, Announcement]:
@@ -163,9 +142,12 @@ class Identities:
         repeated = known and known.boot == announcement.boot and known.sequence >= announcement.sequence
         if drone == self._drone_id or drone in self._clashing or repeated:
             return False
+        self._disputes.settle(drone)
+        if is_vague(announcement) and self._weighing.proofs.track_of(drone) is None:
+            # It knows no more where it is: neither do we.
+            self._withdraw(drone, Event.OVERRULED)
         self._whereabouts.announce(announcement)
         self._unannounced.discard(drone)
-        self._overruled.pop(drone, None)
         self._weighing.proofs.forget(drone)
         held = self._holder(drone)
         if held is not None and known is not None:
@@ -175,6 +157,7 @@ class Identities:
                 held.weaken(HELD_LOG_ODDS if known.boot == announcement.boot else 0.0)
         if known is not None and known.boot != announcement.boot:
             self._weighing.forget(drone)
+            self._disputes.begin_life(drone)
         return True
 
     def agree(self, motion: AgreedMotion) -> None:
@@ -224,7 +207,7 @@ class Identities:
         if self._weighing.proofs.track_of(drone_id) is not None:
             return
         self._withdraw(drone_id, Event.OVERRULED)
-        self._overruled[drone_id] = t
+        self._disputes.overrule(drone_id, t)
         self._pose_requests.put(drone_id)
 
     def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
@@ -238,7 +221,7 @@ class Identities:
         self._remember_rays(alive, view)
         undecided = [track for track in alive.values() if self._is_undecided(track)]
         self._unassigned = {
-            track.id: self._unassigned.get(track.id) or _Unassigned(observer.t)
+            track.id: self._unassigned.get(track.id) or Unassigned(observer.t)
             for track in undecided
             if track.id not in self._assignments
         }
@@ -336,7 +319,7 @@ class Identities:
             if drone in self._announced and t - self._announced[drone].t > DEPARTED_S:
                 self._whereabouts.forget(drone)
         self._departed &= self._announced.keys()
-        self._overruled = {drone: since for drone, since in self._overruled.items() if t - since < DISPUTE_S}
+        self._disputes.forget(t)
 
     def _watch_for_occlusion(self, alive: Mapping[int, Track], t: float) -> None:
         """A drone that is not detected may be taken for one near it. If that lasts, its ID is doubted once the track
@@ -361,7 +344,7 @@ class Identities:
     def _near(self, id: int, alive: Mapping[int, Track]) -> set[int]:
         """The drones whose tracks nearly touch this one."""
         others = (held for held in self._assignments.values() if held.track_id != id)
-        return {other.drone_id for other in others if _meet(alive[id], alive[other.track_id])}
+        return {other.drone_id for other in others if meet(alive[id], alive[other.track_id])}
 
     def _verify(self, held: Assignment, t: float) -> None:
         """Ask it and those it met while one of them was not seen: their tracks may have changed places."""
@@ -426,19 +409,32 @@ class Identities:
         for found in self._weighing.proofs.astray(self._alive, view, places):
             self._astray.append(found)
             self._whereabouts.doubt(found.drone_id, found.miss_m or 0.0)
+        names = self._assignments.values()
+        self._self_doubt.look(
+            self._alive,
+            names,
+            self._lost.values(),
+            view=view,
+            whereabouts=self._whereabouts,
+            weighing=self._weighing,
+        )
+        for name in [name for name in names if self._self_doubt.forbids(name, self._weighing)]:
+            self._fire(name, Event.OVERRULED)
         contested, held = self._contested(undecided, view)
         tracks, predicted = [*undecided, *held], joined(self._predict(view), contested)
         predicted = joined(predicted, self._unexpected(tracks, predicted))
         self._ask_who_enters(predicted, t)
-        ratios = self._weighing.weigh(tracks, predicted, view)
-        probability = matching_marginals(self._with_history(ratios, tracks, predicted))
+        own = self._self_doubt.own
+        every = self._weighing.weigh(tracks, predicted, view, own)
+        judged = [self._with_history(ratios, tracks, predicted) for ratios in every]
+        probability, ratios = own.mixed(every, judged)
         p_drone = probability[:, : len(predicted.drone_id)]
-        p_none = (1.0 - probability.sum(axis=1)).tolist()
+        p_none = np.maximum(own.turned - probability.sum(axis=1), 0.0).tolist()
         nameless = [pair for pair in zip(tracks, p_none, strict=True) if pair[0].id in self._unassigned]
         named = [held.drone_id for held in self._assignments.values() if held.stated]
         self._weighing.learn(view, nameless, predicted, p_drone, named)
         for i, track in enumerate(tracks):
-            matches = self._matches(predicted, p_drone[i], p_drone.sum(axis=0), ratios[i])
+            matches = self._weighing.matches(track, predicted, p_drone[i], p_drone.sum(axis=0), ratios[i])
             if track.id in self._assignments and track.coasting_since is None:
                 self._judge(self._assignments[track.id], matches, t)
             if track.status is TrackStatus.LOST:
@@ -482,7 +478,7 @@ class Identities:
             j
             for j, drone in enumerate(predicted.drone_id)
             if drone in contradicted
-            or any(not _coincide(newcomers[i], settled[drone]) for i in np.flatnonzero(near[:, j]).tolist())
+            or any(not coincide(newcomers[i], settled[drone]) for i in np.flatnonzero(near[:, j]).tolist())
         ]
         return predicted.only(columns), [settled[predicted.drone_id[j]] for j in columns]
 
@@ -506,7 +502,7 @@ class Identities:
             rivals = [
                 other
                 for other, ratio in zip(tracks, ratios[:, j].tolist(), strict=True)
-                if ratio > 0.0 and other.id not in self._assignments and not _coincide(other, track)
+                if ratio > 0.0 and other.id not in self._assignments and not coincide(other, track)
             ]
             if held.standing is Standing.SETTLED and not self._is_contradicted(held):
                 # Its own place is as old as its announcement; the track has carried it on from where it was judged.
@@ -522,20 +518,6 @@ class Identities:
             return held.log_odds
         newest = min((self._unassigned[track.id].first_t for track in rivals), default=math.inf)
         return min(held.log_odds, self._weighing.log_missed(held.drone_id) if newest > held.since else 0.0)
-
-    def _matches(
-        self, predicted: Predictions, p_drone: Array, p_seen: Array, ratios: Array
-    ) -> dict[int, Match]:
-        """By drone, what speaks for it as a track. p_drone, ratios (k,) of the track, p_seen (k,) of all tracks."""
-        return {
-            drone: Match(
-                float(p_drone[j]),
-                float(p_seen[j] - p_drone[j]),
-                float(ratios[j]),
-                float(predicted.distance[j, 0]),
-            )
-            for j, drone in enumerate(predicted.drone_id)
-        }
 
     def _judge(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
         """Confirm, doubt or refute an ID that is undecided, or that a newcomer contests."""
@@ -587,7 +569,9 @@ class Identities:
         """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it. One that looks too
         weak for a track is vouched for, and named once the tracker agrees."""
         drone = max(matches, key=lambda drone: matches[drone].probability, default=None)
-        if drone is None or drone in self._overruled:
+        if drone is None or drone in self._disputes:
+            return
+        if self._disputes.needs_proof(drone) and self._weighing.proofs.of(track.id, drone) is None:
             return
         match = matches[drone]
         if match.probability < self._parameters.probability:
@@ -607,16 +591,12 @@ class Identities:
         self, track: Track, candidates: Mapping[int, float], p_none: float, t: float
     ) -> None:
         """A track stays without an ID: ask the drones that it may be. One that is none of them asks nobody."""
-        unassigned = self._unassigned.setdefault(track.id, _Unassigned(t))
-        unassigned.p_none = p_none
-        if p_none < self._parameters.probability:
-            unassigned.unexplained_since, unassigned.foreign = None, False
-            if t - unassigned.first_t > NAMELESS_S:
-                self._ask(candidates, t)
-            return
-        if unassigned.unexplained_since is None:
-            unassigned.unexplained_since = t
-        unassigned.foreign = t - unassigned.unexplained_since >= self._parameters.foreign_s
+        unassigned = self._unassigned.setdefault(track.id, Unassigned(t))
+        explained = unassigned.weigh(p_none, t, self._parameters)
+        # Of a team that nobody has heard of, anybody may be.
+        unassigned.foreign &= bool(self._announced) and not self._self_doubt.said
+        if explained and t - unassigned.first_t > NAMELESS_S:
+            self._ask(candidates, t)
 
     def _ask_who_enters(self, predicted: Predictions, t: float) -> None:
         """Whoever should come into view soon is asked where it is, so that the answer is there when its track is."""
@@ -635,15 +615,3 @@ class Identities:
         for drone in sorted(candidates, key=candidates.__getitem__)[-ASKED:]:
             if candidates[drone] > LIKELY and t - self._whereabouts.latest(drone).t > STALE_S:
                 self._pose_requests.ask(drone, t)
-
-
-def _meet(one: Track, other: Track) -> bool:
-    """Whether two boxes touch, nearly."""
-    size = np.nan_to_num(one.size, nan=0.0) + np.nan_to_num(other.size, nan=0.0)
-    return bool((np.abs(one.mean[::2] - other.mean[::2]) < 0.5 * size + MEETING_PX).all())
-
-
-def _coincide(one: Track, other: Track) -> bool:
-    """Whether two boxes are around one thing: which of them has a name makes no difference to where it is."""
-    size = np.fmin(one.size, other.size)
-    return bool((np.abs(one.mean[::2] - other.mean[::2]) < 0.5 * np.nan_to_num(size, nan=0.0)).all())

@@ -37,8 +37,12 @@ AHEAD_S = 0.1
 WIDE_PX = 300.0
 # px, and the share of drones: whose place is not at all what they say.
 ANYWHERE_PX, ASTRAY = 1e5, 0.003
-# m: of a place that is vaguer, a projection tells nothing.
+# m: of a place that is vaguer, a projection tells nothing. A drone that doubts its own start says so with a kilometre.
 VAGUE_M = 100.0
+# Of starts: how many are as good as their sigma says, off by some of it, and off by metres; and these two, in sigmas
+# and m at least.
+START_SHARES = (0.84, 0.13, 0.03)
+START_OFF = ((3.0, 0.3), (5.0, 1.5))
 # m: no teammate is closer, so the observer's motion turns no bearing by more than one at it.
 NEAREST = 2.0
 
@@ -46,7 +50,8 @@ NEAREST = 2.0
 class Predictions(NamedTuple):
     """Teammates that lie in front of the camera: key (k,) of whatever each was predicted from, its drone_id (k,), and
     pixel (k, 2), undistorted; a mixture of c Gaussians around it: share (c, k), cov (c, k, 2, 2) px². distance (k, 2) m
-    from the camera and its sigma, NaN where nobody knows."""
+    from the camera and its sigma, NaN where nobody knows. turn (k, 2) px/rad: of the observer's heading, which is in
+    cov; zero where a heading that is off does not count."""
 
     key: list[tuple[object, ...]]
     drone_id: list[int]
@@ -54,6 +59,7 @@ class Predictions(NamedTuple):
     share: Array
     cov: Array
     distance: Array
+    turn: Array
 
     @property
     def spread(self) -> Array:
@@ -70,10 +76,13 @@ class Predictions(NamedTuple):
             self.share[:, columns],
             self.cov[:, columns],
             self.distance[columns],
+            self.turn[columns],
         )
 
 
-NOBODY = Predictions([], [], np.empty((0, 2)), np.empty((1, 0)), np.empty((1, 0, 2, 2)), np.empty((0, 2)))
+NOBODY = Predictions(
+    [], [], np.empty((0, 2)), np.empty((1, 0)), np.empty((1, 0, 2, 2)), np.empty((0, 2)), np.empty((0, 2))
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +119,11 @@ class ObserverCamera:
         return np.asarray(ray @ self.team_from_camera.rotation.T)
 
 
+def is_vague(announcement: Announcement) -> bool:
+    """Whether its sender hardly knows where it is."""
+    return float(np.trace(announcement.position_cov)) > 3.0 * VAGUE_M**2
+
+
 def reproject(
     announcements: Sequence[Announcement],
     view: ObserverCamera,
@@ -122,10 +136,10 @@ def reproject(
 
     The covariance is that of the announced position, of the observer's own and of its attitude; for a drone that has
     flown off also of how far it may be: drift_speed [m/s] times the age of the pose, or `FAST` times that. Of those
-    on_pad half are still there after stay_s [s]; the others fly. Whose place is vaguer than
-    `VAGUE_M` may be anywhere in the image.
+    on_pad half are still there after stay_s [s]; the others fly. One start in six or so was measured worse than its
+    sigma says. Whose place is vaguer than `VAGUE_M` may be anywhere in the image.
     """
-    vague = [a for a in announcements if np.trace(a.position_cov) > 3.0 * VAGUE_M**2]
+    vague = [a for a in announcements if is_vague(a)]
     if vague:
         placed = [a for a in announcements if a not in vague]
         known = reproject(placed, view, drift_speed=drift_speed, stay_s=stay_s, on_pad=on_pad)
@@ -147,8 +161,11 @@ def reproject(
     drifted = ((drift_speed * age) ** 2)[:, None, None] * metres
     stay = np.array([stay_s if a.drone_id in on_pad else STAY_IN_FLIGHT for a in announcements])
     p_still = stay / (stay + age)
-    share = np.stack([p_still, (1.0 - p_still) * (1.0 - SHARE_FAST), (1.0 - p_still) * SHARE_FAST])
-    cov = np.stack([still, still + drifted, still + FAST**2 * drifted])
+    start_sigma = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 3.0)
+    off = [np.maximum(sigmas * start_sigma, m)[:, None, None] ** 2 * metres for sigmas, m in START_OFF]
+    gone = (1.0 - p_still) * np.array([[1.0 - SHARE_FAST], [SHARE_FAST]])
+    share = np.concatenate([p_still * np.reshape(START_SHARES, (-1, 1)), gone])
+    cov = np.stack([still, *(still + more for more in off), still + drifted, still + FAST**2 * drifted])
     distance = np.linalg.norm(positions - view.team_from_camera.position, axis=1)
     along = np.trace(spread + observer.position_cov, axis1=1, axis2=2) / 3.0 + (drift_speed * age) ** 2
     in_front = [a for a, good in zip(announcements, valid, strict=True) if good]
@@ -159,6 +176,7 @@ def reproject(
         share[:, valid],
         cov[:, valid],
         np.column_stack([distance, np.sqrt(along)])[valid],
+        by_turn[valid][:, :, 2],
     )
 
 
@@ -172,6 +190,7 @@ def anywhere(drones: Sequence[int]) -> Predictions:
         np.full((1, k), ASTRAY),
         np.broadcast_to(ANYWHERE_PX**2 * np.eye(2), (1, k, 2, 2)),
         np.full((k, 2), np.nan),
+        np.zeros((k, 2)),
     )
 
 
@@ -185,6 +204,7 @@ def _somewhere(announcements: Sequence[Announcement], camera: PinholeCamera) -> 
         np.ones((1, k)),
         np.broadcast_to(np.diag([camera.width**2, camera.height**2]).astype(float), (1, k, 2, 2)),
         np.full((k, 2), np.nan),
+        np.zeros((k, 2)),
     )
 
 
@@ -238,6 +258,7 @@ def retrace(seen: Sequence[LastSeen], view: ObserverCamera, *, turn_rate: float)
         share[:, valid],
         cov[:, valid],
         np.full((len(in_front), 2), np.nan),
+        np.zeros((len(in_front), 2)),
     )
 
 
@@ -253,6 +274,7 @@ def joined(first: Predictions, second: Predictions) -> Predictions:
         np.concatenate([_filled(first.share, c, 0.0), _filled(second.share, c, 0.0)], axis=1),
         np.concatenate([_filled(first.cov, c, np.eye(2)), _filled(second.cov, c, np.eye(2))], axis=1),
         np.concatenate([first.distance, second.distance]),
+        np.concatenate([first.turn, second.turn]),
     )
 
 

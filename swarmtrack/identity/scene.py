@@ -103,11 +103,19 @@ class Scene:
         """Of "this track at that elevation is that drone" and "a stranger, and the drone is not seen", before looking
         where the drone is.
         in_view: the probability that the drone is in the image at all; one that is not is surely not seen."""
-        seen = self._seen.get(drone_id)
-        p = min(max(PRIOR.p_seen if seen is None else seen.value, LEAST), MOST)
+        p = self.seen(drone_id)
         share = WEAK_SHARE if weak else 1.0 - WEAK_SHARE
         strangers = self._weak if weak else self._strangers
         return math.log(share * p / (1.0 - p * in_view) / max(strangers.near(elevation), LEAST))
+
+    def seen(self, drone_id: int) -> float:
+        """The probability that the drone has a track while it is in view."""
+        seen = self._seen.get(drone_id)
+        return min(max(PRIOR.p_seen if seen is None else seen.value, LEAST), MOST)
+
+    def strangers(self, elevation: float) -> float:
+        """How many confirmed tracks of nobody there would be in an image that is everywhere as at that elevation."""
+        return max(self._strangers.near(elevation), LEAST)
 
     def log_missed(self, drone_id: int) -> float:
         """Log odds for a track that was named when a newcomer had no track yet: the drone would have been missed."""

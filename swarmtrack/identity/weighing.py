@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreed import AgreedMotions
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
+from swarmtrack.identity.own_pose import Look, OwnPose, shifted
 from swarmtrack.identity.posterior import LOG_ANYWHERE, PRIOR, ReprojectionResiduals, log_ratios, residuals
 from swarmtrack.identity.proof import PROVED, Proofs
 from swarmtrack.identity.reprojection import ASTRAY, ObserverCamera, Predictions, anywhere
@@ -26,6 +28,10 @@ OFF_CENTRE = 0.15
 # Existence of a track that is not confirmed, and yet may be the drone whose name another one wants.
 RIVAL = 0.5
 LEAST_EXISTENCE = 1e-6
+# However well a place fits: as often is a start not what was said, or another drone's. Only motion proves a name.
+PLACE_ALONE = 0.97
+# Log odds by motion that a chance likeness reaches, where drones tell no more than places.
+CHANCE = math.log(30.0)
 # Of a probability, from zero or one: what is further from both is not known yet.
 DOUBT = 0.05
 
@@ -38,6 +44,16 @@ MOVES_AS = math.log(20.0)
 DRIFT_SHARE = 0.1
 # s after which a drone that said how it moves says it no more.
 SILENT_S = 3.0
+
+
+class Match(NamedTuple):
+    """That a track is a drone: probability; elsewhere, that another track is the drone; log_ratio, by all evidence
+    but its past; distance m of the drone, NaN where nobody knows."""
+
+    probability: float
+    elsewhere: float
+    log_ratio: float
+    distance: float
 
 
 class Weighing:
@@ -72,6 +88,27 @@ class Weighing:
         """A drone moves like that, as was agreed."""
         self._agreed.agree(motion)
 
+    def look(
+        self, tracks: Sequence[Track], view: ObserverCamera, predicted: Predictions, announced: int
+    ) -> Look:
+        """What a scan tells of the observer's own pose. tracks: those that are confirmed; predicted: of all `announced`
+        teammates whose place is known those ahead, whatever has their names."""
+        mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
+        cov = _of_bodies(tracks)
+        return Look(
+            mean[:, ::2],
+            0.5 * (cov[:, 0, 0] + cov[:, 2, 2]),
+            residuals(mean, cov, predicted),
+            predicted,
+            announced,
+            self.seen(predicted.drone_id),
+            np.array([self._scene.strangers(angle) for angle in _elevations(tracks, view)]),
+        )
+
+    def seen(self, drones: Iterable[int]) -> Array:
+        """(k,) that each has a track while it is in view."""
+        return np.array([self._scene.seen(drone) for drone in drones])
+
     def watch(
         self, alive: Mapping[int, Track], view: ObserverCamera, places: Mapping[int, Announcement]
     ) -> None:
@@ -95,16 +132,27 @@ class Weighing:
         self.proofs.keep(alive)
         self.proofs.judge(view.observer.t, [track.id for track in detected], self._motion)
 
-    def weigh(self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera) -> Array:
-        """(n, k), −inf outside every gate. Averages over the scans in which it was asked of the same pair."""
+    def weigh(
+        self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera, own: OwnPose
+    ) -> Array:
+        """(c + 1, n, k) by likely component of the own pose, −inf outside every gate; in the last the observer may be
+        anywhere, and only motion speaks, and where drones were seen. Averages over the scans in which it was asked of
+        the same pair."""
         found = _residuals(tracks, predicted)
         self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
-        by_place = log_ratios(self._evidence.residuals, self._camera)
-        ratios = np.logaddexp(by_place, self._astray(tracks, predicted.drone_id))
+        of_each = shifted(self._evidence.residuals, predicted, view, own)
+        # What does not depend on the own pose is as good as ever for who is lost.
+        unplaced = log_ratios(self._evidence.residuals, self._camera)
+        nowhere = np.where(np.any(predicted.turn, axis=1), -np.inf, unplaced)
+        places = [log_ratios(of_each[c], self._camera) for c in own.likely]
+        every = np.logaddexp([*places, nowhere], self._astray(tracks, predicted.drone_id))
+        by_place = every.max(axis=0)
+        allowed = np.isfinite(by_place)
+        ratios = np.where(allowed, 0.0, -np.inf)
         in_view, elevation = self._in_view(predicted), _elevations(tracks, view)
         for j, drone in enumerate(predicted.drone_id):
             distance, sigma = predicted.distance[j].tolist()
-            for i in np.flatnonzero(np.isfinite(ratios[:, j])).tolist():
+            for i in np.flatnonzero(allowed[:, j]).tolist():
                 track = tracks[i]
                 weak = track.status is TrackStatus.TENTATIVE
                 prior = self._scene.log_ratio(drone, elevation[i], weak=weak, in_view=in_view[j])
@@ -114,7 +162,13 @@ class Weighing:
                 if by_place[i, j] > LOG_ASTRAY:
                     ratios[i, j] += self._spans.log_ratio(drone, track.size, distance, sigma)
                 ratios[i, j] += self.motion(track.id, drone)
-        return ratios
+        return np.asarray(every + ratios)
+
+    def trust(self, track_id: int, drone_id: int) -> float:
+        """The highest probability that may be stated: that of a place, until motion says more than chance does."""
+        chance = 0.0 if drone_id in self._motion.exact else CHANCE
+        proof = max(self.motion(track_id, drone_id) - chance, 0.0)
+        return 1.0 / (1.0 + math.exp(-proof) * (1.0 - PLACE_ALONE) / PLACE_ALONE)
 
     def disproves(self, track_id: int, drone_id: int) -> bool:
         """Whether motion alone says that a track is not a drone, as surely as it ever proves one."""
@@ -158,6 +212,20 @@ class Weighing:
     def motion(self, track_id: int, drone_id: int) -> float:
         """The part of a log ratio that tells how both moved."""
         return self._motion.log_ratio(track_id, drone_id)
+
+    def matches(
+        self, track: Track, predicted: Predictions, p_drone: Array, p_seen: Array, ratios: Array
+    ) -> dict[int, Match]:
+        """By drone, what speaks for it as the track. p_drone, ratios (k,) of the track, p_seen (k,) of all tracks."""
+        return {
+            drone: Match(
+                min(float(p_drone[j]), self.trust(track.id, drone)),
+                float(p_seen[j] - p_drone[j]),
+                float(ratios[j]),
+                float(predicted.distance[j, 0]),
+            )
+            for j, drone in enumerate(predicted.drone_id)
+        }
 
     def log_missed(self, drone_id: int) -> float:
         """Log odds for a track that was named when a newcomer had no track yet: the drone would have been missed."""
@@ -206,10 +274,15 @@ class Weighing:
 def _residuals(tracks: Sequence[Track], predicted: Predictions) -> ReprojectionResiduals:
     """Of the drones' bodies, which are not quite in the middle of their boxes."""
     mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
+    return residuals(mean, _of_bodies(tracks), predicted)
+
+
+def _of_bodies(tracks: Sequence[Track]) -> Array:
+    """(n, 4, 4): covariance of the drones' states."""
     cov = np.array([track.cov for track in tracks]).reshape(-1, 4, 4)
     size = np.nan_to_num([track.size for track in tracks], nan=0.0).reshape(-1, 2)
     cov[:, [0, 2], [0, 2]] += (OFF_CENTRE * size) ** 2
-    return residuals(mean, cov, predicted)
+    return cov
 
 
 def _said_by(place: Announcement, before: Announcement | None) -> Saying:

@@ -79,6 +79,11 @@ class Whereabouts:
         self._off.pop(drone_id, None)
         self.on_pad.discard(drone_id)
 
+    @property
+    def pads(self) -> dict[int, Array]:
+        """(3,) m: where drones began, also those that know it no more."""
+        return {drone: pad.position for drone, pad in self._pads.items()}
+
     def _follow(self, drone: int, boot: str, position: Array) -> None:
         """position (3,) m, team frame: where that life of the drone says that it is now."""
         if drone not in self.on_pad:

@@ -16,6 +16,7 @@ from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
+    DoubtNews,
     EgoPose,
     FlightState,
     HeadingNews,
@@ -247,6 +248,8 @@ class Agent:
                     self._team.on_astray(event)
                 case HeadingNews():
                     self._team.on_heading(event)
+                case DoubtNews():
+                    self._team.on_doubt(event)
 
     def _on_scan(self, report: ScanReport) -> None:
         """To whoever writes or shows it; and the publisher wakes."""

@@ -148,6 +148,7 @@ class Health:
             detector=None if detector is None else detector.status(),
             network=links.network.status(),
             clones=tuple(sorted(self._clones)),
+            doubts_itself=self._perceived.self_doubt,
         )
 
     def message(self) -> HealthMessage:

@@ -20,6 +20,7 @@ from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.messages import (
     Array,
+    DoubtNews,
     IdClash,
     IdentifiedTrack,
     PeerDeparted,
@@ -114,6 +115,13 @@ class PilotNotices:
                 self.add(Severity.WARNING, f"two agents are drone {drone_id}")
             case SightingReport() if self._positions is not None:
                 self._positions.on_report(event)
+
+    def on_doubt(self, news: DoubtNews) -> None:
+        """What the drone sees does not fit where it thinks it is, or does again."""
+        if news.doubted:
+            self.add(Severity.WARNING, "own start or heading is wrong")
+        else:
+            self.add(Severity.INFO, "own start and heading fit again")
 
     def on_disagreement(self, found: Disagreement) -> None:
         """A teammate sees somebody elsewhere than we do."""

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.identity.proof import Astray
@@ -20,6 +21,7 @@ from swarmtrack.messages import (
     AgreedMotion,
     Announcement,
     AnnouncementRequested,
+    DoubtNews,
     HeadingNews,
     IdClash,
     Input,
@@ -225,6 +227,13 @@ class Teamwork:
         """A teammate is not where it says, by how it moves."""
         self._note(found.drone_id, _describe_astray(found), logging.WARNING)
 
+    def on_doubt(self, news: DoubtNews) -> None:
+        """Where this drone is, it does not know, or knows again: the team must hear of it."""
+        self._note(self._drone_id, _describe_doubt(news), logging.WARNING)
+        self._notices.on_doubt(news)
+        if self._announced:
+            self._asked.set()
+
     def on_disagreement(self, found: Disagreement) -> None:
         """Another drone sees it otherwise: said once per pair, and whenever we give in."""
         pair = (found.observer, found.drone_id)
@@ -300,6 +309,12 @@ def _describe_astray(found: Astray) -> str:
         f"drone {found.drone_id} moves as track {found.track_id}, {found.miss_m:.1f} m from where it says that it is: "
         f"its start or our heading is wrong, and its name follows the motion"
     )
+
+
+def _describe_doubt(news: DoubtNews) -> str:
+    if news.doubted:
+        return f"{SELF_DOUBT}: until that is over the team is told that our place is unknown"
+    return "our start and heading fit what we see again: announced again"
 
 
 def _describe_disagreement(found: Disagreement) -> str:

@@ -26,6 +26,7 @@ Who has no time for that, as a tracker between two images, takes the beliefs as 
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterable
 from functools import cache
@@ -51,16 +52,25 @@ Beyond = Callable[[Array, int], Array]
 """What p (n, m) is to be of a cluster, log r (n, m), that has more rows open than the second argument allows."""
 
 
+class Matched(NamedTuple):
+    """p (n, m) of each pair, and the logarithm of the weight of all matchings."""
+
+    probability: Array
+    log_total: float
+
+
 class Weights(NamedTuple):
-    """Of a matching: the product of pair (n, m) over its pairs, and of row (n,) and column (m,) over those without."""
+    """Of a matching: the product of pair (n, m) over its pairs, and of row (n,) and column (m,) over those without;
+    all times e^log_scale."""
 
     pair: Array
     row: Array
     column: Array
+    log_scale: float
 
     @property
     def transposed(self) -> Weights:
-        return Weights(self.pair.T, self.column, self.row)
+        return Weights(self.pair.T, self.column, self.row, self.log_scale)
 
 
 class IndependentBlock(NamedTuple):
@@ -76,16 +86,26 @@ def matching_marginals(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | 
     log_ratio (n, m): log r, −inf forbids a pair. Where more rows than `widest`, one or more, would be open, the
     answer is `beyond`'s; None: pairs are left out of the sweep.
     """
+    return matched(log_ratio, widest, beyond).probability
+
+
+def matched(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | None = None) -> Matched:
+    """As `matching_marginals`, with the weight of all matchings: how well these ratios explain what is matched.
+
+    Of pairs that were left out of the sweep, and of what `beyond` answers, it is no more than a lower bound.
+    """
     allowed = log_ratio > -np.inf
     contested = allowed & (np.count_nonzero(allowed, axis=0) > 1)
     disputing = contested.any(axis=1)
-    probability = np.zeros(log_ratio.shape)
+    probability, log_total = np.zeros(log_ratio.shape), 0.0
     if not disputing.all():
-        probability[~disputing] = _of_choices(log_ratio[~disputing])
+        probability[~disputing], log_total = _of_choices(log_ratio[~disputing])
     for rows, columns in _clusters(allowed, np.flatnonzero(disputing).tolist()):
         block = rows[:, None], columns
-        probability[block] = _of_cluster(log_ratio[block], widest, beyond or _of_thinned)
-    return probability
+        found = _of_cluster(log_ratio[block], widest, beyond)
+        probability[block] = found.probability
+        log_total += found.log_total
+    return Matched(probability, log_total)
 
 
 def sweep_width(log_ratio: Array) -> int:
@@ -95,11 +115,12 @@ def sweep_width(log_ratio: Array) -> int:
     return max((min(_sweep_order(block)[1], _sweep_order(block.T)[1]) for block in blocks), default=0)
 
 
-def _of_choices(log_ratio: Array) -> Array:
-    """p (n, m) where every row chooses one of its columns, or none, and nobody else wants them."""
+def _of_choices(log_ratio: Array) -> Matched:
+    """Where every row chooses one of its columns, or none, and nobody else wants them."""
     top = np.maximum(log_ratio.max(axis=1, initial=0.0), 0.0)[:, None]
     weight = np.exp(log_ratio - top)
-    return np.asarray(weight / (np.exp(-top) + weight.sum(axis=1, keepdims=True)))
+    total = np.exp(-top) + weight.sum(axis=1, keepdims=True)
+    return Matched(weight / total, float((top + np.log(total)).sum()))
 
 
 def _sets(member: NDArray[np.bool_]) -> list[int]:
@@ -123,10 +144,10 @@ def _clusters(allowed: NDArray[np.bool_], rows: Iterable[int]) -> list[Independe
     return [IndependentBlock(np.array(rows), np.flatnonzero(allowed[rows].any(axis=0))) for rows, _ in found]
 
 
-def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond) -> Array:
+def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond | None) -> Matched:
     n, m = log_ratio.shape
     if m == 1:
-        return _of_choices(log_ratio.T).T
+        return _transposed(_of_choices(log_ratio.T))
     fewer = min(n, m)
     if fewer <= min(widest, SMALL):
         return _swept_at_once(log_ratio)
@@ -135,17 +156,21 @@ def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond) -> Array:
     by_rows, width_transposed = _sweep_order(allowed.T, min(widest, width))
     narrower = min(width, width_transposed)
     if narrower > widest:
-        return beyond(log_ratio, widest)
+        return _of_thinned(log_ratio, widest) if beyond is None else Matched(beyond(log_ratio, widest), 0.0)
     if fewer <= min(narrower + 1, NOT_WORTH_ORDERING):
         return _swept_at_once(log_ratio)
     weights = _weights(log_ratio, narrower)
     if width_transposed < width:
-        return _swept(weights.transposed, by_rows).T
+        return _transposed(_swept(weights.transposed, by_rows))
     return _swept(weights, by_columns)
 
 
-def _of_thinned(log_ratio: Array, widest: int) -> Array:
-    """p (n, m) without sweeping over the least likely pairs.
+def _transposed(found: Matched) -> Matched:
+    return Matched(found.probability.T, found.log_total)
+
+
+def _of_thinned(log_ratio: Array, widest: int) -> Matched:
+    """Without sweeping over the least likely pairs.
 
     With i → none: "i is in none of the pairs left out", p(i = j) = p(i = j | i → none) p(i → none). The sweep gives
     the first factor, but for what the pairs left out do to others; beliefs give the second.
@@ -161,8 +186,8 @@ def _of_thinned(log_ratio: Array, widest: int) -> Array:
     kept = swept(LEAST_BELIEF[bisect_left(LEAST_BELIEF, True, key=is_narrow, hi=len(LEAST_BELIEF) - 1)])
     left_out = np.where(kept, 0.0, belief)
     remaining = 1.0 - np.maximum(left_out.sum(axis=1)[:, None], left_out.sum(axis=0))
-    given_none = matching_marginals(np.where(kept, log_ratio, -np.inf), widest)
-    return np.asarray(given_none * np.maximum(remaining, 0.0) + left_out)
+    given_none, log_total = matched(np.where(kept, log_ratio, -np.inf), widest)
+    return Matched(given_none * np.maximum(remaining, 0.0) + left_out, log_total)
 
 
 def _sweep_order(allowed: NDArray[np.bool_], widest: int | None = None) -> tuple[list[int], int]:
@@ -204,7 +229,7 @@ def _weights(log_ratio: Array, width: int) -> Weights:
     """
     n, m = log_ratio.shape
     if log_ratio.max() <= LARGEST_EXPONENT / width:
-        return Weights(np.exp(log_ratio), np.ones(n), np.ones(m))
+        return Weights(np.exp(log_ratio), np.ones(n), np.ones(m), 0.0)
     log_ratio = np.minimum(log_ratio, LARGEST_LOG_RATIO)
     rows, columns = most_likely_matching(log_ratio)
     profit, price = np.zeros(n), np.zeros(m)
@@ -213,13 +238,14 @@ def _weights(log_ratio: Array, width: int) -> Weights:
         profit[rows] = log_ratio[rows, columns] - price[columns]
         price = np.maximum((log_ratio - profit[:, None]).max(axis=0), 0.0)
     profit[rows] = log_ratio[rows, columns] - price[columns]
-    return Weights(np.exp(log_ratio - profit[:, None] - price), np.exp(-profit), np.exp(-price))
+    scale = float(profit.sum() + price.sum())
+    return Weights(np.exp(log_ratio - profit[:, None] - price), np.exp(-profit), np.exp(-price), scale)
 
 
-def _swept_at_once(log_ratio: Array) -> Array:
-    """p (n, m) of one small cluster, all of whose rows are open all the time; in the order of the columns."""
+def _swept_at_once(log_ratio: Array) -> Matched:
+    """Of one small cluster, all of whose rows are open all the time; in the order of the columns."""
     if len(log_ratio) > log_ratio.shape[1]:
-        return _swept_at_once(log_ratio.T).T
+        return _transposed(_swept_at_once(log_ratio.T))
     n, m = log_ratio.shape
     weights = _weights(log_ratio, n)
     halves = _halves(n)
@@ -245,7 +271,8 @@ def _swept_at_once(log_ratio: Array) -> Array:
     # Σ F[S] B[S + i] over the sets of the half that i is not in, and then over the others.
     by_first = (backward @ forward.swapaxes(1, 2)).reshape(m, -1)[:, halves.add_first].sum(axis=2)
     by_others = (backward.swapaxes(1, 2) @ forward).reshape(m, -1)[:, halves.add_others].sum(axis=2)
-    return np.asarray(weights.pair * np.concatenate([by_first, by_others], axis=1).T / total)
+    probability = weights.pair * np.concatenate([by_first, by_others], axis=1).T / total
+    return Matched(probability, float(np.log(total)) + weights.log_scale)
 
 
 class Halves(NamedTuple):
@@ -301,12 +328,12 @@ def _flipped(entries: NDArray[np.intp], size: int) -> NDArray[np.intp]:
     return entries % size * size + entries // size
 
 
-def _swept(weights: Weights, order: list[int]) -> Array:
-    """p (n, m) of one cluster. A set of open rows is an index: bit b is set where the row `open_rows[b]` is used."""
+def _swept(weights: Weights, order: list[int]) -> Matched:
+    """Of one cluster. A set of open rows is an index: bit b is set where the row `open_rows[b]` is used."""
     ratio, unused, free = weights.pair, weights.row.tolist(), weights.column.tolist()
     last_use = {int(i): k for k, j in enumerate(order) for i in np.flatnonzero(ratio[:, j])}
     open_rows: list[int] = []
-    forward = np.ones(1)
+    forward, log_total = np.ones(1), weights.log_scale
     # Open rows and F before each column, and rows left open.
     tape: list[tuple[list[int], Array, list[int]]] = []
     for k, j in enumerate(order):
@@ -324,7 +351,9 @@ def _swept(weights: Weights, order: list[int]) -> Array:
             bit = open_rows.index(i)
             forward = (unused[i] * _without(forward, bit) + _with(forward, bit)).ravel()
             open_rows.remove(i)
-        forward /= forward.max()  # a common factor for each column drops out of p
+        largest = float(forward.max())  # a common factor for each column drops out of p
+        forward /= largest
+        log_total += math.log(largest)
         tape.append((here, before, list(open_rows)))
 
     probability = np.zeros(ratio.shape)
@@ -349,7 +378,7 @@ def _swept(weights: Weights, order: list[int]) -> Array:
         # Rows that this column opened have the highest bits, and are not used before it.
         backward = earlier[: 1 << len(tape[k - 1][2])] if k else earlier[:1]
         backward = backward / backward.max()
-    return probability
+    return Matched(probability, log_total + math.log(forward.item()))
 
 
 def _without(sets: Array, bit: int) -> Array:

@@ -220,9 +220,11 @@ def test_a_foreign_track_that_a_teammate_turns_out_to_be_is_named(observer):
     assert observer.sees(1.0, a=LEFT, b=RIGHT, c=MIDDLE)["c"] == 4
 
 
-def test_strangers_alone_are_foreign_where_nobody_has_announced_itself():
+def test_nobody_is_foreign_before_somebody_has_announced_itself():
     alone = Observer()
-    assert alone.sees(4.0, a=MIDDLE) == {"a": FOREIGN}
+    assert alone.sees(4.0, a=MIDDLE) == {"a": None}
+    alone.hears(2, RIGHT)
+    assert alone.sees(4.0, a=MIDDLE, b=RIGHT) == {"a": FOREIGN, "b": 2}
 
 
 # --- asked ---

@@ -34,6 +34,7 @@ def drones(*pixels, sigmas=(10.0,), shares=(1.0,)):
         np.repeat(np.reshape(shares, (-1, 1)), k, axis=1),
         np.repeat(np.reshape(spread, (-1, 1, 2, 2)), k, axis=1),
         np.full((k, 2), np.nan),
+        np.zeros((k, 2)),
     )
 
 

@@ -93,7 +93,7 @@ def test_a_name_that_its_place_gave_is_proved_by_motion_in_seconds_and_says_sinc
 
 def test_who_starts_on_the_other_s_pad_gets_its_own_name_by_its_motion_and_that_is_said():
     flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: RIGHT, 3: LEFT})
-    assert flight.flies(1.0) == {"a": 3, "b": 2}
+    assert flight.flies(0.5) == {"a": 3, "b": 2}
     assert flight.flies(14.0) == {"a": 2, "b": 3}
     found = {told.drone_id: told for told in flight.told if told.miss_m is not None}
     assert found.keys() == {2, 3}

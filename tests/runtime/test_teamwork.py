@@ -10,8 +10,10 @@ import pytest
 from support.patience import PATIENCE
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
+from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.messages import (
     Announcement,
+    DoubtNews,
     EgoPose,
     HeadingNews,
     IdClash,
@@ -22,7 +24,7 @@ from swarmtrack.messages import (
 from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import EVENTS_KEPT
-from swarmtrack.runtime.teamwork import LINES
+from swarmtrack.runtime.teamwork import LINES, Teamwork
 from swarmtrack.team_config import TeamSection
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
@@ -93,13 +95,33 @@ def test_a_teammate_that_floods_fills_no_log_and_what_the_others_do_is_still_tol
 
 
 @pytest.mark.parametrize(
-    ("news", "line"),
+    ("happens", "news", "line"),
     [
-        (HeadingNews(5.0, -0.035), "our heading stepped by -2.0° against the gyro: announced again"),
-        (HeadingNews(5.0, 0.0), "our heading has been aligned in flight: announced again"),
+        (
+            Teamwork.on_heading,
+            HeadingNews(5.0, -0.035),
+            "our heading stepped by -2.0° against the gyro: announced again",
+        ),
+        (
+            Teamwork.on_heading,
+            HeadingNews(5.0, 0.0),
+            "our heading has been aligned in flight: announced again",
+        ),
+        (
+            Teamwork.on_doubt,
+            DoubtNews(5.0, doubted=True),
+            f"{SELF_DOUBT}: until that is over the team is told that our place is unknown",
+        ),
+        (
+            Teamwork.on_doubt,
+            DoubtNews(5.0, doubted=False),
+            "our start and heading fit what we see again: announced again",
+        ),
     ],
 )
-async def test_a_heading_that_is_known_otherwise_is_announced_again_and_said_in_one_line(parts, news, line):
+async def test_a_pose_that_is_known_otherwise_is_announced_again_and_said_in_one_line(
+    parts, happens, news, line
+):
     hub = MemoryHub()
     transport = MemoryTransport(hub, "swarm", 1, parts.boot, parts.clock)
     listener = MemoryTransport(hub, "swarm", 9, "00000009", parts.clock)
@@ -109,7 +131,7 @@ async def test_a_heading_that_is_known_otherwise_is_announced_again_and_said_in_
     await listener.open()
     await transport.open()
     # Before the first announcement there is nothing to say again.
-    team.on_heading(news)
+    team.on_heading(HeadingNews(4.0, 0.1))
     assert list(health.events) == []
     announcing = asyncio.create_task(team.announce())
     heard = []
@@ -118,7 +140,7 @@ async def test_a_heading_that_is_known_otherwise_is_announced_again_and_said_in_
             if isinstance(event, Announcement):
                 heard.append(event.sequence)
                 if len(heard) == 1:
-                    team.on_heading(news)
+                    happens(team, news)
                 else:
                     break
     announcing.cancel()

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.tracking import marginals
-from swarmtrack.tracking.marginals import WIDEST, matching_marginals, sweep_width
+from swarmtrack.tracking.marginals import WIDEST, matched, matching_marginals, sweep_width
 
 NEVER = -np.inf
 UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -16,6 +16,17 @@ UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow]
 
 def written_out(log_ratio):
     """The same by definition: every matching, its weight, and the weight of those that have the pair."""
+    weights, pairs = matchings(log_ratio)
+    share = np.exp(np.array(weights) - max(weights))
+    probability = np.zeros(log_ratio.shape)
+    for part, matching in zip(share / share.sum(), pairs, strict=True):
+        for pair in matching:
+            probability[pair] += part
+    return probability
+
+
+def matchings(log_ratio):
+    """All of them: the logarithm of the weight and the pairs of each."""
     n, m = log_ratio.shape
     weights, pairs = [], []
 
@@ -30,12 +41,7 @@ def written_out(log_ratio):
                 extend(row + 1, free - {j}, weight + log_ratio[row, j], [*matching, (row, j)])
 
     extend(0, frozenset(range(m)), 0.0, [])
-    share = np.exp(np.array(weights) - max(weights))
-    probability = np.zeros((n, m))
-    for part, matching in zip(share / share.sum(), pairs, strict=True):
-        for pair in matching:
-            probability[pair] += part
-    return probability
+    return weights, pairs
 
 
 @st.composite
@@ -64,6 +70,17 @@ both_sweeps = pytest.mark.parametrize("solve", [matching_marginals, swept_in_ord
 @given(log_ratio=ratios(columns=7))
 def test_a_pair_is_as_likely_as_the_matchings_that_have_it(solve, log_ratio):
     assert solve(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
+
+
+@pytest.mark.parametrize("small", [marginals.SMALL, 0])
+@settings(UNHURRIED, max_examples=50)
+@given(log_ratio=ratios(largest=300, columns=7))
+def test_the_weight_of_all_matchings_is_the_sum_of_theirs(small, log_ratio):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(marginals, "SMALL", small)
+        patch.setattr(marginals, "NOT_WORTH_ORDERING", small)
+        found = matched(log_ratio).log_total
+    assert found == pytest.approx(np.logaddexp.reduce(matchings(log_ratio)[0]), abs=1e-9)
 
 
 @both_sweeps

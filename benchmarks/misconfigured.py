@@ -1,0 +1,254 @@
+"""Names when a drone is configured wrongly before it takes off: who is wrong, how surely, and who says so.
+
+Four drones in the virtual swarm, the real `Onboard`. One thing is wrong in each row: two drones stand on each other's
+pads, everybody stands on the next one's, a compass or a camera's mounting is turned, a start was measured wrongly. Of
+these the team knows nothing. Its configs state `--sigma` metres for every start and nothing for the heading.
+
+* right, wrong, unknown: as `swarmtrack sim` counts them; wrong with a 95 % interval over flights.
+* surest: the highest probability that was stated with a wrong name.
+* said: of the drones concerned, those that said that their own start or heading is wrong; after: seconds from when the
+  first teammate came into their view, median and most. Falsely: drones that said so and are right.
+
+    swarmtrack bench misconfigured [--seeds 100] [--scenarios crossing …] [--rows pads …] [--sigma 0.1] --out DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.arguments import count, positive
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
+from swarmtrack.benchmarks.identity import recognition
+from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
+from swarmtrack.evaluation.intervals import fraction_interval
+from swarmtrack.evaluation.swarm_score import Glance, SwarmScore
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.scenarios import AnnouncedStart, Scenario
+
+NAME = "misconfigured"
+SEEDS, QUICK_SEEDS = 100, 2
+DRONES = 4
+SECONDS = {"crossing": 20.0, "hover-triangle": 20.0, "errand": 30.0}
+# m: what the shipped configs state.
+SIGMA = 0.1
+VICTIM = 1
+COMPASS_DEG = (5.0, 10.0, 20.0, 30.0, 90.0, 180.0)
+MOUNTING_DEG = (2.0, 5.0, 10.0, 20.0)
+START_M = (0.3, 0.5, 1.0, 1.5, 3.0, 5.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One thing that is wrong. pads: who stands on whose pad; compass, mounting [rad], start [m]: by how much it is
+    off with the drones `of`."""
+
+    name: str
+    of: tuple[int, ...] = ()
+    pads: Mapping[int, int] = field(default_factory=dict)
+    compass: float = 0.0
+    mounting: float = 0.0
+    start_m: float = 0.0
+
+
+def rows() -> list[Row]:
+    """All of them, first the one in which nothing is wrong."""
+    everybody = tuple(range(1, DRONES + 1))
+    who = {"one": (VICTIM,), "all": everybody}
+    compass = (
+        Row(f"compass, {words} {deg:g}°", of, compass=math.radians(deg))
+        for words, of in who.items()
+        for deg in COMPASS_DEG
+    )
+    mounting = (Row(f"mounting, one {deg:g}°", (VICTIM,), mounting=math.radians(deg)) for deg in MOUNTING_DEG)
+    start = (Row(f"start, {words} {m:g} m", of, start_m=m) for words, of in who.items() for m in START_M)
+    return [
+        Row("nothing"),
+        Row("pads, two swapped", (1, 2), pads={1: 2, 2: 1}),
+        Row("pads, moved on by one", everybody, pads={d: d % DRONES + 1 for d in everybody}),
+        *compass,
+        *mounting,
+        *start,
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What came of one. said_after: by drone that is wrong and saw others, s, inf where it never said so; falsely: how
+    many drones said so that are right."""
+
+    score: SwarmScore
+    said_after: Mapping[int, float]
+    falsely: int
+
+
+class _Watch:
+    """When each drone saw the first teammate, and when it said that it is wrong itself."""
+
+    def __init__(self, swarm: VirtualSwarm) -> None:
+        self._swarm = swarm
+        self.first_seen: dict[int, float] = {}
+        self.said: dict[int, float] = {}
+
+    def see(self, glance: Glance) -> None:
+        if glance.in_view:
+            self.first_seen.setdefault(glance.observer, glance.t)
+        if self._swarm.onboard(glance.observer).self_doubt:
+            self.said.setdefault(glance.observer, glance.t)
+
+
+def misplaced(scenario: Scenario, row: Row) -> Scenario:
+    """The scenario with the starts that the drones' configs state; its world stays what it is."""
+
+    def stated(drone_id: int) -> AnnouncedStart:
+        told = scenario.announced[row.pads.get(drone_id, drone_id)]
+        if drone_id not in row.of or not row.start_m:
+            return told
+        bearing = scenario.world.chance("misplaced", drone_id).uniform(0.0, 2.0 * math.pi)
+        off = row.start_m * np.array([math.cos(bearing), math.sin(bearing), 0.0])
+        return replace(told, position_m=np.asarray(told.position_m) + off)
+
+    return replace(scenario, announced={drone_id: stated(drone_id) for drone_id in scenario.announced})
+
+
+def fly(row: Row, scenario: str, sigma_m: float, tracker: str, seed: int) -> Flight:
+    """One flight, as fast as it computes; the same arguments give the same flight."""
+    flown = load_scenario(scenario, seed=seed, drones=DRONES)
+    told = {d: replace(start, position_sigma_m=sigma_m) for d, start in flown.announced.items()}
+    flown = misplaced(replace(flown, announced=told), row)
+    mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
+    swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes)
+    watch = _Watch(swarm)
+    score = recognition.judge(swarm, flown, SECONDS[scenario], watch.see).score
+    after = {
+        d: max(watch.said.get(d, math.inf) - max(watch.first_seen[d], swarm.announced_at[d]), 0.0)
+        for d in row.of
+        if d in watch.first_seen
+    }
+    return Flight(score, after, len(watch.said.keys() - set(row.of)))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+    parser.add_argument(
+        "--scenarios", nargs="+", choices=list(SECONDS), default=list(SECONDS), help="(default: all)"
+    )
+    parser.add_argument(
+        "--rows", nargs="+", metavar="WORD", default=[], help="only rows whose name has one of these in it"
+    )
+    parser.add_argument(
+        "--sigma", type=positive, metavar="M", default=SIGMA, help="of every start, m (default: %(default)s)"
+    )
+    parser.add_argument("--processes", type=count, metavar="N", help="(default: one per core)")
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(
+        args.out,
+        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
+        scenarios=args.scenarios,
+        chosen=[row for row in rows() if not args.rows or any(word in row.name for word in args.rows)],
+        sigma_m=args.sigma,
+        tracker=args.tracker,
+        processes=args.processes,
+    )
+
+
+def publish(
+    out: Path,
+    *,
+    seeds: int,
+    scenarios: Sequence[str],
+    chosen: Sequence[Row],
+    sigma_m: float,
+    tracker: str,
+    processes: int | None = None,
+) -> dict[str, Any]:
+    """Fly everything, write misconfigured.json and misconfigured.md into `out`."""
+    found: dict[str, dict[str, Any]] = {}
+    with (
+        multiprocessing.get_context("spawn").Pool(processes) as pool,
+        report.progress(NAME, len(scenarios) * len(chosen) * seeds) as advance,
+    ):
+        for scenario in scenarios:
+            found[scenario] = {}
+            for row in chosen:
+                flights = []
+                for flight in pool.imap(partial(fly, row, scenario, sigma_m, tracker), range(1, seeds + 1)):
+                    flights.append(flight)
+                    advance(f"{scenario}: {row.name}")
+                found[scenario][row.name] = summary(flights)
+    result = {"seeds": seeds, "sigma_m": sigma_m, "tracker": tracker, "scenarios": found}
+    report.write(out, NAME, result, _markdown(result))
+    return result
+
+
+def summary(flights: Sequence[Flight]) -> dict[str, Any]:
+    """The columns of one row of the table."""
+    samples = np.array([flight.score.samples for flight in flights], dtype=float)
+
+    def hits(share: str) -> Any:
+        return np.nan_to_num([getattr(flight.score, share) for flight in flights]) * samples
+
+    after = np.sort([after for flight in flights for after in flight.said_after.values()])
+    return {
+        **{
+            share: fraction_interval(hits(share), samples)._asdict()
+            for share in ("correct", "wrong", "unknown")
+        },
+        "wrong_max_probability": float(
+            np.fmax.reduce([flight.score.wrong_max_probability for flight in flights])
+        ),
+        "concerned": len(after),
+        "said": int(np.isfinite(after).sum()),
+        "said_after_s": {"p50": _quantile(after, 0.5), "most": _quantile(after, 1.0)},
+        "falsely": sum(flight.falsely for flight in flights),
+    }
+
+
+def _quantile(values: Iterable[float], of: float) -> float:
+    """The value that this share of them does not exceed; may be infinite."""
+    known = sorted(values)
+    return known[max(math.ceil(of * len(known)), 1) - 1] if known else math.nan
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    def line(name: str, found: dict[str, Any]) -> list[str]:
+        wrong = [100.0 * found["wrong"][key] for key in ("value", "low", "high")]
+        return [
+            name,
+            f"{100.0 * found['correct']['value']:.1f}",
+            "{:.2f} ({:.2f} … {:.2f})".format(*wrong),
+            f"{100.0 * found['unknown']['value']:.1f}",
+            report.number(found["wrong_max_probability"], 4),
+            f"{found['said']} of {found['concerned']}",
+            f"{report.number(found['said_after_s']['p50'], 1)}, {report.number(found['said_after_s']['most'], 1)}",
+            str(found["falsely"]),
+        ]
+
+    header = [
+        "what is wrong", "right, %", "wrong, %", "unknown, %", "surest wrong name", "said", "after, s", "falsely",
+    ]  # fmt: skip
+    tables = [
+        f"## {scenario}\n\n{report.table(header, [line(*row) for row in of.items()])}"
+        for scenario, of in result["scenarios"].items()
+    ]
+    return "\n\n".join(
+        [
+            "# Names when the configuration is wrong",
+            f"{DRONES} drones, {result['seeds']} seeds per row, synthetic detections, tracker `{result['tracker']}`; "
+            f"starts stated as ±{result['sigma_m']:g} m.",
+            *tables,
+        ]
+    )

@@ -1,0 +1,292 @@
+"""Is the observer itself where it thinks it is, and does it look where it thinks it looks?
+
+Theory of operation. A heading that is off, a camera mounted askew and a start that was measured wrongly last for the
+whole flight, and they shift all projections of an observer together. So they are no noise of each projection but one
+state, and what is known of it is a mixture:
+
+* turned: the azimuth is off by about one of `AZIMUTHS_DEG`. The prior is that of the autopilot's heading, with a tail,
+  because some compasses are simply wrong.
+* elsewhere: the drone stands on a teammate's pad, or some metres from its own (`Elsewhere`).
+* lost: projections tell nothing.
+
+All confirmed tracks are matched to all teammates whose place is known, once per component, whatever names the tracks
+have by now. The weight of all matchings, of teammates that should be in view and have no track, and of tracks that are
+nobody is the likelihood of the component. It is taken from one scan at a time: the errors of the teammates' own places
+last as well, so that a second look adds nothing.
+
+Names are then those of each turned component, by its weight. A shift that two or more teammates reveal is found; one
+that makes a drone appear where its neighbour should be makes both unknown. Who is elsewhere names nobody.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.posterior import GATE_PROBABILITY, IN_VIEW, PRIOR, ReprojectionResiduals, log_ratios
+from swarmtrack.identity.reprojection import NEAREST, ObserverCamera, Predictions
+from swarmtrack.messages import Array
+from swarmtrack.tracking.association import gate_threshold
+from swarmtrack.tracking.gaussian import LOG_TWO_PI
+from swarmtrack.tracking.marginals import matched, matching_marginals
+
+# The middle of each component and its own sigma: denser where headings usually are.
+AZIMUTHS_DEG = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
+WIDTHS_DEG = (1.2, 1.2, 1.2, 1.2, 1.2, 1.2, 1.5, 1.8, 1.8)
+# Of compasses and mountings: those that are off by more than the autopilot says, and by how much (one sigma, rad).
+ASKEW, ASKEW_SIGMA = 0.05, math.radians(8.0)
+# Of starts: those that are a teammate's, and those that are off by metres.
+ON_ANOTHERS_PAD, MISPLACED = 0.03, 0.03
+# m by which these are off, in so many directions, and the sigma of each as a share of it.
+MISPLACED_M, DIRECTIONS, MISPLACED_SIGMA = (1.0, 1.7, 2.9, 4.9), 8, 0.35
+# Of drones: those that know neither.
+LOST = 0.03
+# Nats below the best: a component that is no likelier is not worth a thought.
+NEGLIGIBLE = math.log(1e3)
+# rad: no heading is known better.
+LEAST_SIGMA = 1e-3
+# px: so far outside the image is whoever is behind the camera.
+OUTSIDE_PX = 1e5
+# Of the logistic curve that is the normal distribution's, to one percent.
+LOGISTIC = 1.702
+
+
+class Components(NamedTuple):
+    """By how much the heading may be off, (c,) each: azimuth [rad], its sigma, and the logarithm of its prior."""
+
+    azimuth: Array
+    sigma: Array
+    log_prior: Array
+
+
+class Elsewhere(NamedTuple):
+    """Where the drone may be instead, (h,) each: shift (h, 3) m from where it thinks, sigma [m], and the logarithm of
+    the prior. places (h, m, 3) m: where all m teammates are then; who has changed pads with it is on its own.
+    place_sigma (m,) m, p_seen (m,): that one in view has a track."""
+
+    shift: Array
+    sigma: Array
+    log_prior: Array
+    places: Array
+    place_sigma: Array
+    p_seen: Array
+
+
+class OwnPose(NamedTuple):
+    """What is known of it: of a heading with that sigma [rad] the components and their weights (c,); elsewhere and
+    lost: the probabilities of these. All sum to one."""
+
+    heading_sigma: float
+    components: Components
+    weight: Array
+    elsewhere: float
+    lost: float
+
+    @property
+    def likely(self) -> list[int]:
+        """The components that are worth a thought."""
+        found: list[int] = np.flatnonzero(self.weight > math.exp(-NEGLIGIBLE)).tolist()
+        return found
+
+    @property
+    def turned(self) -> float:
+        """The probability that projections tell who is who, turned or not."""
+        return 1.0 - self.elsewhere - self.lost
+
+    def mixed(self, ratios: Array, judged: Sequence[Array]) -> tuple[Array, Array]:
+        """Of likely components and then of who is elsewhere or lost, log ratios (c + 1, n, k) and what they become with
+        the past, (n, m) each: probabilities (n, m) of all pairs, and log ratios (n, k), by the components' weights."""
+        weight = np.array([*self.weight[self.likely], max(self.elsewhere + self.lost, 1e-12)])
+        weight /= weight.sum()
+        probability = np.zeros(judged[0].shape)
+        for share, log_ratio in zip(weight.tolist(), judged, strict=True):
+            probability += share * matching_marginals(log_ratio)
+        mean = np.logaddexp.reduce(ratios + np.log(weight)[:, None, None], axis=0, initial=-np.inf)
+        return probability, np.asarray(mean)
+
+    def off_by(self, azimuth: float) -> float:
+        """The probability that it is elsewhere, lost, or turned by more than so much [rad]."""
+        far = np.asarray(np.abs(self.components.azimuth) > azimuth)
+        return float(self.weight[far].sum()) + self.elsewhere + self.lost
+
+
+@lru_cache(maxsize=16)
+def components(heading_sigma: float) -> Components:
+    """The prior. heading_sigma [rad]: of the autopilot's heading."""
+    heading_sigma = max(heading_sigma, LEAST_SIGMA)
+    # Of an autopilot that has been silent nothing is known; then the components are as much wider.
+    scale = max(heading_sigma / ASKEW_SIGMA, 1.0)
+    half, wide = scale * np.radians(AZIMUTHS_DEG), scale * np.radians(WIDTHS_DEG)
+    azimuth = np.concatenate([-half[:0:-1], half])
+    edges = [-math.inf, *(0.5 * (azimuth[1:] + azimuth[:-1])).tolist(), math.inf]
+
+    def shares(sigma: float) -> Array:
+        """How often it is nearest to each."""
+        below = [0.5 * math.erfc(-edge / (math.sqrt(2.0) * sigma)) for edge in edges]
+        return np.diff(below)
+
+    turned = (1.0 - ASKEW) * shares(heading_sigma) + ASKEW * shares(ASKEW_SIGMA)
+    return Components(
+        azimuth,
+        np.minimum(np.concatenate([wide[:0:-1], wide]), heading_sigma),
+        np.log(np.maximum((1.0 - ON_ANOTHERS_PAD - MISPLACED - LOST) * turned, 1e-12)),
+    )
+
+
+def unknown(heading_sigma: float) -> OwnPose:
+    """What is known before anybody was looked at."""
+    of = components(heading_sigma)
+    return OwnPose(heading_sigma, of, np.exp(of.log_prior), ON_ANOTHERS_PAD + MISPLACED, LOST)
+
+
+def elsewhere(
+    places: Array, place_sigma: Array, p_seen: Array, *, pads: Array, whose: Sequence[int], own_pad: Array
+) -> Elsewhere:
+    """Where the drone may be instead. places (m, 3), place_sigma (m,) m: of the teammates; pads (k, 3) m: where they
+    and others began, by their word, whose: their places' rows, −1 where there are none; own_pad (3,) m: where this
+    drone thinks that it began."""
+    k = len(pads)
+    bearing = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
+    around = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(DIRECTIONS)])
+    far = np.repeat(MISPLACED_M, DIRECTIONS)
+    shift = np.concatenate([pads - own_pad, far[:, None] * np.tile(around, (len(MISPLACED_M), 1))])
+    there = np.repeat(places[None], len(shift), axis=0)
+    for pad, row in enumerate(whose):
+        if row >= 0:
+            there[pad, row] -= shift[pad]
+    prior = np.concatenate([np.full(k, ON_ANOTHERS_PAD / max(k, 1)), np.full(len(far), MISPLACED / len(far))])
+    sigma = np.concatenate([np.zeros(k), MISPLACED_SIGMA * far])
+    return Elsewhere(shift, sigma, np.log(prior), there, place_sigma, p_seen)
+
+
+def shifted(
+    found: ReprojectionResiduals, predicted: Predictions, view: ObserverCamera, own: OwnPose
+) -> list[ReprojectionResiduals]:
+    """The residuals in each component. What no heading turns stays what it is."""
+    of = own.components
+    pixel = _turned(predicted.pixel, view, of.azimuth)
+    shift = np.where(np.any(predicted.turn, axis=1, keepdims=True), pixel - predicted.pixel, 0.0)
+    turn = predicted.turn[:, :, None] * predicted.turn[:, None, :]
+    # What is left of the heading's variance.
+    left = of.sigma**2 - float(view.observer.attitude_cov[2, 2])
+    return [
+        ReprojectionResiduals(found.mean - by, found.cov + variance * turn, found.share)
+        for by, variance in zip(shift, left.tolist(), strict=True)
+    ]
+
+
+class Look(NamedTuple):
+    """What one scan shows: n confirmed tracks at z (n, 2) ± variance (n,) px, and where all k teammates ahead should
+    be. announced: how many teammates there are in all; p_seen (k,): that one in view has a track; strangers (n,):
+    expected in the image."""
+
+    z: Array
+    variance: Array
+    found: ReprojectionResiduals
+    predicted: Predictions
+    announced: int
+    p_seen: Array
+    strangers: Array
+
+
+def weigh(look: Look, view: ObserverCamera, others: Elsewhere | None = None) -> OwnPose:
+    """What one scan tells of the own pose. others: None, where there is no reason to think of them."""
+    sigma = math.sqrt(float(view.observer.attitude_cov[2, 2]))
+    of = components(sigma)
+    own = unknown(sigma)
+    log_seen = np.log(look.p_seen) - np.log(look.strangers)[:, None]
+    log_known, ratios = [], []
+    for prior, here in zip(of.log_prior, shifted(look.found, look.predicted, view, own), strict=True):
+        missed = np.log1p(-look.p_seen * _in_view(look, here, view.camera))
+        log_known.append(prior + float(missed.sum()))
+        ratios.append(log_ratios(here, view.camera) - PRIOR.log_ratio + log_seen - missed)
+    anywhere = math.log1p(-PRIOR.p_seen * IN_VIEW)
+    log_known.append(math.log(LOST) + look.announced * anywhere)
+    lost = math.log(PRIOR.p_seen * IN_VIEW) - anywhere - np.log(look.strangers)[:, None]
+    ratios.append(np.repeat(lost, look.announced, axis=1))
+    if others is not None:
+        for log_prior, ratio in _of_others(look, view, others):
+            log_known.append(log_prior)
+            ratios.append(ratio)
+    weight = _weights(np.array(log_known), ratios)
+    c = len(of.log_prior)
+    return OwnPose(sigma, of, weight[:c], float(weight[c + 1 :].sum()), float(weight[c]))
+
+
+def _of_others(look: Look, view: ObserverCamera, others: Elsewhere) -> Iterator[tuple[float, Array]]:
+    """Of each: the logarithm of what is known before the matching, and the log ratios (n, m)."""
+    camera, observer = view.camera, view.observer
+    from_here = others.places - (view.team_from_camera.position + others.shift)[:, None]
+    pixel, _, ahead = camera.project_undistorted((from_here @ view.team_from_camera.rotation).reshape(-1, 3))
+    shape = from_here.shape[:2]
+    pixel, ahead = np.where(ahead[:, None], pixel, OUTSIDE_PX).reshape(*shape, 2), ahead.reshape(shape)
+    place = others.place_sigma**2 + others.sigma[:, None] ** 2 + observer.position_sigma**2
+    distance = np.maximum(np.linalg.norm(from_here, axis=2), NEAREST)
+    variance = camera.fx**2 * (place / distance**2 + observer.attitude_sigma**2)
+    inside = _inside(pixel, np.sqrt(variance)[..., None], camera) * ahead
+    missed = np.log1p(-others.p_seen * inside)
+    of_pair = variance[:, None] + look.variance[:, None]
+    squared = ((look.z[:, None] - pixel[:, None]) ** 2).sum(axis=3) / of_pair
+    log_area = math.log(camera.width * camera.height)
+    extent = np.minimum(LOG_TWO_PI + np.log(of_pair), log_area - math.log(IN_VIEW))
+    ratio = np.log(others.p_seen) + log_area - extent - 0.5 * squared - missed[:, None]
+    ratio = (
+        np.where(squared < gate_threshold(GATE_PROBABILITY), ratio, -np.inf) - np.log(look.strangers)[:, None]
+    )
+    return zip((others.log_prior + missed.sum(axis=1)).tolist(), ratio, strict=True)
+
+
+def _weights(log_known: Array, ratios: list[Array]) -> Array:
+    """Of components, by what is known before the matching and by its log ratios. Sums to one."""
+    bound = log_known + [_at_most(ratio) for ratio in ratios]
+    log_weight, best = np.full(len(bound), -np.inf), -math.inf
+    for c in np.argsort(-bound).tolist():
+        if bound[c] < best - NEGLIGIBLE:
+            break
+        log_weight[c] = log_known[c] + matched(ratios[c]).log_total
+        best = max(best, float(log_weight[c]))
+    weight = np.exp(log_weight - best)
+    return np.asarray(weight / weight.sum())
+
+
+def _turned(pixel: Array, view: ObserverCamera, azimuth: Array) -> Array:
+    """(c, k, 2) px: where what should be at pixel (k, 2) is, if the autopilot's heading is too large by azimuth (c,)
+    rad."""
+    c, s, zero = np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)
+    about = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero + 1.0]]).transpose(2, 0, 1)
+    rays = view.rays(pixel) @ about.swapaxes(1, 2) @ view.team_from_camera.rotation
+    turned, _, ahead = view.camera.project_undistorted(rays.reshape(-1, 3))
+    return np.asarray(np.where(ahead[:, None], turned, OUTSIDE_PX).reshape(*rays.shape[:2], 2))
+
+
+def _in_view(look: Look, here: ReprojectionResiduals, camera: PinholeCamera) -> Array:
+    """(k,) that each is in the image, in a component."""
+    found, predicted = look.found, look.predicted
+    if not len(found.mean):
+        return np.zeros(len(predicted.drone_id))
+    pixel = predicted.pixel + found.mean[0] - here.mean[0]
+    cov = predicted.cov + here.cov[0, 0] - found.cov[0, 0]
+    inside = _inside(pixel, np.sqrt(np.maximum(cov.diagonal(axis1=2, axis2=3), 1.0)), camera)
+    return np.asarray((found.share * inside).sum(axis=0))
+
+
+def _inside(pixel: Array, sigma: Array, camera: PinholeCamera) -> Array:
+    """(…,) that what is at pixel (…, 2), ± sigma (…, 2), is in the image."""
+    low, high = camera.ideal_bounds
+    return np.asarray((_below((high - pixel) / sigma) - _below((low - pixel) / sigma)).prod(axis=-1))
+
+
+def _below(sigmas: Array) -> Array:
+    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * LOGISTIC * sigmas))
+
+
+def _at_most(log_ratio: Array) -> float:
+    """No less than the logarithm of the weight of all matchings: rows, or columns, that share without dispute."""
+    by_rows = np.logaddexp.reduce(log_ratio, axis=1, initial=0.0).sum()
+    by_columns = np.logaddexp.reduce(log_ratio, axis=0, initial=0.0).sum()
+    return float(min(by_rows, by_columns))

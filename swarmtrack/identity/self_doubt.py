@@ -1,0 +1,132 @@
+"""Is this drone's own start or heading wrong? When it is said, and when no more.
+
+One look may deceive: a teammate is hidden, a house stands where nobody should be. So the doubt must last before it is
+said, and its end as well: each of both costs the team an announcement. That the drone may be elsewhere is thought of
+only while there are tracks that nobody explains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from swarmtrack.identity import own_pose
+from swarmtrack.identity.assignment import Assignment
+from swarmtrack.identity.own_pose import Elsewhere
+from swarmtrack.identity.reprojection import STAY_IN_FLIGHT, ObserverCamera, is_vague, reproject
+from swarmtrack.identity.weighing import RIVAL, Weighing
+from swarmtrack.identity.whereabouts import Whereabouts
+from swarmtrack.messages import Announcement, Array, Track, TrackStatus
+
+# The probability that it is wrong: from which on it is said, and below which no more.
+SAID, GONE = 0.8, 0.4
+# s that it must last.
+SAID_S, GONE_S = 0.5, 3.0
+# rad: by so many sigmas, and by so much at least, a heading must be off to be worth a word.
+SIGMAS, LEAST = 2.0, math.radians(6.0)
+# s: a longer pause between two looks breaks a doubt off.
+LONGEST_S = 1.0
+# s between two looks while all tracks have names.
+CALM_S = 0.2
+# s that a place is older than the sight of its drone: beyond, the drone may have moved since it said where it is.
+SUPERSEDED_S = 0.9
+# s likewise while they have not.
+PUZZLED_S = 0.1
+
+
+class SelfDoubt:
+    """Told of every scan."""
+
+    def __init__(self, *, drift_speed: float, stay_s: float) -> None:
+        """As in `reproject`."""
+        self.said = False
+        self.own = own_pose.unknown(0.0)
+        """What is known of the own pose."""
+        self._drift_speed = drift_speed
+        self._stay_s = stay_s
+        self._since = math.nan
+        self._t = -math.inf
+        self._own_pad: Array | None = None
+
+    def look(
+        self,
+        alive: Mapping[int, Track],
+        names: Iterable[Assignment],
+        lost: Iterable[Assignment],
+        *,
+        view: ObserverCamera,
+        whereabouts: Whereabouts,
+        weighing: Weighing,
+    ) -> None:
+        """At the tracks of a scan. names: that they have, lost: of tracks that ended. What counts are drones whose
+        place is not older than the sight of them, and all tracks but those of the others."""
+        held = {name.track_id: name for name in names}
+        sight = {name.drone_id: name.seen.t for name in (*lost, *held.values()) if name.seen is not None}
+        known = (whereabouts.latest(drone) for drone in whereabouts.announced)
+        latest = [place for place in known if not is_vague(place)]
+        places = [place for place in latest if place.t > sight.get(place.drone_id, -math.inf) - SUPERSEDED_S]
+        moved = {place.drone_id for place in latest} - {place.drone_id for place in places}
+        named = {id for id, name in held.items() if name.stated}
+        tracks = [
+            track
+            for track in alive.values()
+            if (track.status is TrackStatus.CONFIRMED or track.probability >= RIVAL)
+            and track.status is not TrackStatus.LOST
+            and not (track.id in held and held[track.id].drone_id in moved)
+        ]
+        t = view.observer.t
+        if self._own_pad is None:
+            self._own_pad = view.observer.position
+        puzzled = any(track.id not in named for track in tracks if track.status is TrackStatus.CONFIRMED)
+        if not puzzled and t - self._t < CALM_S:
+            return
+        if puzzled and t - self._t < PUZZLED_S:
+            return
+        on_pad = whereabouts.on_pad
+        ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
+        others = self._elsewhere(places, view, whereabouts, weighing) if puzzled and places else None
+        self.own = own_pose.weigh(weighing.look(tracks, view, ahead, len(places)), view, others)
+        self._judge(t)
+
+    def forbids(self, name: Assignment, weighing: Weighing) -> bool:
+        """Whether it is given up: who is elsewhere knows nobody by place."""
+        proved = weighing.proofs.of(name.track_id, name.drone_id) is not None
+        return self.said and self.own.turned < 0.5 and not proved
+
+    def _elsewhere(
+        self,
+        places: Sequence[Announcement],
+        view: ObserverCamera,
+        whereabouts: Whereabouts,
+        weighing: Weighing,
+    ) -> Elsewhere:
+        assert self._own_pad is not None
+        age = np.array([abs(view.observer.t - place.t) + place.t_sigma for place in places])
+        stands = [place.drone_id in whereabouts.on_pad for place in places]
+        stay = np.where(stands, self._stay_s, STAY_IN_FLIGHT)
+        start = np.array([np.trace(place.position_cov) for place in places]) / 3.0
+        gone = age / (stay + age) * (self._drift_speed * age) ** 2
+        drones = [place.drone_id for place in places]
+        return own_pose.elsewhere(
+            np.array([place.position for place in places]),
+            np.sqrt(start + gone),
+            weighing.seen(drones),
+            pads=np.array(list(whereabouts.pads.values())).reshape(-1, 3),
+            whose=[drones.index(drone) if drone in drones else -1 for drone in whereabouts.pads],
+            own_pad=self._own_pad,
+        )
+
+    def _judge(self, t: float) -> None:
+        if t - self._t > LONGEST_S:
+            self._since = math.nan
+        self._t = t
+        p = self.own.off_by(max(SIGMAS * self.own.heading_sigma, LEAST))
+        turns = p < GONE if self.said else p > SAID
+        if not turns:
+            self._since = math.nan
+        elif math.isnan(self._since):
+            self._since = t
+        elif t - self._since >= (GONE_S if self.said else SAID_S):
+            self.said, self._since = not self.said, math.nan
