@@ -32,6 +32,7 @@ from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.evaluation.intervals import fraction_interval
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.runtime.filed import SOMEWHERE_M
@@ -49,10 +50,11 @@ RANGE_M, AZIMUTH, ELEVATION = (5.0, 20.0), 0.45, 0.2
 APART_M, APART_RAD = 1.5, 0.03  # of two teammates; nearer, one may hide the other
 HEIGHT_M = 12.0
 WIND_M = 0.1  # RMS per axis, of who holds its place
+CAMERA = PinholeCamera(fx=600.0, fy=600.0, cx=319.5, cy=255.5, width=640, height=512)
 FPS, IMU_HZ = 7.0, 100.0
 SEEN_AS = DetectorParameters(p_detection=0.9, centre_sigma=1.5, clutter_per_frame=0.2)
 CODE_S = 2.0  # after the observer began to look
-SECONDS = 12.0  # of looking, from the beginning of the code
+SECONDS = 10.0  # of looking, from the beginning of the code
 
 
 class Mode(NamedTuple):
@@ -94,6 +96,7 @@ def scenario_of_seed(n: int, mode: Mode, seed: int) -> Scenario:
     announced[OBSERVER] = AnnouncedStart(world.flown(OBSERVER).position(0.0), 0.0, mode.slots_m or 0.3)
     return Scenario(
         world=world,
+        camera=CAMERA,
         fps=FPS,
         imu_rate_hz=IMU_HZ,
         detector=SEEN_AS,

@@ -15,6 +15,8 @@ class AgreedMotions:
 
     def __init__(self) -> None:
         self._motions: list[AgreedMotion] = []
+        self.begun: set[int] = set()
+        """The drones of which anything has been said."""
 
     def agree(self, motion: AgreedMotion) -> None:
         """One more. The same again, as after a restart of whoever tells, counts once."""
@@ -28,6 +30,7 @@ class AgreedMotions:
         for motion in self._motions:
             if t < motion.t[0]:
                 continue
+            self.begun.add(motion.drone_id)
             velocity = np.gradient(motion.displacement, motion.t, axis=0)
             now = [np.interp(t, motion.t, axis) for axis in (*motion.displacement.T, *velocity.T)]
             yield Saying(

@@ -574,7 +574,7 @@ class Identities:
         if self._disputes.needs_proof(drone) and self._weighing.proofs.of(track.id, drone) is None:
             return
         match = matches[drone]
-        if match.probability < self._parameters.probability:
+        if match.probability < self._weighing.sure(drone, self._parameters.probability):
             return
         if track.status is TrackStatus.TENTATIVE:
             self._vouched.add(track.id)

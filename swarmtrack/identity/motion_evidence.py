@@ -73,7 +73,8 @@ class Trust(NamedTuple):
 
 PUBLISHED = Trust(wander=0.03, bandwidth=0.5, white=0.02, clock=0.1, most=MOST)
 REPORTED = Trust(wander=0.15, bandwidth=0.5, white=0.1, clock=0.1, most=math.log(1e3), placed=True)
-CODED = Trust(wander=0.1, bandwidth=1.5, white=0.02, clock=0.1, most=MOST)
+# Two codes of a large team may both be far likelier than a stranger: which of them, only uncut odds tell.
+CODED = Trust(wander=0.1, bandwidth=1.5, white=0.02, clock=0.1, most=5.0 * MOST)
 PLANNED = Trust(wander=0.3, bandwidth=1.0, white=0.02, clock=0.25, most=math.log(1e3))
 
 
@@ -225,7 +226,8 @@ class MotionEvidence:
             )
             self._begun |= {pairs[i]: float(looks.t[i]) for i in starts.tolist()}
         log = self._filters.log[rows]
-        log = np.maximum(log - log.max(axis=1, keepdims=True), -2.0 * MOST)
+        most = np.array([[max(look.saying.trust.most, MOST)] for look in found])
+        log = np.maximum(log - log.max(axis=1, keepdims=True), -2.0 * most)
         self._filters.log[rows] = log
         self._ratio |= dict(zip(pairs, _ratios(log).tolist(), strict=True))
 

@@ -170,6 +170,10 @@ class Weighing:
         proof = max(self.motion(track_id, drone_id) - chance, 0.0)
         return 1.0 / (1.0 + math.exp(-proof) * (1.0 - PLACE_ALONE) / PLACE_ALONE)
 
+    def sure(self, drone_id: int, probability: float) -> float:
+        """How sure a name must be: of a drone that moves as was agreed, as sure as a proof."""
+        return max(probability, PROVED) if drone_id in self._agreed.begun else probability
+
     def disproves(self, track_id: int, drone_id: int) -> bool:
         """Whether motion alone says that a track is not a drone, as surely as it ever proves one."""
         surely = math.log((1.0 - PROVED) / PROVED)

@@ -21,7 +21,7 @@ from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
 
-SILENT_PROBABILITY = 0.999  # of a name, where nothing is on the air
+SILENT_PROBABILITY = 0.99  # of a name, where nothing is on the air
 GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
 
 

@@ -24,7 +24,9 @@ def test_it_says_where_a_drone_is_and_how_fast_while_it_lasts():
     agreed = AgreedMotions()
     agreed.agree(motion())
     assert list(agreed.at(9.9)) == []
+    assert not agreed.begun
     (said,) = agreed.at(11.0)
+    assert agreed.begun == {2}
     assert (said.drone_id, said.t, said.trust) == (2, 11.0, CODED)
     assert said.displacement == pytest.approx([0.0, 2.0, 0.5 * np.sin(1.0)], abs=1e-3)
     assert said.velocity == pytest.approx([0.0, 2.0, 0.5 * np.cos(1.0)], abs=1e-3)
@@ -53,24 +55,27 @@ def test_times_that_do_not_increase_are_refused():
         AgreedMotion(2, np.zeros(2), np.zeros((2, 3)), planned=False)
 
 
-def test_drones_that_start_somewhere_are_known_by_how_they_sway_and_by_nothing_else():
-    """Drone 2 is the left one and drone 3 the right one; all that is known of them is how each sways."""
-    watching = Observer(probability=0.999)
-    begin, team = 1.0, (2, 3)
+@pytest.mark.parametrize("team", [(2, 3), tuple(range(1, 11))], ids=["two", "neighbours among ten"])
+def test_drones_that_start_somewhere_are_known_by_how_they_sway_and_by_nothing_else(team):
+    """The left one is drone 2 and the right one drone 3; all that is known of them is how each of the team sways."""
+    watching = Observer(probability=0.99)
+    begin, metres = 1.0, 4.0
     for drone_id in team:
         watching.identities.announce(
             filed_announcement(drone_id, 0.0, position=np.zeros(3), yaw=0.0, sigma=SOMEWHERE_M)
         )
         watching.identities.agree(coded_motion(drone_id, team, begin))
-    size = (430.0 * SPAN / 8.0,) * 2
+    size = (430.0 * SPAN / metres,) * 2
     watching.sizes = {"a": size, "b": size}
 
     def seen(pixel, drone_id):
-        place = at(pixel) + sway(drone_id, team, watching.t + SCAN_S - begin)[0]
+        place = at(pixel, metres) + sway(drone_id, team, watching.t + SCAN_S - begin)[0]
         return (320.0 + 430.0 * place[1] / place[0], 240.0 + 430.0 * place[2] / place[0])
 
     while watching.t < begin:
         assert watching.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": None, "b": None}
     while watching.t < begin + 7.5:
         names = watching.sees(SCAN_S, a=seen(LEFT, 2), b=seen(RIGHT, 3))
+        assert names["a"] in (None, 2)
+        assert names["b"] in (None, 3)
     assert names == {"a": 2, "b": 3}
