@@ -117,7 +117,7 @@ class _Drone:
 class VirtualSwarm:
     """`fly` yields every scan of every drone, in the order of their exposure.
 
-    share_hz: how often each tells how it moves; 0: never.
+    share_hz: how often each tells how it moves; None: as the scenario says.
 
     eyes: what finds drones in frames, `oracle_eyes` by default. camera_clocks_told: every drone knows by
     how much its camera's stamps are late, and does not estimate it. observers: the members that perceive, all by
@@ -132,7 +132,7 @@ class VirtualSwarm:
         identity: IdentityParameters | None = None,
         eyes: Eyes | None = None,
         camera_clocks_told: bool = False,
-        share_hz: float = 0.0,
+        share_hz: float | None = None,
         observers: Collection[int] | None = None,
         mistakes: Mapping[int, Mistake] | None = None,
     ) -> None:
@@ -144,7 +144,7 @@ class VirtualSwarm:
         self._tracker = tracker
         self._eyes = eyes or oracle_eyes(scenario)
         self._camera_clocks_told = camera_clocks_told
-        self._share_hz = share_hz
+        self._share_hz = share_hz or scenario.share_hz or 0.0
         self._mistakes = mistakes or {}
         self._drones = {drone_id: self._make(drone_id) for drone_id in observers or scenario.members}
 

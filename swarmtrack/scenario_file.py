@@ -107,6 +107,9 @@ class AgentsSection(Section):
         default=0.05, description="standard deviation of the measured starts, m per axis"
     )
     announce: Switch = Field(default=True, description="false: they tell each other nothing")
+    share_hz: Annotated[Number, Field(ge=2.0, le=10.0)] | None = Field(
+        default=None, description="how often they tell how they move; never unless told"
+    )
     late: Annotated[int, Strict(), Field(ge=0)] = Field(
         default=0, description="how many agents start late: those with the highest IDs"
     )
@@ -578,6 +581,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
             if drone_id not in strangers
         },
         announces=agents.announce,
+        share_hz=agents.share_hz,
         codes_s=file.codes_s,
         strangers=strangers,
         starts_s=starts,

@@ -60,9 +60,14 @@ def write_configs(
     epoch_utc: world time 0, s since 1970.
     """
     text = _team_file(scenario, team, tracker, simulator)
+    shared = []
     if origin is not None:
         place = f"lat_deg = {origin.lat_deg!r}, lon_deg = {origin.lon_deg!r}, alt_m = {origin.alt_m!r}"
-        text += f"\n[team]\norigin = {{ {place} }}\n"
+        shared.append(f"origin = {{ {place} }}")
+    if scenario.share_hz is not None:
+        shared += ['share = "velocity"', f"share_hz = {scenario.share_hz:g}"]
+    if shared:
+        text += "\n".join(["", "[team]", *shared, ""])
     if not scenario.announces:
         text += _silent_team(scenario, epoch_utc)
     if recordings is not None:

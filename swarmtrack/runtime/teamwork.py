@@ -179,11 +179,13 @@ class Teamwork:
         """Until cancelled, where that is asked for: how this drone moves, as soon as its autopilot knows."""
         if self._share_hz is None:
             return
+        said_t = -math.inf
         for sequence in itertools.count():
             await asyncio.sleep(1.0 / self._share_hz)
             report, now = self._perceived.motion_report(self._boot, sequence), self._clock.now()
-            if report is None:
+            if report is None or report.t <= said_t:
                 continue
+            said_t = report.t
             try:
                 payload = codec.encode(motion_message(report, self._clock.utc() - now, now))
             except ValueError:

@@ -149,8 +149,9 @@ class Scenario:
     autopilot's clock runs (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. camera_offset_s:
     by how much its camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an
     ArduPilot that was switched on at world time 0. announces: whether the drones tell each other anything; where they
-    do not, all know `announced` from a file, and codes_s is when all sway by their codes [s]. ghosts are for detectors
-    that are not shown pictures; the pictures have houses, poles and trees.
+    do not, all know `announced` from a file, and codes_s is when all sway by their codes [s]. share_hz: how often they
+    tell how they move; None: never. ghosts are for detectors that are not shown pictures; the pictures have houses,
+    poles and trees.
     """
 
     world: World
@@ -166,6 +167,7 @@ class Scenario:
     detector: DetectorParameters = field(default_factory=DetectorParameters)
     announced: Mapping[int, AnnouncedStart] = field(default_factory=dict)
     announces: bool = True
+    share_hz: float | None = None
     codes_s: tuple[float, ...] = ()
     strangers: frozenset[int] = frozenset()
     starts_s: Mapping[int, float] = field(default_factory=dict)

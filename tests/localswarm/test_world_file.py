@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,24 @@ def test_the_agents_configs_are_those_of_the_world(tmp_path):
     assert second.drone.start.source == "local"
     assert second.drone.start.offset_m == (0.0, 6.0, 0.0)
     assert first.camera.max_age_s == 0.3
+
+
+def test_a_team_that_shares_its_motion_is_told_so_beside_its_origin(tmp_path):
+    world = load_world(written(tmp_path))
+    sources = {
+        n: Sources(f"http://127.0.0.1:9/{n}", one.link, start=one.start) for n, one in world.outsiders.items()
+    }
+    files = write_configs(
+        tmp_path,
+        replace(world.scenario, share_hz=4.0),
+        team="blue",
+        tracker="mbm",
+        sources=sources,
+        simulator="…",
+        origin=world.origin,
+    )
+    team = load_config(files[1]).team
+    assert (team.share, team.share_hz, team.origin) == ("velocity", 4.0, world.origin)
 
 
 @pytest.mark.parametrize(
