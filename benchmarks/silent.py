@@ -33,10 +33,8 @@ from swarmtrack.evaluation.intervals import fraction_interval
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.runtime.filed import SOMEWHERE_M
-from swarmtrack.runtime.perception import SILENT_PROBABILITY
 from swarmtrack.simulation.scenarios import AnnouncedStart, Plan, Scenario, announced_starts, fly
 from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.trajectory import SteadyYaw
@@ -127,12 +125,7 @@ def _apart(one: Array, other: Array) -> bool:
 def look(n: int, mode: Mode, tracker: str, seed: int) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight."""
     scenario = scenario_of_seed(n, mode, seed)
-    swarm = VirtualSwarm(
-        scenario,
-        tracker=tracker,
-        identity=IdentityParameters(probability=SILENT_PROBABILITY),
-        observers=[OBSERVER],
-    )
+    swarm = VirtualSwarm(scenario, tracker=tracker, observers=[OBSERVER])
     judge = _Judge(scenario)
     begins = CODE_S if mode.code else 0.0
     for scan in swarm.fly(begins + SECONDS):

@@ -21,7 +21,6 @@ from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
 
-SILENT_PROBABILITY = 0.99  # of a name, where nothing is on the air
 GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
 
 
@@ -45,14 +44,9 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
             bias=(x, y, z),
         ),
         ego=make_ego_history(config, start, history_s=motion.history_s),
-        identity=IdentityParameters(**(_silence(config) | config.identity.parameters)),
+        identity=IdentityParameters(**config.identity.parameters),
         estimate_gyro_bias=motion.estimate_gyro_bias,
     )
-
-
-def _silence(config: DroneConfig) -> dict[str, float]:
-    """Where nobody can be asked, a name must be surer: every scan is another chance to be wrong."""
-    return {} if config.team.announce else {"probability": SILENT_PROBABILITY}
 
 
 def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: float) -> EgoHistory:
