@@ -167,23 +167,22 @@ def elsewhere(
 def shifted(
     found: ReprojectionResiduals, predicted: Predictions, view: ObserverCamera, own: OwnPose
 ) -> list[ReprojectionResiduals]:
-    """The residuals in each component. What no heading turns stays what it is."""
+    """The residuals in each component, of those without the heading's variance. What no heading turns stays what it
+    is."""
     of = own.components
     pixel = _turned(predicted.pixel, view, of.azimuth)
     shift = np.where(np.any(predicted.turn, axis=1, keepdims=True), pixel - predicted.pixel, 0.0)
     turn = predicted.turn[:, :, None] * predicted.turn[:, None, :]
-    # What is left of the heading's variance.
-    left = of.sigma**2 - float(view.observer.attitude_cov[2, 2])
     return [
-        ReprojectionResiduals(found.mean - by, found.cov + variance * turn, found.share)
-        for by, variance in zip(shift, left.tolist(), strict=True)
+        ReprojectionResiduals(found.mean - by, found.cov + sigma**2 * turn, found.share)
+        for by, sigma in zip(shift, of.sigma.tolist(), strict=True)
     ]
 
 
 class Look(NamedTuple):
     """What one scan shows: n confirmed tracks at z (n, 2) ± variance (n,) px, and where all k teammates ahead should
-    be. announced: how many teammates there are in all; p_seen (k,): that one in view has a track; strangers (n,):
-    expected in the image."""
+    be, without the heading's variance. announced: how many teammates there are in all; p_seen (k,): that one in view
+    has a track; strangers (n,): expected in the image."""
 
     z: Array
     variance: Array

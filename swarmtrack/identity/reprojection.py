@@ -67,6 +67,11 @@ class Predictions(NamedTuple):
         variance = np.minimum(np.trace(self.cov, axis1=2, axis2=3) / 2.0, WIDE_PX**2)
         return np.asarray((self.share * variance).sum(axis=0))
 
+    def without_heading(self, view: ObserverCamera) -> Predictions:
+        """The same for an observer that knows its heading: what its variance adds is taken off."""
+        outer = self.turn[:, :, None] * self.turn[:, None, :]
+        return self._replace(cov=self.cov - float(view.observer.attitude_cov[2, 2]) * outer)
+
     def only(self, columns: Sequence[int]) -> Predictions:
         """Those of these columns."""
         return Predictions(

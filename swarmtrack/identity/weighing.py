@@ -95,6 +95,7 @@ class Weighing:
         teammates whose place is known those ahead, whatever has their names."""
         mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
         cov = _of_bodies(tracks)
+        predicted = predicted.without_heading(view)
         return Look(
             mean[:, ::2],
             0.5 * (cov[:, 0, 0] + cov[:, 2, 2]),
@@ -138,7 +139,7 @@ class Weighing:
         """(c + 1, n, k) by likely component of the own pose, −inf outside every gate; in the last the observer may be
         anywhere, and only motion speaks, and where drones were seen. Averages over the scans in which it was asked of
         the same pair."""
-        found = _residuals(tracks, predicted)
+        found = _residuals(tracks, predicted.without_heading(view))
         self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
         of_each = shifted(self._evidence.residuals, predicted, view, own)
         # What does not depend on the own pose is as good as ever for who is lost.

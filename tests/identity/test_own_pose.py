@@ -116,3 +116,13 @@ def test_alone_under_the_sky_nothing_is_known_of_the_own_pose():
     alone = Observer()
     alone.sees(5.0, a=MIDDLE, b=LEFT)
     assert not alone.identities.self_doubt
+
+
+def test_an_observer_whose_heading_is_lost_has_no_variance_below_zero():
+    """Residuals are averaged: what the heading adds to them in one scan is not to be taken off in another."""
+    unsure = Observer(probability=0.99)
+    unsure.hears(2, LEFT)
+    with np.errstate(invalid="raise"):
+        unsure.sees(0.5, a=LEFT)
+        unsure.attitude_sigma = 0.3
+        assert unsure.sees(0.5, a=LEFT) == {"a": None}

@@ -38,6 +38,7 @@ class Observer:
         )
         self.t = 0.0
         self.attitude = np.eye(3)
+        self.attitude_sigma = 0.01
         self.tracks = []
         self.coasting = {}
         self.wanted = []
@@ -70,7 +71,13 @@ class Observer:
             self.tracks = [self._track(name, pixel, name in tentative) for name, pixel in tracks.items()]
             self.identities.observe(
                 self.tracks,
-                TeamPose(self.t, np.zeros(3), self.attitude, 0.05**2 * np.eye(3), 0.01**2 * np.eye(3)),
+                TeamPose(
+                    self.t,
+                    np.zeros(3),
+                    self.attitude,
+                    0.05**2 * np.eye(3),
+                    self.attitude_sigma**2 * np.eye(3),
+                ),
             )
             self.wanted += [(self.t, drone) for drone in self.identities.take_wanted()]
         return self.names()
