@@ -54,6 +54,9 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 Angle = Annotated[Positive, Field(le=180.0)]
 FRD_FROM = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
 
+# m: of a start of which nobody wrote how well it was measured.
+UNWRITTEN_SIGMA_M = 1.0
+
 
 class Start(Section):
     """Where the drone stands in the team frame when it announces itself: measured, or from its own autopilot."""
@@ -65,9 +68,9 @@ class Start(Section):
         default=0.0, description="heading of the nose, clockwise from the team frame's north"
     )
     position_sigma_m: Positive = Field(
-        default=0.1,
-        description='standard deviation of the start position, m per axis; with from = "gps" it replaces the '
-        "receiver's own",
+        default=UNWRITTEN_SIGMA_M,
+        description="standard deviation of the start position, m per axis: 0.1 by a tape, 0.3 on a marked pad; "
+        'unwritten it is unknown, a metre; with from = "gps" it replaces the receiver\'s own',
     )
     source: Literal["local", "gps"] | None = Field(
         default=None,
@@ -96,6 +99,11 @@ class Start(Section):
     def stated_sigma_m(self) -> float | None:
         """`position_sigma_m` where the user wrote it."""
         return self.position_sigma_m if "position_sigma_m" in self.model_fields_set else None
+
+    @property
+    def has_unknown_sigma(self) -> bool:
+        """Whether nobody wrote how well a measured start is known; a receiver says so itself."""
+        return self.source != "gps" and self.stated_sigma_m is None
 
     @property
     def frame_sigma_m(self) -> float:

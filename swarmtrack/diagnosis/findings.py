@@ -191,6 +191,11 @@ FAULTS: dict[str, Fault] = {
         "no autopilot is configured: the camera is assumed not to turn",
         "set autopilot.link, unless the camera is on a tripod or the images come from a recording",
     ),
+    "pose.unmeasured": Fault(
+        W,
+        "drone.start.position_sigma_m is not written: the start is taken as known to ± {sigma_m:g} m",
+        "write drone.start.position_sigma_m: 0.1 by a tape, 0.3 on a marked pad; nearer teammates stay unknown",
+    ),
     "autopilot.slow": Fault(
         W,
         "{got_hz:.0f} gyro samples per second, {asked_hz:g} requested",

@@ -107,21 +107,26 @@ class ImuFacts:
 @dataclass(frozen=True, slots=True)
 class PoseFacts:
     """How well the autopilot knows its pose. Headings in degrees, as the config says; position_sigma [m] north and east
-    and vertical_sigma [m] down of its last pose, None where no position came."""
+    and vertical_sigma [m] down of its last pose, None where no position came. unmeasured_m: the sigma that a start is
+    given of which the config does not say how well it is known, None where it does."""
 
     heading_ground_deg: float
     heading_flight_deg: float
     position_sigma: float | None = None
     vertical_sigma: float | None = None
+    unmeasured_m: float | None = None
 
 
 def check_pose(facts: PoseFacts) -> list[Finding]:
-    """Nothing to mend, but what names depend on."""
+    """What names depend on."""
     words = f"heading taken as ±{facts.heading_ground_deg:g}° on the ground, ±{facts.heading_flight_deg:g}° in flight"
     if facts.position_sigma is not None:
         vertical = facts.position_sigma if facts.vertical_sigma is None else facts.vertical_sigma
         words += f"; position ±{facts.position_sigma:.2g} m, height ±{vertical:.2g} m"
-    return [ok("pose", f"{words} (autopilot.heading_sigma_deg, drone.start)")]
+    known = ok("pose", f"{words} (autopilot.heading_sigma_deg, drone.start)")
+    if facts.unmeasured_m is None:
+        return [known]
+    return [known, fault("pose.unmeasured", sigma_m=facts.unmeasured_m)]
 
 
 def check_camera(facts: CameraFacts) -> list[Finding]:

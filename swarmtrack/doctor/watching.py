@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -175,9 +175,15 @@ class SensorWatch:
     def _pose_facts(self) -> PoseFacts:
         heading = self._config.autopilot.heading_sigma_deg
         last = next((pose for pose in reversed(self.heard.poses) if pose.position is not None), None)
+        start = self._config.drone.start
+        known = PoseFacts(
+            heading.ground,
+            heading.flight,
+            unmeasured_m=start.position_sigma_m if start.has_unknown_sigma else None,
+        )
         if last is None:
-            return PoseFacts(heading.ground, heading.flight)
-        return PoseFacts(heading.ground, heading.flight, last.position_sigma, last.vertical_sigma)
+            return known
+        return replace(known, position_sigma=last.position_sigma, vertical_sigma=last.vertical_sigma)
 
     def _compared(self) -> MotionFacts:
         """Image against gyro."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import DroneConfig, load_config
+from swarmtrack.diagnosis.findings import fault
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.outputs import check_outputs
 from swarmtrack.sensors.camera_address import parse_address as camera_address
@@ -50,6 +51,10 @@ def check(path: Path) -> None:
         print(f"agreed     {_agreed(config)}")
     if not config.team.announce:
         print("silent     nothing is told to the team, and nothing asked")
+    start = config.drone.start
+    if start.has_unknown_sigma:
+        finding = fault("pose.unmeasured", sigma_m=start.position_sigma_m)
+        print(f"warning: {finding.found}: {finding.remedy}")
     for word in config.autopilot.tell:
         if word in DANGERS:
             print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")

@@ -143,6 +143,7 @@ PRODUCED = {
     "autopilot.no_position": lambda: autopilot("x: streaming: IMU, but no position: no fix", ok=False),
     "autopilot.broken": lambda: autopilot("x: searching: something else", ok=False),
     "autopilot.none": lambda: check_autopilot(AutopilotFacts(8.0, wanted=False)),
+    "pose.unmeasured": lambda: check_pose(PoseFacts(3.0, 1.5, unmeasured_m=1.0))[1:],
     "autopilot.slow": lambda: autopilot(imu_rate_hz=100.0),
     "autopilot.too_slow": lambda: autopilot(imu_rate_hz=20.0),
     "autopilot.losing": lambda: autopilot(imu_lost=100),
@@ -418,3 +419,10 @@ def test_how_well_the_pose_is_known_is_said(sigmas, words):
     (finding,) = check_pose(PoseFacts(3.0, 1.5, *sigmas))
     assert finding.level is Level.OK
     assert words in finding.found
+
+
+def test_a_start_of_which_nobody_wrote_how_well_it_is_known_is_warned_of():
+    _, finding = check_pose(PoseFacts(3.0, 1.5, unmeasured_m=1.0))
+    assert finding.level is Level.WARNING
+    assert finding.found.startswith("drone.start.position_sigma_m is not written")
+    assert "± 1 m" in finding.found
