@@ -13,12 +13,12 @@ from swarmtrack.messages import Announcement
 from swarmtrack.wire.checks import check_covariances, check_unit, symmetric, upper_triangle
 from swarmtrack.wire.fields import (
     SIGNATURE_BYTES,
-    VERSION,
     Moment,
     PeerMessage,
     Position,
     Quaternion,
     Seconds,
+    peer_fields,
 )
 
 
@@ -43,12 +43,7 @@ def announcement_message(announcement: Announcement, utc_offset: float, now: flo
     if not is_rotation(a.world_from_body):
         raise ValueError("announcement: world_from_body is no rotation")
     return AnnouncementMessage(
-        version=VERSION,
-        drone_id=a.drone_id,
-        boot=a.boot,
-        sequence=a.sequence,
-        t_utc_s=float(a.t + utc_offset),
-        t_sigma_s=float(a.t_sigma),
+        *peer_fields(a.drone_id, a, utc_offset),
         position_m=tuple(a.position.tolist()),
         quaternion_wxyz=tuple(to_quaternion(a.world_from_body).tolist()),
         position_cov_m2=upper_triangle(a.position_cov),

@@ -5,7 +5,7 @@ The bounds are not physics, they only keep later arithmetic far from overflow.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Protocol
 
 import msgspec
 from msgspec import Meta
@@ -72,3 +72,23 @@ class PeerMessage(Record, frozen=True):
     sequence: Sequence
     t_utc_s: UtcSeconds
     t_sigma_s: Seconds
+
+
+class Said(Protocol):
+    """What a drone says of an instant, as all such messages of ours do."""
+
+    @property
+    def boot(self) -> str: ...
+    @property
+    def sequence(self) -> int: ...
+    @property
+    def t(self) -> float: ...
+    @property
+    def t_sigma(self) -> float: ...
+
+
+def peer_fields(
+    drone_id: int, said: Said, utc_offset: float
+) -> tuple[Literal[1], int, str, int, float, float]:
+    """The fields of `PeerMessage` for what we say ourselves."""
+    return VERSION, drone_id, said.boot, said.sequence, float(said.t + utc_offset), float(said.t_sigma)

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from swarmtrack.messages import MotionReport
 from swarmtrack.wire.checks import check_covariances, symmetric, upper_triangle
-from swarmtrack.wire.fields import VERSION, Moment, PeerMessage, Position, Seconds, Velocity
+from swarmtrack.wire.fields import Moment, PeerMessage, Position, Seconds, Velocity, peer_fields
 
 Upper3 = Annotated[tuple[Moment, ...], Meta(min_length=6, max_length=6)]
 
@@ -33,12 +33,7 @@ def motion_message(report: MotionReport, utc_offset: float, now: float) -> Motio
     """Ours as it goes on the wire at `now`."""
     r = report
     return MotionMessage(
-        version=VERSION,
-        drone_id=r.drone_id,
-        boot=r.boot,
-        sequence=r.sequence,
-        t_utc_s=float(r.t + utc_offset),
-        t_sigma_s=float(r.t_sigma),
+        *peer_fields(r.drone_id, r, utc_offset),
         age_s=max(0.0, float(now - r.t)),
         displacement_m=tuple(r.displacement.tolist()),
         displacement_cov_m2=upper_triangle(r.displacement_cov),

@@ -13,7 +13,6 @@ from swarmtrack.wire.checks import DecodeError, check_unit
 from swarmtrack.wire.fields import (
     MAX_KNOWN,
     MAX_SIGHTINGS,
-    VERSION,
     Direction,
     DroneId,
     Length,
@@ -22,6 +21,7 @@ from swarmtrack.wire.fields import (
     Probability,
     Record,
     Seconds,
+    peer_fields,
 )
 
 
@@ -53,12 +53,7 @@ def sightings_message(report: SightingReport, utc_offset: float, now: float) -> 
     """Ours as it goes on the wire at `now`."""
     r = report
     return SightingsMessage(
-        version=VERSION,
-        drone_id=r.observer,
-        boot=r.boot,
-        sequence=r.sequence,
-        t_utc_s=float(r.t + utc_offset),
-        t_sigma_s=float(r.t_sigma),
+        *peer_fields(r.observer, r, utc_offset),
         age_s=max(0.0, float(now - r.t)),
         position_m=tuple(r.position.tolist()),
         position_sigma_m=float(r.position_sigma),
