@@ -571,6 +571,8 @@ class Identities:
         drone = max(matches, key=lambda drone: matches[drone].probability, default=None)
         if drone is None or drone in self._disputes:
             return
+        if is_vague(self._announced[drone]) and not self._weighing.tells_motion(drone):
+            return
         if self._disputes.needs_proof(drone) and self._weighing.proofs.of(track.id, drone) is None:
             return
         match = matches[drone]

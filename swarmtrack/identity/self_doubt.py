@@ -88,7 +88,11 @@ class SelfDoubt:
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
         others = self._elsewhere(places, view, whereabouts, weighing) if puzzled and places else None
         self.own = own_pose.weigh(weighing.look(tracks, view, ahead, len(places)), view, others)
-        self._judge(t)
+        # While nobody is left to compare with, a doubt neither grows nor goes.
+        if latest and alive:
+            self._judge(t)
+        else:
+            self._t, self._since = t, math.nan
 
     def forbids(self, name: Assignment, weighing: Weighing) -> bool:
         """Whether it is given up: who is elsewhere knows nobody by place."""

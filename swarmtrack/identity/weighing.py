@@ -30,8 +30,6 @@ RIVAL = 0.5
 LEAST_EXISTENCE = 1e-6
 # However well a place fits: as often is a start not what was said, or another drone's. Only motion proves a name.
 PLACE_ALONE = 0.97
-# Log odds by motion that a chance likeness reaches, where drones tell no more than places.
-CHANCE = math.log(30.0)
 # Of a probability, from zero or one: what is further from both is not known yet.
 DOUBT = 0.05
 
@@ -165,10 +163,14 @@ class Weighing:
                 ratios[i, j] += self.motion(track.id, drone)
         return np.asarray(every + ratios)
 
+    def tells_motion(self, drone_id: int) -> bool:
+        """Whether it is known how the drone moves, and not only where it is once in a while."""
+        return drone_id in self._motion.exact
+
     def trust(self, track_id: int, drone_id: int) -> float:
-        """The highest probability that may be stated: that of a place, until motion says more than chance does."""
-        chance = 0.0 if drone_id in self._motion.exact else CHANCE
-        proof = max(self.motion(track_id, drone_id) - chance, 0.0)
+        """The highest probability that may be stated: that of a place, until the drone says how it moves and motion
+        speaks for it."""
+        proof = max(self.motion(track_id, drone_id), 0.0) if self.tells_motion(drone_id) else 0.0
         return 1.0 / (1.0 + math.exp(-proof) * (1.0 - PLACE_ALONE) / PLACE_ALONE)
 
     def sure(self, drone_id: int, probability: float) -> float:

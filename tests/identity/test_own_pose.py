@@ -126,3 +126,12 @@ def test_an_observer_whose_heading_is_lost_has_no_variance_below_zero():
         unsure.sees(0.5, a=LEFT)
         unsure.attitude_sigma = 0.3
         assert unsure.sees(0.5, a=LEFT) == {"a": None}
+
+
+def test_a_doubt_does_not_end_because_nobody_is_left_to_compare_with(observer):
+    observer.sees(1.0, a=nearer(LEFT), b=nearer(RIGHT))
+    assert observer.identities.self_doubt
+    for drone_id in (2, 3):
+        observer.identities.announce(nowhere(drone_id, 2, 1000.0))
+    observer.sees(6.0, a=nearer(LEFT), b=nearer(RIGHT))
+    assert observer.identities.self_doubt
