@@ -535,15 +535,21 @@ def _formation_ids(file: ScenarioFile, team: int) -> list[int]:
     return list(itertools.islice(free, team - sum(not drone.stranger for drone in file.drone)))
 
 
+def _autopilots(file: ScenarioFile, members: Sequence[int], ids: Sequence[int]) -> dict[int, AutopilotKind]:
+    """By drone. ids: of those that the formation makes."""
+    autopilots = dict.fromkeys(members, AutopilotKind.ARDUPILOT)
+    autopilots |= {drone.id: drone.autopilot for drone in file.drone}
+    if file.formation is not None and file.formation.autopilots:
+        autopilots |= zip(ids, itertools.cycle(file.formation.autopilots), strict=False)
+    return autopilots
+
+
 def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> Scenario:
     ids = _formation_ids(file, _team_size(file, drones)) if file.formation is not None else []
     members = sorted([*ids, *(drone.id for drone in file.drone if not drone.stranger)])
     agents = file.agents
     starts = dict.fromkeys(members[len(members) - agents.late :], agents.late_by_s) if agents.late else {}
-    autopilots = dict.fromkeys(members, AutopilotKind.ARDUPILOT)
-    autopilots |= {drone.id: drone.autopilot for drone in file.drone}
-    if file.formation is not None and file.formation.autopilots:
-        autopilots |= zip(ids, itertools.cycle(file.formation.autopilots), strict=False)
+    autopilots = _autopilots(file, members, ids)
     plans = {drone.id: drone.plan(file.hover_s + starts.get(drone.id, 0.0)) for drone in file.drone}
     if file.formation is not None and file.formation.errand is None:
         plans |= form_up(
