@@ -16,6 +16,8 @@ class Wiring(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
+# m: of a start that was measured by a tape; the config says so, and can be corrected.
+TAPE_SIGMA_M = 0.1
 UART = "serial:/dev/ttyAMA0:921600"
 USB = "serial:/dev/ttyACM0:921600"
 PX4_UART = "PX4, once: MAV_1_CONFIG = TELEM 2, MAV_1_MODE = Onboard, SER_TEL2_BAUD = 921600"
@@ -107,12 +109,15 @@ def wiring(text: str) -> Wiring:
 def start(text: str) -> str:
     """The value of drone.start."""
     words = text.split()
-    if words in (["gps"], ["local"]):
-        return f'{{ from = "{words[0]}" }}'
+    if words == ["gps"]:
+        return '{ from = "gps" }'  # the receiver knows how good it is
+    if words == ["local"]:
+        return f'{{ from = "local", position_sigma_m = {TAPE_SIGMA_M} }}'
     try:
         numbers = [float(word) for word in words]
     except ValueError:
         numbers = []
     if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
         raise ValueError(f"found {text}, expected NORTH EAST DOWN YAW, gps or local")
-    return f"{{ position_m = [{', '.join(map(str, numbers[:3]))}], yaw_deg = {numbers[3]} }}"
+    place = ", ".join(map(str, numbers[:3]))
+    return f"{{ position_m = [{place}], yaw_deg = {numbers[3]}, position_sigma_m = {TAPE_SIGMA_M} }}"

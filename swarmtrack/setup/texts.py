@@ -11,8 +11,11 @@ from typing import NamedTuple
 NOBODY: Mapping[int, str] = MappingProxyType({})
 BY_TAPE = """\
 # Where it stands when its agent starts: [north, east, down] in the team frame (up is negative), the nose clockwise from
-# north. With from = "local" or "gps" instead, the agent may restart in the air."""
-BY_AUTOPILOT = "# The autopilot knows where the drone is, also after a restart in the air."
+# north. position_sigma_m: 0.1 by a tape, 0.3 on a marked pad, 1 paced out. With from = "local" or "gps" instead, the
+# agent may restart in the air."""
+BY_AUTOPILOT = """\
+# The autopilot knows where the drone is, also after a restart in the air. position_sigma_m is how well its local origin
+# is measured; GPS says that itself."""
 MOUNT = """
 # Where the camera sits: zero angles look along the nose, upright; pitch 20 looks 20 degrees up, yaw 90 to the right.
 # position_m is [forward, right, down] from the autopilot.
