@@ -237,7 +237,11 @@ class Identities:
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
         """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
         settled = [held for held in self._assignments.values() if held.standing is Standing.SETTLED]
-        return [(held.seen, held.probability) for held in settled if held.seen and held.seen.t == t]
+        return [
+            (held.seen, held.probability * self._alive[held.track_id].probability)
+            for held in settled
+            if held.seen and held.seen.t == t
+        ]
 
     def take_vouched(self) -> tuple[int, ...]:
         """The tracks that are a teammate although they look weak; each is returned once."""

@@ -179,7 +179,7 @@ def shifted(
     ]
 
 
-class Look(NamedTuple):
+class ScanEvidence(NamedTuple):
     """What one scan shows: n confirmed tracks at z (n, 2) ± variance (n,) px, and where all k teammates ahead should
     be, without the heading's variance. announced: how many teammates there are in all; p_seen (k,): that one in view
     has a track; strangers (n,): expected in the image."""
@@ -193,7 +193,7 @@ class Look(NamedTuple):
     strangers: Array
 
 
-def weigh(look: Look, view: ObserverCamera, others: Elsewhere | None = None) -> OwnPose:
+def weigh(look: ScanEvidence, view: ObserverCamera, others: Elsewhere | None = None) -> OwnPose:
     """What one scan tells of the own pose. others: None, where there is no reason to think of them."""
     sigma = math.sqrt(float(view.observer.attitude_cov[2, 2]))
     of = components(sigma)
@@ -217,7 +217,7 @@ def weigh(look: Look, view: ObserverCamera, others: Elsewhere | None = None) -> 
     return OwnPose(sigma, of, weight[:c], float(weight[c + 1 :].sum()), float(weight[c]))
 
 
-def _of_others(look: Look, view: ObserverCamera, others: Elsewhere) -> Iterator[tuple[float, Array]]:
+def _of_others(look: ScanEvidence, view: ObserverCamera, others: Elsewhere) -> Iterator[tuple[float, Array]]:
     """Of each: the logarithm of what is known before the matching, and the log ratios (n, m)."""
     camera, observer = view.camera, view.observer
     from_here = others.places - (view.team_from_camera.position + others.shift)[:, None]
@@ -263,7 +263,7 @@ def _turned(pixel: Array, view: ObserverCamera, azimuth: Array) -> Array:
     return np.asarray(np.where(ahead[:, None], turned, OUTSIDE_PX).reshape(*rays.shape[:2], 2))
 
 
-def _in_view(look: Look, here: ReprojectionResiduals, camera: PinholeCamera) -> Array:
+def _in_view(look: ScanEvidence, here: ReprojectionResiduals, camera: PinholeCamera) -> Array:
     """(k,) that each is in the image, in a component."""
     found, predicted = look.found, look.predicted
     if not len(found.mean):

@@ -14,7 +14,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreed import AgreedMotions
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
-from swarmtrack.identity.own_pose import Look, OwnPose, shifted
+from swarmtrack.identity.own_pose import ScanEvidence, OwnPose, shifted
 from swarmtrack.identity.posterior import LOG_ANYWHERE, PRIOR, ReprojectionResiduals, log_ratios, residuals
 from swarmtrack.identity.proof import PROVED, Proofs
 from swarmtrack.identity.reprojection import ASTRAY, ObserverCamera, Predictions, anywhere
@@ -88,13 +88,13 @@ class Weighing:
 
     def look(
         self, tracks: Sequence[Track], view: ObserverCamera, predicted: Predictions, announced: int
-    ) -> Look:
+    ) -> ScanEvidence:
         """What a scan tells of the observer's own pose. tracks: those that are confirmed; predicted: of all `announced`
         teammates whose place is known those ahead, whatever has their names."""
         mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
         cov = _of_bodies(tracks)
         predicted = predicted.without_heading(view)
-        return Look(
+        return ScanEvidence(
             mean[:, ::2],
             0.5 * (cov[:, 0, 0] + cov[:, 2, 2]),
             residuals(mean, cov, predicted),
