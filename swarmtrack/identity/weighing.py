@@ -14,7 +14,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreed import AgreedMotions
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
-from swarmtrack.identity.own_pose import ScanEvidence, OwnPose, shifted
+from swarmtrack.identity.own_pose import OwnPose, ScanEvidence, shifted
 from swarmtrack.identity.posterior import LOG_ANYWHERE, PRIOR, ReprojectionResiduals, log_ratios, residuals
 from swarmtrack.identity.proof import PROVED, Proofs
 from swarmtrack.identity.reprojection import ASTRAY, ObserverCamera, Predictions, anywhere
