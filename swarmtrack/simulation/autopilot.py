@@ -24,7 +24,7 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.simulation.channel import Channel, MavlinkAddress, SteadyReports, datagrams, target_of
 from swarmtrack.simulation.firmware import ARDUCOPTER, Firmware
 from swarmtrack.simulation.pilot import OnItsPath, Pilot
-from swarmtrack.simulation.reports import SENSED, TRUE
+from swarmtrack.simulation.reports import INERTIAL, SENSED, TRUE
 from swarmtrack.simulation.senses import SensedState, Senses
 from swarmtrack.simulation.truth import TrueState
 from swarmtrack.simulation.vehicle_parameters import VehicleParameters
@@ -35,11 +35,6 @@ HEARTBEAT_EVERY = 1.0  # s
 RESTARTS_AFTER = 0.5  # s from the command to reboot
 CATCH_UP = 0.5  # s: what was not sent for longer (the process was stopped) is not sent at all
 PORTS = 3  # the companion's, a ground station's, and one for who asks for the truth, as SITL has
-IMU = (
-    common.MAVLINK_MSG_ID_HIGHRES_IMU,
-    common.MAVLINK_MSG_ID_RAW_IMU,
-    common.MAVLINK_MSG_ID_SCALED_IMU,
-)
 SET_POINTS = ("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT")
 DATA_STREAMS = {
     common.MAV_DATA_STREAM_RAW_SENSORS: (common.MAVLINK_MSG_ID_RAW_IMU,),
@@ -278,7 +273,7 @@ class SimulatedVehicle:
                 return
             sampled = stream.sampled
             stream.advance()
-            report = None if self.imu_gap and message_id in IMU else self._report(message_id, sampled)
+            report = None if self.imu_gap and message_id in INERTIAL else self._report(message_id, sampled)
             if report is not None:
                 yield channel.frame(report)
 
@@ -289,6 +284,8 @@ class SimulatedVehicle:
             return TRUE[message_id](stamp, self._truth.at(self.time(stamp)))
         if message_id == common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
             return common.MAVLink_extended_sys_state_message(0, self.pilot.landed)
+        if message_id in INERTIAL:
+            return INERTIAL[message_id](stamp, self.senses.inertial(self.time(stamp)))
         # Several streams are due at once: they tell of one and the same sample.
         us = round(stamp * 1e6)
         if self._sensed is None or self._sensed[0] != us:
@@ -300,7 +297,7 @@ class SimulatedArduPilot(SimulatedVehicle):
     """ArduCopter."""
 
     firmware = ARDUCOPTER
-    offers = (*SENSED, common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, common.MAVLINK_MSG_ID_SIM_STATE)
+    offers = (*INERTIAL, *SENSED, common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, common.MAVLINK_MSG_ID_SIM_STATE)
 
     def understand(self, message: Any, now: float, channel: Channel) -> None:
         """Ground stations still ask for groups of messages, by REQUEST_DATA_STREAM."""

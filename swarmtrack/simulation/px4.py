@@ -90,7 +90,8 @@ class SimulatedPx4(SimulatedVehicle):
 
     firmware = PX4
     offers = (
-        *(n for n in SENSED if n not in (common.MAVLINK_MSG_ID_RAW_IMU, common.MAVLINK_MSG_ID_SCALED_IMU)),
+        common.MAVLINK_MSG_ID_HIGHRES_IMU,
+        *SENSED,
         common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION,
     )

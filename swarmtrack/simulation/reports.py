@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.rotation import from_quaternion, to_euler, to_quaternion
 from swarmtrack.messages import Array
-from swarmtrack.simulation.senses import GpsFix, SensedState
+from swarmtrack.simulation.senses import GpsFix, Inertial, SensedState
 from swarmtrack.simulation.trajectory import STANDARD_GRAVITY
 from swarmtrack.simulation.truth import TrueState
 
@@ -20,17 +20,17 @@ UNKNOWN_HEADING = 65535
 NOT_MEASURED = 0.0
 
 
-def _highres_imu(stamp: float, sensed: SensedState) -> Any:
+def _highres_imu(stamp: float, sensed: Inertial) -> Any:
     return common.MAVLink_highres_imu_message(
         _us(stamp), *sensed.accel, *sensed.gyro, 0.2, 0.1, 0.4, 1013.0, 0.0, 100.0, 25.0, 0xFFFF
     )
 
 
-def _raw_imu(stamp: float, sensed: SensedState) -> Any:
+def _raw_imu(stamp: float, sensed: Inertial) -> Any:
     return common.MAVLink_raw_imu_message(_us(stamp), *_thousandths(sensed.accel, sensed.gyro), 0, 0, 0)
 
 
-def _scaled_imu(stamp: float, sensed: SensedState) -> Any:
+def _scaled_imu(stamp: float, sensed: Inertial) -> Any:
     return common.MAVLink_scaled_imu_message(_ms(stamp), *_thousandths(sensed.accel, sensed.gyro), 0, 0, 0)
 
 
@@ -104,10 +104,12 @@ def _hil_state_quaternion(stamp: float, true: TrueState) -> Any:
     )
 
 
-SENSED: dict[int, Callable[[float, SensedState], Any]] = {
+INERTIAL: dict[int, Callable[[float, Inertial], Any]] = {
     common.MAVLINK_MSG_ID_HIGHRES_IMU: _highres_imu,
     common.MAVLINK_MSG_ID_RAW_IMU: _raw_imu,
     common.MAVLINK_MSG_ID_SCALED_IMU: _scaled_imu,
+}
+SENSED: dict[int, Callable[[float, SensedState], Any]] = {
     common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
     common.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,

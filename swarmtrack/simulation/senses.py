@@ -29,6 +29,13 @@ class GpsFix(NamedTuple):
     vertical_sigma: float | None = None
 
 
+class Inertial(NamedTuple):
+    """gyro (3,) rad/s and accel (3,) m/s², body FRD."""
+
+    gyro: Array
+    accel: Array
+
+
 class SensedState(NamedTuple):
     """gyro (3,) rad/s and accel (3,) m/s², body FRD; q (w, x, y, z) world_from_body; position (3,) m, None while it
     knows none, and velocity (3,) m/s in the autopilot's local frame, NED; gps: None while there is no fix."""
@@ -60,6 +67,10 @@ class Senses(Protocol):
     """What an autopilot measures and estimates at any time."""
 
     def at(self, t: float) -> SensedState: ...
+
+    def inertial(self, t: float) -> Inertial:
+        """A part of that, which is streamed most often and costs half."""
+        ...
 
     def rebooted(self, t: float) -> None:
         """The autopilot that uses them begins anew at t."""
@@ -125,6 +136,10 @@ class DroneSenses:
             velocity=motion.velocity,
             gps=self._fix(motion.position) if located else None,
         )
+
+    def inertial(self, t: float) -> Inertial:
+        world_t = t - self._epoch
+        return Inertial(*self._imu.measure(world_t, self._white(round(world_t * 1e3))[:2]))
 
     def _fix(self, position: Array) -> GpsFix | None:
         if self._earth is None:

@@ -15,7 +15,7 @@ from support.fake_autopilot import FakeAutopilot
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.sensors.mavlink.gyro_delay import INS_GYRO_FILTER, low_pass_delay
 from swarmtrack.simulation.hand_turned import HandTurned
-from swarmtrack.simulation.senses import SensedState
+from swarmtrack.simulation.senses import Inertial, SensedState
 
 SMALL = PinholeCamera(160.0, 160.0, 79.5, 59.5, 160, 120)
 NUMBERS = "{ fx = 160.0, fy = 160.0, cx = 79.5, cy = 59.5, width = 160, height = 120 }"
@@ -83,5 +83,8 @@ class TurnedAutopilot(FakeAutopilot):
         self._hand, self._signs = hand, np.array(signs)
 
     def at(self, t: float) -> SensedState:
+        return super().at(t)._replace(gyro=self.inertial(t).gyro)
+
+    def inertial(self, t: float) -> Inertial:
         sensed = np.array([t - low_pass_delay(INS_GYRO_FILTER.usual_hz)])
-        return super().at(t)._replace(gyro=self._hand.rates(sensed)[0] * self._signs)
+        return super().inertial(t)._replace(gyro=self._hand.rates(sensed)[0] * self._signs)

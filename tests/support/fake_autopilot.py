@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.simulation.autopilot import SimulatedArduPilot, SimulatedVehicle
 from swarmtrack.simulation.channel import Channel
 from swarmtrack.simulation.px4 import SimulatedPx4
-from swarmtrack.simulation.senses import GpsFix, SensedState
+from swarmtrack.simulation.senses import GpsFix, Inertial, SensedState
 
 SIGNING_BEGINS = 1_420_070_400  # s UTC: 2015-01-01
 
@@ -60,6 +60,9 @@ class FakeVehicle(SimulatedVehicle):
 
     def at(self, t: float) -> SensedState:
         return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps)
+
+    def inertial(self, t: float) -> Inertial:
+        return Inertial(self.gyro, self.accel)
 
     def parser(self) -> Any:
         parser = super().parser()
