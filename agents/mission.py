@@ -78,11 +78,13 @@ def run(args: argparse.Namespace) -> int:
         raise SourceError(f"ID: found {(twice or team)[-1]}, expected each of 1 to 65535 once")
     begins = None if args.begins is None else datetime.fromtimestamp(next_begin(args.begins), UTC)
     points = {drone_id: _set_points(drone_id, team, args.hz) for drone_id in team}
-    writers = {".csv": _write_csv, ".json": _write_json}
-    if args.out.suffix not in writers:
+    if args.out.suffix not in (".csv", ".json"):
         raise SourceError(f"--out {args.out}: found {args.out.suffix or 'no ending'}, expected .csv or .json")
     try:
-        writers[args.out.suffix](args.out, points, begins)
+        if args.out.suffix == ".csv":
+            _write_csv(args.out, points)
+        else:
+            _write_json(args.out, points, begins)
     except OSError as error:
         raise SourceError(
             f"--out {args.out}: {error.strerror}, expected a file that can be written"
@@ -101,7 +103,7 @@ def _set_points(drone_id: int, team: Sequence[int], hz: float) -> list[tuple[flo
     return [(k * LASTS_S / n, sway(drone_id, team, k * LASTS_S / n)) for k in range(n + 1)]
 
 
-def _write_csv(path: Path, points: dict[int, list[tuple[float, Array]]], begins: datetime | None) -> None:
+def _write_csv(path: Path, points: dict[int, list[tuple[float, Array]]]) -> None:
     from swarmtrack.trajectory_file import write_trajectories
 
     rows = ((drone_id, t, *flat[0], *flat[1]) for drone_id, own in points.items() for t, flat in own)

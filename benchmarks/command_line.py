@@ -34,6 +34,13 @@ def add_seeds(parser: argparse.ArgumentParser, usual: int, quick: int) -> None:
     )
 
 
+def add_processes(parser: argparse.ArgumentParser) -> None:
+    """--processes: how many fly at once; None where nobody said."""
+    parser.add_argument(
+        "--processes", type=count, metavar="N", help="how many fly at once (default: one per core)"
+    )
+
+
 def add_clips(parser: argparse.ArgumentParser, **more: Any) -> None:
     """DATA: labelled clips."""
     add_folder(parser, "data", "a folder with pairs of NAME.mp4 and NAME_gt.csv", "DATA", **more)

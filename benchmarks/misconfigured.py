@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from swarmtrack.arguments import count, positive
+from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
+from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
 from swarmtrack.evaluation.intervals import fraction_interval
@@ -150,7 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sigma", type=positive, metavar="M", default=SIGMA, help="of every start, m (default: %(default)s)"
     )
-    parser.add_argument("--processes", type=count, metavar="N", help="(default: one per core)")
+    add_processes(parser)
 
 
 def run(args: argparse.Namespace) -> None:

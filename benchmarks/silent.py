@@ -27,7 +27,7 @@ import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
+from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.evaluation.intervals import fraction_interval
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScorer
@@ -188,9 +188,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drones", type=count, nargs="+", metavar="N", help="teammates in view (default: 3 5 10)"
     )
-    parser.add_argument(
-        "--processes", type=count, metavar="N", help="how many fly at once (default: all cores)"
-    )
+    add_processes(parser)
 
 
 def run(args: argparse.Namespace) -> None:

@@ -35,7 +35,7 @@ import numpy as np
 
 from swarmtrack.arguments import add_flag, count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
+from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.errands.judge import SIGMAS, FlightJudge, FlightRecord
 from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, VirtualSwarm
 from swarmtrack.clock import SystemClock
@@ -124,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_flag(
         parser, "--rendered", "drawn pictures and the shipped detector; no ghosts but houses, poles and trees"
     )
-    parser.add_argument("--processes", type=count, metavar="N", help="(default: one per core)")
+    add_processes(parser)
 
 
 def run(args: argparse.Namespace) -> None:

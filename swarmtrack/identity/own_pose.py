@@ -28,7 +28,13 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.identity.posterior import GATE_PROBABILITY, IN_VIEW, PRIOR, ReprojectionResiduals, log_ratios
+from swarmtrack.identity.posterior import (
+    GATE_PROBABILITY,
+    IN_VIEW,
+    PRIOR,
+    ReprojectionResiduals,
+    log_ratios_of_each,
+)
 from swarmtrack.identity.reprojection import NEAREST, ObserverCamera, Predictions
 from swarmtrack.messages import Array
 from swarmtrack.tracking.association import gate_threshold
@@ -200,10 +206,12 @@ def weigh(look: ScanEvidence, view: ObserverCamera, others: Elsewhere | None = N
     own = unknown(sigma)
     log_seen = np.log(look.p_seen) - np.log(look.strangers)[:, None]
     log_known, ratios = [], []
-    for prior, here in zip(of.log_prior, shifted(look.found, look.predicted, view, own), strict=True):
+    of_each = shifted(look.found, look.predicted, view, own)
+    by_place = log_ratios_of_each(of_each, view.camera) - PRIOR.log_ratio + log_seen
+    for prior, here, ratio in zip(of.log_prior, of_each, by_place, strict=True):
         missed = np.log1p(-look.p_seen * _in_view(look, here, view.camera))
         log_known.append(prior + float(missed.sum()))
-        ratios.append(log_ratios(here, view.camera) - PRIOR.log_ratio + log_seen - missed)
+        ratios.append(ratio - missed)
     anywhere = math.log1p(-PRIOR.p_seen * IN_VIEW)
     log_known.append(math.log(LOST) + look.announced * anywhere)
     lost = math.log(PRIOR.p_seen * IN_VIEW) - anywhere - np.log(look.strangers)[:, None]

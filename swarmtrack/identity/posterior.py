@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -80,6 +81,16 @@ def log_ratios(found: ReprojectionResiduals, camera: PinholeCamera, prior: Prior
     log_density[distance > gate_threshold(GATE_PROBABILITY)] = -np.inf
     total = np.logaddexp.reduce(log_density, axis=0)
     return np.asarray(total + log_area + prior.log_ratio)
+
+
+def log_ratios_of_each(found: Sequence[ReprojectionResiduals], camera: PinholeCamera) -> Array:
+    """(s, n, k): the same of s, at least one, that differ in mean and cov alone."""
+    together = ReprojectionResiduals(
+        np.concatenate([each.mean for each in found]),
+        np.concatenate([each.cov for each in found], axis=1),
+        found[0].share,
+    )
+    return log_ratios(together, camera).reshape(len(found), *found[0].mean.shape[:2])
 
 
 def posterior(

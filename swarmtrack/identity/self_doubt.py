@@ -28,12 +28,10 @@ SAID_S, GONE_S = 0.5, 3.0
 SIGMAS, LEAST = 2.0, math.radians(6.0)
 # s: a longer pause between two looks breaks a doubt off.
 LONGEST_S = 1.0
-# s between two looks while all tracks have names.
-CALM_S = 0.2
+# s between two looks while all tracks have names, and while one has none.
+CALM_S, PUZZLED_S = 0.5, 0.2
 # s that a place is older than the sight of its drone: beyond, the drone may have moved since it said where it is.
 SUPERSEDED_S = 0.9
-# s likewise while they have not.
-PUZZLED_S = 0.1
 
 
 class SelfDoubt:
@@ -80,9 +78,7 @@ class SelfDoubt:
         if self._own_pad is None:
             self._own_pad = view.observer.position
         puzzled = any(track.id not in named for track in tracks if track.status is TrackStatus.CONFIRMED)
-        if not puzzled and t - self._t < CALM_S:
-            return
-        if puzzled and t - self._t < PUZZLED_S:
+        if t - self._t < (PUZZLED_S if puzzled else CALM_S):
             return
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)

@@ -15,7 +15,14 @@ from swarmtrack.identity.agreed import AgreedMotions
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.own_pose import OwnPose, ScanEvidence, shifted
-from swarmtrack.identity.posterior import LOG_ANYWHERE, PRIOR, ReprojectionResiduals, log_ratios, residuals
+from swarmtrack.identity.posterior import (
+    LOG_ANYWHERE,
+    PRIOR,
+    ReprojectionResiduals,
+    log_ratios,
+    log_ratios_of_each,
+    residuals,
+)
 from swarmtrack.identity.proof import PROVED, Proofs
 from swarmtrack.identity.reprojection import ASTRAY, ObserverCamera, Predictions, anywhere
 from swarmtrack.identity.scene import Scene
@@ -139,12 +146,14 @@ class Weighing:
         the same pair."""
         found = _residuals(tracks, predicted.without_heading(view))
         self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
+        if not found.mean.size:
+            return np.zeros((len(own.likely) + 1, *found.mean.shape[:2]))
         of_each = shifted(self._evidence.residuals, predicted, view, own)
         # What does not depend on the own pose is as good as ever for who is lost.
-        unplaced = log_ratios(self._evidence.residuals, self._camera)
-        nowhere = np.where(np.any(predicted.turn, axis=1), -np.inf, unplaced)
-        places = [log_ratios(of_each[c], self._camera) for c in own.likely]
-        every = np.logaddexp([*places, nowhere], self._astray(tracks, predicted.drone_id))
+        parts = [*(of_each[c] for c in own.likely), self._evidence.residuals]
+        places = log_ratios_of_each(parts, self._camera)
+        places[-1][:, np.any(predicted.turn, axis=1)] = -np.inf
+        every = np.logaddexp(places, self._astray(tracks, predicted.drone_id))
         by_place = every.max(axis=0)
         allowed = np.isfinite(by_place)
         ratios = np.where(allowed, 0.0, -np.inf)

@@ -94,6 +94,8 @@ def matched(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | None = None
 
     Of pairs that were left out of the sweep, and of what `beyond` answers, it is no more than a lower bound.
     """
+    if not log_ratio.size:
+        return Matched(np.zeros(log_ratio.shape), 0.0)
     allowed = log_ratio > -np.inf
     contested = allowed & (np.count_nonzero(allowed, axis=0) > 1)
     disputing = contested.any(axis=1)
