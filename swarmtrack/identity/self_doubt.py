@@ -28,8 +28,10 @@ SAID_S, GONE_S = 0.5, 3.0
 SIGMAS, LEAST = 2.0, math.radians(6.0)
 # s: a longer pause between two looks breaks a doubt off.
 LONGEST_S = 1.0
-# s between two looks while all tracks have names, and while one has none.
-CALM_S, PUZZLED_S = 0.5, 0.2
+# s between two looks while the last one found nothing wrong, and while it did or there are new tracks without a name.
+CALM_S, PUZZLED_S = 0.5, 0.1
+# The probability that it is wrong, from which on a look found something.
+PUZZLING = 0.1
 # s that a place is older than the sight of its drone: beyond, the drone may have moved since it said where it is.
 SUPERSEDED_S = 0.9
 
@@ -44,6 +46,10 @@ class SelfDoubt:
         """What is known of the own pose."""
         self._drift_speed = drift_speed
         self._stay_s = stay_s
+        self._p = 0.0
+        """That it is wrong, by the last look."""
+        self._nameless: set[int] = set()
+        """The tracks that had no name then."""
         self._since = math.nan
         self._t = -math.inf
         self._own_pad: Array | None = None
@@ -77,12 +83,15 @@ class SelfDoubt:
         t = view.observer.t
         if self._own_pad is None:
             self._own_pad = view.observer.position
-        puzzled = any(track.id not in named for track in tracks if track.status is TrackStatus.CONFIRMED)
-        if t - self._t < (PUZZLED_S if puzzled else CALM_S):
+        nameless = {
+            track.id for track in tracks if track.id not in named and track.status is TrackStatus.CONFIRMED
+        }
+        if t - self._t < (PUZZLED_S if self._p > PUZZLING or nameless - self._nameless else CALM_S):
             return
+        self._nameless = nameless
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
-        others = self._elsewhere(places, view, whereabouts, weighing) if puzzled and places else None
+        others = self._elsewhere(places, view, whereabouts, weighing) if nameless and places else None
         self.own = own_pose.weigh(weighing.look(tracks, view, ahead, len(places)), view, others)
         # While nobody is left to compare with, a doubt neither grows nor goes.
         if latest and alive:
@@ -122,8 +131,8 @@ class SelfDoubt:
         if t - self._t > LONGEST_S:
             self._since = math.nan
         self._t = t
-        p = self.own.off_by(max(SIGMAS * self.own.heading_sigma, LEAST))
-        turns = p < GONE if self.said else p > SAID
+        self._p = self.own.off_by(max(SIGMAS * self.own.heading_sigma, LEAST))
+        turns = self._p < GONE if self.said else self._p > SAID
         if not turns:
             self._since = math.nan
         elif math.isnan(self._since):

@@ -24,7 +24,7 @@ from swarmtrack.identity.posterior import (
     residuals,
 )
 from swarmtrack.identity.proof import PROVED, Proofs
-from swarmtrack.identity.reprojection import ASTRAY, ObserverCamera, Predictions, anywhere
+from swarmtrack.identity.reprojection import ASTRAY, NOBODY, ObserverCamera, Predictions, anywhere
 from swarmtrack.identity.scene import Scene
 from swarmtrack.identity.spans import Spans
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, Track, TrackStatus
@@ -193,7 +193,9 @@ class Weighing:
 
     def astray(self, tracks: Sequence[Track], drones: Iterable[int]) -> Predictions:
         """Of drones that should not be in the image, those that a track moves as: they may be anywhere in it."""
-        known = list(drones)
+        known = [drone for drone in drones if self.tells_motion(drone)]
+        if not known:
+            return NOBODY
         moving = np.flatnonzero(np.isfinite(self._astray(tracks, known)).any(axis=0))
         return anywhere([known[j] for j in moving.tolist()])
 

@@ -68,7 +68,8 @@ class TracksPublisher:
                 async with asyncio.timeout(due - self._wall.now()):
                     await self._tracked.wait()
             now = self._wall.now()
-            due = now + self._period if self._tracked.is_set() else max(due + self._period, now)
+            # What is sent before it is due is the next one; what a scan held up is not put off as well.
+            due = max(min(due, now) + self._period, now)
             self._tracked.clear()
             self._publish()
 
