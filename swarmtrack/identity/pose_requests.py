@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from swarmtrack.messages import Announcement
+
+# s since a drone said where it is: beyond, it is worth asking. Who reports, does so once a second.
+STALE_S = 1.5
 # s between two requests to one drone that did not settle the matter, doubled with each.
 FIRST_WAIT_S = 3.0
 # s: no longer, since what could not be told apart may have flown apart since.
@@ -36,6 +40,11 @@ class PoseRequests:
         self._asked[drone_id] = _Asked(t, wait_s)
         self._waiting.add(drone_id)
         return True
+
+    def ask_again(self, place: Announcement, t: float) -> None:
+        """Ask whoever was there when it said so, unless that is not long ago."""
+        if t - place.t > STALE_S:
+            self.ask(place.drone_id, t)
 
     def answered(self, drone_id: int) -> None:
         """The matter is settled."""

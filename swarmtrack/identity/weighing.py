@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.agreed import AgreedMotions
+from swarmtrack.identity.assignment import Assignment
 from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.own_pose import OwnPose, ScanEvidence, shifted
@@ -45,6 +46,8 @@ DOUBT = 0.05
 # on it may be that.
 LOG_ASTRAY = LOG_ANYWHERE + math.log(ASTRAY)
 MOVES_AS = math.log(20.0)
+# Log odds: a name whose track does not move as its drone does is judged again.
+CONTRADICTED = -math.log(10.0)
 # Of a position's sigma: by how much its error changes in some seconds.
 DRIFT_SHARE = 0.1
 # s after which a drone that said how it moves says it no more.
@@ -230,6 +233,14 @@ class Weighing:
     def motion(self, track_id: int, drone_id: int) -> float:
         """The part of a log ratio that tells how both moved."""
         return self._motion.log_ratio(track_id, drone_id)
+
+    def moved_since(self, held: Assignment) -> float:
+        """Log ratio: what motion says of an ID since it was last judged."""
+        return self.motion(held.track_id, held.drone_id) - held.motion
+
+    def is_contradicted(self, held: Assignment) -> bool:
+        """Whether the track has ceased to move as its drone says."""
+        return self.moved_since(held) < CONTRADICTED
 
     def matches(
         self, track: Track, predicted: Predictions, p_drone: Array, p_seen: Array, ratios: Array

@@ -6,8 +6,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
-from swarmtrack.identity.identities import DEPARTED_S
 from swarmtrack.identity.pose_requests import PoseRequests
+from swarmtrack.identity.teammates import DEPARTED_S
 from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted
 
 # --- given ---

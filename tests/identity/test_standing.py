@@ -6,7 +6,7 @@ import pytest
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
 from support.places import ROOT
-from swarmtrack.identity import identities
+from swarmtrack.identity import names
 from swarmtrack.identity.standing import Event, Standing, diagram, fire
 from swarmtrack.messages import IdClash
 
@@ -121,7 +121,7 @@ def test_each_transition_of_the_table_happens_in_flight(standing, event, monkeyp
 
     observer = Observer()
     bring(observer, standing)
-    monkeypatch.setattr(identities, "fire", witness)
+    monkeypatch.setattr(names, "fire", witness)
     let_happen(observer, standing, event)
     assert (standing, event, expected(standing, event)) in fired
 

@@ -1,0 +1,203 @@
+"""What becomes of a name once the posterior has spoken: it is given, kept, doubted, or asked about.
+
+Every scan the posterior weighs what is undecided. A track without an ID gets one where that is likely enough. One that
+is challenged or doubted has its past as the prior. A settled one is judged again when a nameless track comes where its
+drone should be: then its past counts only as far as it was earned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from swarmtrack.identity.assignment import HELD_LOG_ODDS, Assignment
+from swarmtrack.identity.boxes import coincide
+from swarmtrack.identity.disputes import Disputes
+from swarmtrack.identity.names import Names
+from swarmtrack.identity.occlusion import OcclusionWatch
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.identity.pose_requests import PoseRequests
+from swarmtrack.identity.posterior import LOG_ANYWHERE
+from swarmtrack.identity.proof import Astray
+from swarmtrack.identity.reprojection import ObserverCamera, Predictions, is_vague
+from swarmtrack.identity.standing import Event, Standing
+from swarmtrack.identity.teammates import Teammates
+from swarmtrack.identity.weighing import Match, Weighing
+from swarmtrack.messages import Announcement, Array, Track, TrackStatus
+
+# The least probability of a candidate that is worth a question.
+LIKELY = 0.01
+# How many drones are asked because of one track at a time.
+ASKED = 2
+# s that a track is nameless before its candidates are asked for their poses.
+NAMELESS_S = 1.0
+# s: so old a place still tells the distance.
+FRESH_S = 1.5
+
+
+class Judgement:
+    """Changes names by what the posterior says of their tracks."""
+
+    def __init__(
+        self,
+        parameters: IdentityParameters,
+        *,
+        teammates: Teammates,
+        names: Names,
+        weighing: Weighing,
+        disputes: Disputes,
+        pose_requests: PoseRequests,
+        occlusion: OcclusionWatch,
+    ) -> None:
+        self._parameters = parameters
+        self._teammates = teammates
+        self._names = names
+        self._weighing = weighing
+        self._disputes = disputes
+        self._pose_requests = pose_requests
+        self._occlusion = occlusion
+        self._vouched: set[int] = set()
+        self._astray: list[Astray] = []
+
+    def take_vouched(self) -> tuple[int, ...]:
+        """The tracks that are a teammate although they look weak; each is returned once."""
+        vouched, self._vouched = tuple(sorted(self._vouched)), set()
+        return vouched
+
+    def take_astray(self) -> tuple[Astray, ...]:
+        """The drones that motion finds elsewhere than they say; each is returned once."""
+        astray, self._astray = tuple(self._astray), []
+        return astray
+
+    def call_out(self, view: ObserverCamera, places: Mapping[int, Announcement]) -> None:
+        """Whoever motion finds elsewhere than it says is from now on not placed by that."""
+        for found in self._weighing.proofs.astray(self._names.alive, view, places):
+            self._astray.append(found)
+            self._teammates.whereabouts.doubt(found.drone_id, found.miss_m or 0.0)
+
+    # --- what the past of a name says, before the posterior is made ---
+
+    def with_history(self, ratios: Array, tracks: Sequence[Track], predicted: Predictions) -> Array:
+        """(n, k + u): the same with what speaks for the IDs that tracks have; then of drones that may be anywhere."""
+        judged = ratios.copy()
+        column = {drone: j for j, drone in enumerate(predicted.drone_id)}
+        for i, track in enumerate(tracks):
+            held = self._names.of(track.id)
+            if held is None or held.drone_id not in column:
+                continue
+            j = column[held.drone_id]
+            rivals = [
+                other
+                for other, ratio in zip(tracks, ratios[:, j].tolist(), strict=True)
+                if ratio > 0.0 and self._names.of(other.id) is None and not coincide(other, track)
+            ]
+            if held.standing is Standing.SETTLED and not self._weighing.is_contradicted(held):
+                # Its own place is as old as its announcement; the track has carried it on from where it was judged.
+                judged[i, j] = max(ratios[i, j], held.evidence + self._weighing.moved_since(held))
+            judged[i, j] += self._history(held, rivals)
+        unlocated = np.full((len(tracks), self._teammates.unlocated), LOG_ANYWHERE)
+        return np.concatenate([judged, unlocated], axis=1)
+
+    def _history(self, held: Assignment, rivals: Sequence[Track]) -> float:
+        """Log odds in favour of an ID beside where its drone should be. Named tracks hardly ever change places, but
+        that a newcomer is no rival has yet to be shown: only that the drone was not missed before the newcomer came."""
+        if not rivals and not self._weighing.is_contradicted(held):
+            return held.log_odds
+        newest = min((self._names.unassigned[track.id].first_t for track in rivals), default=math.inf)
+        return min(held.log_odds, self._weighing.log_missed(held.drone_id) if newest > held.since else 0.0)
+
+    # --- what the posterior says ---
+
+    def judge(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
+        """Confirm, doubt or refute an ID that is undecided, or that a newcomer contests."""
+        drone, p = held.drone_id, self._parameters.probability
+        match = matches.get(drone)
+        if held.standing is Standing.SETTLED:
+            if match is not None and match.probability < p:
+                if self._weighing.disproves(held.track_id, drone):
+                    self._astray.append(Astray(drone, held.track_id, None))
+                self._doubt(held, matches, t)
+            return
+        held.scans += 1
+        if held.scans < self._parameters.scans:
+            return
+        has_rival = any(other.probability > LIKELY for id, other in matches.items() if id != drone)
+        sure = p if has_rival or held.log_odds < HELD_LOG_ODDS else 0.5
+        if match is None:
+            self._names.fire(held, Event.OUT_OF_VIEW)
+        elif match.probability >= (p if match.elsewhere > LIKELY else sure):
+            self._names.fire(held, Event.CONFIRMED)
+            self._believe(held, match, t)
+        elif match.probability < 0.5:
+            self._names.fire(held, Event.REFUTED)
+        elif held.standing is Standing.CHALLENGED and match.elsewhere > LIKELY:
+            self._doubt(held, matches, t)
+        else:
+            self._ask(matches, t)
+
+    def assign_likeliest(self, track: Track, matches: Mapping[int, Match], t: float) -> None:
+        """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it. One that looks too
+        weak for a track is vouched for, and named once the tracker agrees."""
+        drone = max(matches, key=lambda drone: matches[drone].probability, default=None)
+        if drone is None or not self._may_be_named(track, drone):
+            return
+        match = matches[drone]
+        if match.probability < self._weighing.sure(drone, self._parameters.probability):
+            return
+        if track.status is TrackStatus.TENTATIVE:
+            self._vouched.add(track.id)
+            return
+        before = self._names.lost.get(drone) or self._names.holder(drone)
+        self._names.withdraw(drone, Event.REASSIGNED)
+        held = Assignment(track.id, drone, match.probability)
+        self._names.assign(held)
+        self._believe(held, match, t)
+        if before is not None:
+            self._occlusion.verify(before, t)
+
+    def leave_unassigned(
+        self, track: Track, matches: Mapping[int, Match], p_none: float, t: float, *, may_be_foreign: bool
+    ) -> None:
+        """A track stays without an ID: ask the drones that it may be. One that is none of them asks nobody.
+        may_be_foreign: whether "none of them" tells anything yet."""
+        unassigned = self._names.leave_unassigned(track.id, t)
+        explained = unassigned.weigh(p_none, t, self._parameters)
+        unassigned.foreign &= may_be_foreign
+        if explained and t - unassigned.first_t > NAMELESS_S:
+            self._ask(matches, t)
+
+    def _may_be_named(self, track: Track, drone: int) -> bool:
+        """Whether any probability is enough: of who is disputed or knows no place, only motion names a track."""
+        if drone in self._disputes:
+            return False
+        if is_vague(self._teammates.announced[drone]) and not self._weighing.tells_motion(drone):
+            return False
+        proved = self._weighing.proofs.of(track.id, drone) is not None
+        return proved or not self._disputes.needs_proof(drone)
+
+    def _doubt(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
+        """Another track may be the drone: where this one was seen says nothing of where the drone is."""
+        self._names.fire(held, Event.RIVALLED)
+        held.weaken(self._weighing.log_missed(held.drone_id))
+        held.seen = None
+        self._ask(matches, t)
+
+    def _believe(self, held: Assignment, match: Match, t: float) -> None:
+        """The posterior is sure: what it went by is remembered."""
+        held.probability = match.probability
+        held.evidence = match.log_ratio
+        held.motion = self._weighing.motion(held.track_id, held.drone_id)
+        held.since = t
+        place = self._teammates.whereabouts.latest(held.drone_id)
+        if t - place.t <= FRESH_S:
+            track = self._names.alive[held.track_id]
+            self._weighing.recognise(held.drone_id, track, match.distance, match.probability)
+        self._pose_requests.answered(held.drone_id)
+
+    def _ask(self, matches: Mapping[int, Match], t: float) -> None:
+        """Ask the likeliest; in a large swarm nearly everybody is possible."""
+        for drone in sorted(matches, key=lambda drone: matches[drone].probability)[-ASKED:]:
+            if matches[drone].probability > LIKELY:
+                self._pose_requests.ask_again(self._teammates.whereabouts.latest(drone), t)

@@ -1,0 +1,62 @@
+"""Where two drones hide each other their tracks may change places unseen, so both are asked where they are."""
+
+from __future__ import annotations
+
+from swarmtrack.identity.assignment import HIDDEN_LOG_ODDS, Assignment
+from swarmtrack.identity.boxes import meet
+from swarmtrack.identity.names import Names
+from swarmtrack.identity.pose_requests import PoseRequests
+from swarmtrack.identity.standing import Event, Standing
+from swarmtrack.identity.weighing import Weighing
+
+# s without a detection: no longer a miss.
+HIDDEN_S = 0.25
+# s between two questions to drones that keep hiding each other.
+VERIFY_S = 1.0
+
+
+class OcclusionWatch:
+    """Told of every scan."""
+
+    def __init__(self, names: Names, weighing: Weighing, pose_requests: PoseRequests) -> None:
+        self._names = names
+        self._weighing = weighing
+        self._pose_requests = pose_requests
+
+    def look(self, t: float) -> None:
+        """A drone that is not detected may be taken for one near it. If that lasts, its ID is doubted once the track
+        is detected again."""
+        for held in self._names:
+            since = self._names.alive[held.track_id].coasting_since
+            if since is not None:
+                held.met |= self._near(held)
+                if t - since >= HIDDEN_S:
+                    self._names.fire(held, Event.UNDETECTED)
+            elif held.standing is Standing.HIDDEN:
+                self._names.fire(held, Event.DETECTED_AGAIN)
+                self._weaken(held)
+                self.verify(held, t)
+            elif held.met:
+                still_near = held.met & self._near(held)
+                if t - held.verified_t >= VERIFY_S or not still_near:
+                    self.verify(held, t)
+                    held.met = still_near
+
+    def verify(self, held: Assignment, t: float) -> None:
+        """Ask it and those it met while one of them was not seen: their tracks may have changed places."""
+        held.verified_t = t
+        for drone in {*held.met, held.drone_id} if held.met else ():
+            self._pose_requests.put(drone)
+            holder = self._names.holder(drone)
+            if holder is not None:
+                self._weaken(holder)
+
+    def _weaken(self, held: Assignment) -> None:
+        held.weaken(HIDDEN_LOG_ODDS)
+        self._weighing.hide(held.track_id, HIDDEN_LOG_ODDS)
+
+    def _near(self, held: Assignment) -> set[int]:
+        """The drones whose tracks nearly touch this one."""
+        alive = self._names.alive
+        others = (other for other in self._names if other.track_id != held.track_id)
+        return {other.drone_id for other in others if meet(alive[held.track_id], alive[other.track_id])}
