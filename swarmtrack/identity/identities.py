@@ -199,9 +199,9 @@ class Identities:
 
     def _assign_by_posterior(self, view: ObserverCamera) -> None:
         t = view.observer.t
+        self._watch(view)
         undecided = self._candidates.undecided()
         self._names.keep_unassigned(undecided, t)
-        self._watch(view)
         contested, held = self._candidates.contested(undecided, view)
         tracks, predicted = [*undecided, *held], joined(self._candidates.expected(view), contested)
         predicted = joined(predicted, self._candidates.unexpected(tracks, predicted))
