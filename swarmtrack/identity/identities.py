@@ -208,8 +208,7 @@ class Identities:
         self._candidates.ask_who_enters(predicted, self._camera, self._pose_requests, t)
         own = self._self_doubt.own
         every = self._weighing.weigh(tracks, predicted, view, own)
-        judged = [self._judgement.with_history(ratios, tracks, predicted) for ratios in every]
-        probability, ratios = own.mixed(every, judged)
+        probability, ratios = own.mixed(every, self._judgement.with_history(every, tracks, predicted))
         p_drone = probability[:, : len(predicted.drone_id)]
         p_none = np.maximum(own.turned - probability.sum(axis=1), 0.0).tolist()
         nameless = [pair for pair in zip(tracks, p_none, strict=True) if pair[0].id in self._names.unassigned]

@@ -80,7 +80,8 @@ class Judgement:
     # --- what the past of a name says, before the posterior is made ---
 
     def with_history(self, ratios: Array, tracks: Sequence[Track], predicted: Predictions) -> Array:
-        """(n, k + u): the same with what speaks for the IDs that tracks have; then of drones that may be anywhere."""
+        """(c, n, k + u): log ratios (c, n, k) by c hypotheses on the own pose with what speaks for the IDs that tracks
+        have; then of drones that may be anywhere."""
         judged = ratios.copy()
         column = {drone: j for j, drone in enumerate(predicted.drone_id)}
         for i, track in enumerate(tracks):
@@ -88,25 +89,30 @@ class Judgement:
             if held is None or held.drone_id not in column:
                 continue
             j = column[held.drone_id]
-            rivals = [
-                other
-                for other, ratio in zip(tracks, ratios[:, j].tolist(), strict=True)
-                if ratio > 0.0 and self._names.of(other.id) is None and not coincide(other, track)
-            ]
             if held.standing is Standing.SETTLED and not self._weighing.is_contradicted(held):
                 # Its own place is as old as its announcement; the track has carried it on from where it was judged.
-                judged[i, j] = max(ratios[i, j], held.evidence + self._weighing.moved_since(held))
-            judged[i, j] += self._history(held, rivals)
-        unlocated = np.full((len(tracks), self._teammates.unlocated), LOG_ANYWHERE)
-        return np.concatenate([judged, unlocated], axis=1)
+                judged[:, i, j] = np.maximum(
+                    ratios[:, i, j], held.evidence + self._weighing.moved_since(held)
+                )
+            judged[:, i, j] += self._history(held, track, tracks, ratios[:, :, j])
+        unlocated = np.full((*ratios.shape[:2], self._teammates.unlocated), LOG_ANYWHERE)
+        return np.concatenate([judged, unlocated], axis=2)
 
-    def _history(self, held: Assignment, rivals: Sequence[Track]) -> float:
-        """Log odds in favour of an ID beside where its drone should be. Named tracks hardly ever change places, but
-        that a newcomer is no rival has yet to be shown: only that the drone was not missed before the newcomer came."""
-        if not rivals and not self._weighing.is_contradicted(held):
-            return held.log_odds
-        newest = min((self._names.unassigned[track.id].first_t for track in rivals), default=math.inf)
-        return min(held.log_odds, self._weighing.log_missed(held.drone_id) if newest > held.since else 0.0)
+    def _history(self, held: Assignment, track: Track, tracks: Sequence[Track], ratios: Array) -> Array:
+        """(c,): log odds in favour of an ID beside where its drone should be; ratios (c, n) of all tracks and that
+        drone. Named tracks hardly ever change places, but that a newcomer is no rival has yet to be shown: only that
+        the drone was not missed before the newcomer came."""
+        begun = np.array([self._newcomer_since(other, track) for other in tracks])
+        newest = np.where(ratios > 0.0, begun, np.inf).min(axis=1)
+        judged_anew = np.isfinite(newest) | self._weighing.is_contradicted(held)
+        earned = np.where(newest > held.since, self._weighing.log_missed(held.drone_id), 0.0)
+        return np.where(judged_anew, np.minimum(held.log_odds, earned), held.log_odds)
+
+    def _newcomer_since(self, other: Track, track: Track) -> float:
+        """s: since when it is nameless and beside that track; infinite where it is no rival of its."""
+        if self._names.of(other.id) is not None or coincide(other, track):
+            return math.inf
+        return self._names.unassigned[other.id].first_t
 
     # --- what the posterior says ---
 

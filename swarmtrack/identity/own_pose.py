@@ -21,7 +21,7 @@ that makes a drone appear where its neighbour should be makes both unknown. Who 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -39,7 +39,7 @@ from swarmtrack.identity.reprojection import NEAREST, ObserverCamera, Prediction
 from swarmtrack.messages import Array
 from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import LOG_TWO_PI
-from swarmtrack.tracking.marginals import matched, matching_marginals
+from swarmtrack.tracking.marginals_of_each import matched_of_each
 
 # The middle of each component and its own sigma: denser where headings usually are.
 AZIMUTHS_DEG = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
@@ -68,6 +68,10 @@ class Components(NamedTuple):
     azimuth: Array
     sigma: Array
     log_prior: Array
+
+    def only(self, chosen: Sequence[int]) -> Components:
+        """These of them."""
+        return Components(self.azimuth[chosen], self.sigma[chosen], self.log_prior[chosen])
 
 
 class Elsewhere(NamedTuple):
@@ -104,16 +108,14 @@ class OwnPose(NamedTuple):
         """The probability that projections tell who is who, turned or not."""
         return 1.0 - self.elsewhere - self.lost
 
-    def mixed(self, ratios: Array, judged: Sequence[Array]) -> tuple[Array, Array]:
+    def mixed(self, ratios: Array, judged: Array) -> tuple[Array, Array]:
         """Of likely components and then of who is elsewhere or lost, log ratios (c + 1, n, k) and what they become with
-        the past, (n, m) each: probabilities (n, m) of all pairs, and log ratios (n, k), by the components' weights."""
+        the past (c + 1, n, m): probabilities (n, m) of all pairs, and log ratios (n, k), by the components' weights."""
         weight = np.array([*self.weight[self.likely], max(self.elsewhere + self.lost, 1e-12)])
         weight /= weight.sum()
-        probability = np.zeros(judged[0].shape)
-        for share, log_ratio in zip(weight.tolist(), judged, strict=True):
-            probability += share * matching_marginals(log_ratio)
+        probability = np.tensordot(weight, matched_of_each(judged).probability, axes=1)
         mean = np.logaddexp.reduce(ratios + np.log(weight)[:, None, None], axis=0, initial=-np.inf)
-        return probability, np.asarray(mean)
+        return np.asarray(probability), np.asarray(mean)
 
     def off_by(self, azimuth: float) -> float:
         """The probability that it is elsewhere, lost, or turned by more than so much [rad]."""
@@ -171,18 +173,17 @@ def elsewhere(
 
 
 def shifted(
-    found: ReprojectionResiduals, predicted: Predictions, view: ObserverCamera, own: OwnPose
-) -> list[ReprojectionResiduals]:
-    """The residuals in each component, of those without the heading's variance. What no heading turns stays what it
-    is."""
-    of = own.components
+    found: ReprojectionResiduals, predicted: Predictions, view: ObserverCamera, of: Components
+) -> ReprojectionResiduals:
+    """The residuals in each component, (c, n, k, 2) and (g, c, n, k, 2, 2), of those without the heading's variance.
+    What no heading turns stays what it is."""
     pixel = _turned(predicted.pixel, view, of.azimuth)
     shift = np.where(np.any(predicted.turn, axis=1, keepdims=True), pixel - predicted.pixel, 0.0)
     turn = predicted.turn[:, :, None] * predicted.turn[:, None, :]
-    return [
-        ReprojectionResiduals(found.mean - by, found.cov + sigma**2 * turn, found.share)
-        for by, sigma in zip(shift, of.sigma.tolist(), strict=True)
-    ]
+    wider = (of.sigma**2)[:, None, None, None] * turn
+    return ReprojectionResiduals(
+        found.mean - shift[:, None], found.cov[:, None] + wider[:, None], found.share
+    )
 
 
 class ScanEvidence(NamedTuple):
@@ -203,30 +204,28 @@ def weigh(look: ScanEvidence, view: ObserverCamera, others: Elsewhere | None = N
     """What one scan tells of the own pose. others: None, where there is no reason to think of them."""
     sigma = math.sqrt(float(view.observer.attitude_cov[2, 2]))
     of = components(sigma)
-    own = unknown(sigma)
+    here = shifted(look.found, look.predicted, view, of)
+    missed = np.log1p(-look.p_seen * _in_view(look, here, view.camera))
     log_seen = np.log(look.p_seen) - np.log(look.strangers)[:, None]
-    log_known, ratios = [], []
-    of_each = shifted(look.found, look.predicted, view, own)
-    by_place = log_ratios_of_each(of_each, view.camera) - PRIOR.log_ratio + log_seen
-    for prior, here, ratio in zip(of.log_prior, of_each, by_place, strict=True):
-        missed = np.log1p(-look.p_seen * _in_view(look, here, view.camera))
-        log_known.append(prior + float(missed.sum()))
-        ratios.append(ratio - missed)
+    turned = log_ratios_of_each(here, view.camera) - PRIOR.log_ratio + log_seen - missed[:, None]
     anywhere = math.log1p(-PRIOR.p_seen * IN_VIEW)
-    log_known.append(math.log(LOST) + look.announced * anywhere)
     lost = math.log(PRIOR.p_seen * IN_VIEW) - anywhere - np.log(look.strangers)[:, None]
-    ratios.append(np.repeat(lost, look.announced, axis=1))
+    log_weight, best = _log_weights(of.log_prior + missed.sum(axis=1), turned)
+    lost_weight, best = _log_weights(
+        np.array([math.log(LOST) + look.announced * anywhere]),
+        np.repeat(lost, look.announced, axis=1)[None],
+        best,
+    )
+    others_weight = np.zeros(0)
     if others is not None:
-        for log_prior, ratio in _of_others(look, view, others):
-            log_known.append(log_prior)
-            ratios.append(ratio)
-    weight = _weights(np.array(log_known), ratios)
-    c = len(of.log_prior)
-    return OwnPose(sigma, of, weight[:c], float(weight[c + 1 :].sum()), float(weight[c]))
+        others_weight, best = _log_weights(*_of_others(look, view, others), best)
+    parts = [np.exp(part - best) for part in (log_weight, lost_weight, others_weight)]
+    total = sum(float(part.sum()) for part in parts)
+    return OwnPose(sigma, of, parts[0] / total, float(parts[2].sum()) / total, float(parts[1].sum()) / total)
 
 
-def _of_others(look: ScanEvidence, view: ObserverCamera, others: Elsewhere) -> Iterator[tuple[float, Array]]:
-    """Of each: the logarithm of what is known before the matching, and the log ratios (n, m)."""
+def _of_others(look: ScanEvidence, view: ObserverCamera, others: Elsewhere) -> tuple[Array, Array]:
+    """Of each: the logarithm (h,) of what is known before the matching, and the log ratios (h, n, m)."""
     camera, observer = view.camera, view.observer
     from_here = others.places - (view.team_from_camera.position + others.shift)[:, None]
     pixel, _, ahead = camera.project_undistorted((from_here @ view.team_from_camera.rotation).reshape(-1, 3))
@@ -245,20 +244,21 @@ def _of_others(look: ScanEvidence, view: ObserverCamera, others: Elsewhere) -> I
     ratio = (
         np.where(squared < gate_threshold(GATE_PROBABILITY), ratio, -np.inf) - np.log(look.strangers)[:, None]
     )
-    return zip((others.log_prior + missed.sum(axis=1)).tolist(), ratio, strict=True)
+    return others.log_prior + missed.sum(axis=1), np.asarray(ratio)
 
 
-def _weights(log_known: Array, ratios: list[Array]) -> Array:
-    """Of components, by what is known before the matching and by its log ratios. Sums to one."""
-    bound = log_known + [_at_most(ratio) for ratio in ratios]
-    log_weight, best = np.full(len(bound), -np.inf), -math.inf
-    for c in np.argsort(-bound).tolist():
-        if bound[c] < best - NEGLIGIBLE:
-            break
-        log_weight[c] = log_known[c] + matched(ratios[c]).log_total
-        best = max(best, float(log_weight[c]))
-    weight = np.exp(log_weight - best)
-    return np.asarray(weight / weight.sum())
+def _log_weights(log_known: Array, ratios: Array, best: float = -math.inf) -> tuple[Array, float]:
+    """Of components (c,), by what is known before the matching and by its log ratios (c, n, m), and the best so far. Of
+    those that are surely negligible beside it the weight is zero."""
+    log_weight = np.full(len(log_known), -np.inf)
+    bound = log_known + _at_most(ratios)
+    likeliest_first = np.argsort(-bound)
+    for some in (likeliest_first[:1], likeliest_first[1:]):
+        worth = some[bound[some] >= best - NEGLIGIBLE]
+        if worth.size:
+            log_weight[worth] = log_known[worth] + matched_of_each(ratios[worth]).log_total
+            best = max(best, float(log_weight[worth].max()))
+    return log_weight, best
 
 
 def _turned(pixel: Array, view: ObserverCamera, azimuth: Array) -> Array:
@@ -272,14 +272,14 @@ def _turned(pixel: Array, view: ObserverCamera, azimuth: Array) -> Array:
 
 
 def _in_view(look: ScanEvidence, here: ReprojectionResiduals, camera: PinholeCamera) -> Array:
-    """(k,) that each is in the image, in a component."""
+    """(c, k) that each is in the image, in each component."""
     found, predicted = look.found, look.predicted
-    if not len(found.mean):
-        return np.zeros(len(predicted.drone_id))
-    pixel = predicted.pixel + found.mean[0] - here.mean[0]
-    cov = predicted.cov + here.cov[0, 0] - found.cov[0, 0]
-    inside = _inside(pixel, np.sqrt(np.maximum(cov.diagonal(axis1=2, axis2=3), 1.0)), camera)
-    return np.asarray((found.share * inside).sum(axis=0))
+    if not found.mean.shape[0]:
+        return np.zeros((len(here.mean), len(predicted.drone_id)))
+    pixel = predicted.pixel + found.mean[0] - here.mean[:, 0]
+    variance = (predicted.cov[:, None] + here.cov[:, :, 0] - found.cov[:, None, 0]).diagonal(axis1=3, axis2=4)
+    inside = _inside(pixel, np.sqrt(np.maximum(variance, 1.0)), camera)
+    return np.asarray((found.share[:, None] * inside).sum(axis=0))
 
 
 def _inside(pixel: Array, sigma: Array, camera: PinholeCamera) -> Array:
@@ -292,8 +292,9 @@ def _below(sigmas: Array) -> Array:
     return np.asarray(0.5 + 0.5 * np.tanh(0.5 * LOGISTIC * sigmas))
 
 
-def _at_most(log_ratio: Array) -> float:
-    """No less than the logarithm of the weight of all matchings: rows, or columns, that share without dispute."""
-    by_rows = np.logaddexp.reduce(log_ratio, axis=1, initial=0.0).sum()
-    by_columns = np.logaddexp.reduce(log_ratio, axis=0, initial=0.0).sum()
-    return float(min(by_rows, by_columns))
+def _at_most(log_ratio: Array) -> Array:
+    """(c,): no less than the logarithm of the weight of all matchings of (c, n, m): rows, or columns, that share
+    without dispute."""
+    by_rows = np.logaddexp.reduce(log_ratio, axis=2, initial=0.0).sum(axis=1)
+    by_columns = np.logaddexp.reduce(log_ratio, axis=1, initial=0.0).sum(axis=1)
+    return np.asarray(np.minimum(by_rows, by_columns))

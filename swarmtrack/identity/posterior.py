@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -83,14 +82,13 @@ def log_ratios(found: ReprojectionResiduals, camera: PinholeCamera, prior: Prior
     return np.asarray(total + log_area + prior.log_ratio)
 
 
-def log_ratios_of_each(found: Sequence[ReprojectionResiduals], camera: PinholeCamera) -> Array:
-    """(s, n, k): the same of s, at least one, that differ in mean and cov alone."""
-    together = ReprojectionResiduals(
-        np.concatenate([each.mean for each in found]),
-        np.concatenate([each.cov for each in found], axis=1),
-        found[0].share,
+def log_ratios_of_each(found: ReprojectionResiduals, camera: PinholeCamera) -> Array:
+    """(s, n, k): the same of residuals of s hypotheses, mean (s, n, k, 2) and cov (c, s, n, k, 2, 2)."""
+    s, n, k = found.mean.shape[:3]
+    rows = ReprojectionResiduals(
+        found.mean.reshape(s * n, k, 2), found.cov.reshape(len(found.cov), s * n, k, 2, 2), found.share
     )
-    return log_ratios(together, camera).reshape(len(found), *found[0].mean.shape[:2])
+    return log_ratios(rows, camera).reshape(s, n, k)
 
 
 def posterior(

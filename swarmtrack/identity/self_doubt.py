@@ -66,13 +66,24 @@ class SelfDoubt:
     ) -> None:
         """At the tracks of a scan. names: that they have, lost: of tracks that ended. What counts are drones whose
         place is not older than the sight of them, and all tracks but those of the others."""
+        if self._own_pad is None:
+            self._own_pad = view.observer.position
         held = {name.track_id: name for name in names}
+        named = {id for id, name in held.items() if name.stated}
+        nameless = {
+            track.id
+            for track in alive.values()
+            if track.status is TrackStatus.CONFIRMED and track.id not in named
+        }
+        t = view.observer.t
+        if t - self._t < (PUZZLED_S if self._p > PUZZLING or nameless - self._nameless else CALM_S):
+            return
+        self._nameless = nameless
         sight = {name.drone_id: name.seen.t for name in (*lost, *held.values()) if name.seen is not None}
         known = (whereabouts.latest(drone) for drone in whereabouts.announced)
         latest = [place for place in known if not is_vague(place)]
         places = [place for place in latest if place.t > sight.get(place.drone_id, -math.inf) - SUPERSEDED_S]
         moved = {place.drone_id for place in latest} - {place.drone_id for place in places}
-        named = {id for id, name in held.items() if name.stated}
         tracks = [
             track
             for track in alive.values()
@@ -80,18 +91,13 @@ class SelfDoubt:
             and track.status is not TrackStatus.LOST
             and not (track.id in held and held[track.id].drone_id in moved)
         ]
-        t = view.observer.t
-        if self._own_pad is None:
-            self._own_pad = view.observer.position
-        nameless = {
-            track.id for track in tracks if track.id not in named and track.status is TrackStatus.CONFIRMED
-        }
-        if t - self._t < (PUZZLED_S if self._p > PUZZLING or nameless - self._nameless else CALM_S):
-            return
-        self._nameless = nameless
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
-        others = self._elsewhere(places, view, whereabouts, weighing) if nameless and places else None
+        others = (
+            self._elsewhere(places, view, whereabouts, weighing)
+            if nameless & {track.id for track in tracks} and places
+            else None
+        )
         self.own = own_pose.weigh(weighing.look(tracks, view, ahead, len(places)), view, others)
         # While nobody is left to compare with, a doubt neither grows nor goes.
         if latest and alive:

@@ -151,10 +151,14 @@ class Weighing:
         self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
         if not found.mean.size:
             return np.zeros((len(own.likely) + 1, *found.mean.shape[:2]))
-        of_each = shifted(self._evidence.residuals, predicted, view, own)
+        parts = shifted(self._evidence.residuals, predicted, view, own.components.only(own.likely))
         # What does not depend on the own pose is as good as ever for who is lost.
-        parts = [*(of_each[c] for c in own.likely), self._evidence.residuals]
-        places = log_ratios_of_each(parts, self._camera)
+        places = np.concatenate(
+            [
+                log_ratios_of_each(parts, self._camera),
+                log_ratios(self._evidence.residuals, self._camera)[None],
+            ]
+        )
         places[-1][:, np.any(predicted.turn, axis=1)] = -np.inf
         every = np.logaddexp(places, self._astray(tracks, predicted.drone_id))
         by_place = every.max(axis=0)

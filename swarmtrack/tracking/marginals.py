@@ -102,7 +102,7 @@ def matched(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | None = None
     probability, log_total = np.zeros(log_ratio.shape), 0.0
     if not disputing.all():
         probability[~disputing], log_total = _of_choices(log_ratio[~disputing])
-    for rows, columns in _clusters(allowed, np.flatnonzero(disputing).tolist()):
+    for rows, columns in independent_blocks(allowed, np.flatnonzero(disputing).tolist()):
         block = rows[:, None], columns
         found = _of_cluster(log_ratio[block], widest, beyond)
         probability[block] = found.probability
@@ -113,7 +113,9 @@ def matched(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | None = None
 def sweep_width(log_ratio: Array) -> int:
     """How many rows are open at once at most, in the sweep over all allowed pairs."""
     allowed = log_ratio > -np.inf
-    blocks = [allowed[rows[:, None], columns] for rows, columns in _clusters(allowed, range(len(allowed)))]
+    blocks = [
+        allowed[rows[:, None], columns] for rows, columns in independent_blocks(allowed, range(len(allowed)))
+    ]
     return max((min(_sweep_order(block)[1], _sweep_order(block.T)[1]) for block in blocks), default=0)
 
 
@@ -130,7 +132,7 @@ def _sets(member: NDArray[np.bool_]) -> list[int]:
     return [int.from_bytes(row.tobytes(), "little") for row in np.packbits(member, axis=1, bitorder="little")]
 
 
-def _clusters(allowed: NDArray[np.bool_], rows: Iterable[int]) -> list[IndependentBlock]:
+def independent_blocks(allowed: NDArray[np.bool_], rows: Iterable[int]) -> list[IndependentBlock]:
     """Connected parts of the graph of allowed pairs, of these rows; a row without any pair is in none."""
     wanted = _sets(allowed)
     found: list[tuple[list[int], int]] = []

@@ -1,0 +1,78 @@
+"""One matching under several hypotheses at once: for each of them what `marginals.py` gives, exactly.
+
+Small matchings are cheaper to work out than to ask for one by one, so all hypotheses go through one sweep. With F_j[S]
+and B_j[S] as there, all sets S of the rows (or columns, if these are fewer) are kept, and a step over a column is one
+matrix for each hypothesis.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.tracking.marginals import LARGEST_EXPONENT, independent_blocks, matched
+
+# Rows up to which all sets of them are kept: 32 sets.
+MOST_ROWS = 5
+
+
+class MatchedOfEach(NamedTuple):
+    """probability (c, n, m) of each pair, and the logarithm (c,) of the weight of all matchings."""
+
+    probability: Array
+    log_total: Array
+
+
+def matched_of_each(log_ratio: Array) -> MatchedOfEach:
+    """log_ratio (c, n, m): log r of n rows and m columns by each of c hypotheses; −inf forbids a pair."""
+    found = MatchedOfEach(np.zeros(log_ratio.shape), np.zeros(len(log_ratio)))
+    allowed = np.any(log_ratio > -np.inf, axis=0)
+    for rows, columns in independent_blocks(allowed, range(len(allowed))):
+        block = np.s_[:, rows[:, None], columns]
+        probability, log_total = _of_block(log_ratio[block])
+        found.probability[block] = probability
+        found.log_total[:] += log_total
+    return found
+
+
+def _of_block(log_ratio: Array) -> MatchedOfEach:
+    _, n, m = log_ratio.shape
+    if n > m:
+        probability, log_total = _of_block(log_ratio.swapaxes(1, 2))
+        return MatchedOfEach(probability.swapaxes(1, 2), log_total)
+    if n > MOST_ROWS or log_ratio.max() > LARGEST_EXPONENT / n:
+        each = [matched(ratios) for ratios in log_ratio]
+        return MatchedOfEach(
+            np.array([found.probability for found in each]), np.array([found.log_total for found in each])
+        )
+    return _swept(np.exp(log_ratio))
+
+
+def _swept(ratio: Array) -> MatchedOfEach:
+    c, n, m = ratio.shape
+    sets = 1 << n
+    without, with_it = _additions(n)
+    by_column = ratio.transpose(2, 0, 1)
+    step = np.zeros((m, c, sets, sets))
+    step[..., np.arange(sets), np.arange(sets)] = 1.0
+    step[:, :, with_it, without] = by_column[..., None]
+    forward, backward = np.zeros((m + 1, c, sets)), np.ones((m + 1, c, sets))
+    forward[0] = np.arange(sets) == 0
+    for j in range(m):
+        forward[j + 1] = (step[j] @ forward[j][..., None])[..., 0]
+        backward[m - 1 - j] = (backward[m - j][:, None] @ step[m - 1 - j])[:, 0]
+    total = backward[0, :, 0]
+    shares = (forward[:-1][:, :, without] * backward[1:][:, :, with_it]).sum(axis=-1)
+    return MatchedOfEach((by_column * shares).transpose(1, 2, 0) / total[:, None, None], np.log(total))
+
+
+@cache
+def _additions(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(n, sets / 2) each: by row, the sets that lack it, and the same with it."""
+    sets = np.arange(1 << n)
+    without = np.array([sets[sets >> i & 1 == 0] for i in range(n)], np.intp)
+    return without, without | (1 << np.arange(n))[:, None]
