@@ -24,6 +24,10 @@ class Evidence:
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
         self._t = 0.0
+        self.forget()
+
+    def forget(self) -> None:
+        """In a scan without any track to weigh."""
         self._rows: list[int] = []
         self._columns: list[Key] = []
         self.residuals = ReprojectionResiduals(

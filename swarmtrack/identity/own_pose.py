@@ -111,6 +111,8 @@ class OwnPose(NamedTuple):
     def mixed(self, ratios: Array, judged: Array) -> tuple[Array, Array]:
         """Of likely components and then of who is elsewhere or lost, log ratios (c + 1, n, k) and what they become with
         the past (c + 1, n, m): probabilities (n, m) of all pairs, and log ratios (n, k), by the components' weights."""
+        if not judged.shape[1]:
+            return np.zeros(judged.shape[1:]), np.zeros(ratios.shape[1:])
         weight = np.array([*self.weight[self.likely], max(self.elsewhere + self.lost, 1e-12)])
         weight /= weight.sum()
         probability = np.tensordot(weight, matched_of_each(judged).probability, axes=1)

@@ -218,8 +218,8 @@ def rays_to(named: Sequence[tuple[int, Track]], view: ObserverCamera) -> list[La
     if not named:
         return []
     mean = np.array([track.mean for _, track in named])
-    here = view.rays(mean[:, ::2])
-    there = view.rays(mean[:, ::2] + AHEAD_S * mean[:, 1::2])
+    soon = mean[:, ::2] + AHEAD_S * mean[:, 1::2]
+    here, there = np.split(view.rays(np.concatenate([mean[:, ::2], soon])), 2)
     sigma = np.sqrt([np.trace(track.cov[::2, ::2]) / 2.0 for _, track in named]) / view.camera.fx
     origin = view.team_from_camera.position
     return [

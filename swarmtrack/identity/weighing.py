@@ -147,6 +147,9 @@ class Weighing:
         """(c + 1, n, k) by likely component of the own pose, −inf outside every gate; in the last the observer may be
         anywhere, and only motion speaks, and where drones were seen. Averages over the scans in which it was asked of
         the same pair."""
+        if not tracks:
+            self._evidence.forget()
+            return np.zeros((len(own.likely) + 1, 0, len(predicted.drone_id)))
         found = _residuals(tracks, predicted.without_heading(view))
         self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
         if not found.mean.size:
@@ -328,6 +331,8 @@ def _said_by(place: Announcement, before: Announcement | None) -> Saying:
 
 def _elevations(tracks: Sequence[Track], view: ObserverCamera) -> list[float]:
     """rad above the horizon."""
+    if not tracks:
+        return []
     rays = view.rays(np.array([track.mean for track in tracks]).reshape(-1, 4)[:, ::2])
     found: list[float] = np.arcsin(np.clip(-rays[:, 2], -1.0, 1.0)).tolist()
     return found
