@@ -65,6 +65,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.recorded_flights",
         "what kill -9 costs a recording, and how fast it replays",
     ),
+    "relative": (
+        "swarmtrack.benchmarks.relative",
+        "where teammates are in metres, and whether that is known",
+    ),
     "rotation": (
         "swarmtrack.benchmarks.rotating_observer",
         "what the gyro is worth to an observer that turns",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -401,6 +401,54 @@ class AgreedMotion:
         _hold(self, "displacement", (n, 3))
         if n < 2 or not (np.diff(self.t) > 0.0).all():
             raise ValueError(f"AgreedMotion.t: expected two or more times that increase, got {n} that do not")
+
+
+RelativeSource = Literal["size", "announcement", "velocity", "range", "pose", "sighting"]
+RELATIVE_SOURCES: tuple[RelativeSource, ...] = get_args(RelativeSource)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativeState:
+    """Where an identified teammate is, and how it moves, relative to this drone's camera, in team axes (NED).
+
+    position (3,) m: the teammate minus the own camera; velocity (3,) m/s: of one against the other; cov (6, 6) of both.
+    range_sigma_log: how well the distance is known, as a share of it. sources: what told of it beside the direction.
+    """
+
+    drone_id: int
+    t: float
+    position: Array
+    velocity: Array
+    cov: Array
+    range_sigma_log: float
+    sources: tuple[RelativeSource, ...]
+
+    def __post_init__(self) -> None:
+        _hold(self, "position", (3,))
+        _hold(self, "velocity", (3,))
+        _hold(self, "cov", (6, 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeReport:
+    """A distance that a ranging radio measured between two drones, m from antenna to antenna; sigma m.
+
+    t: when, on *our* monotonic clock (converted by the transport), t_sigma its uncertainty.
+    """
+
+    drone_id: int
+    other: int
+    t: float
+    t_sigma: float
+    distance: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        sound = math.isfinite(self.distance) and self.distance > 0.0 and 0.0 < self.sigma < math.inf
+        if not sound:
+            raise ValueError(
+                f"RangeReport: found {self.distance} m ± {self.sigma} m, expected finite numbers above 0"
+            )
 
 
 PeerEvent = (

@@ -16,7 +16,7 @@ from support.places import ROOT
 LAYERS: list[set[str]] = [
     {"errors", "messages", "clock", "arguments"},
     {"geometry"},
-    {"motion", "tracking", "identity"},
+    {"motion", "tracking", "identity", "relative"},
     {"onboard", "perceived"},
     {"simulation", "evaluation"},
     {"toml", "wire", "security", "camera_files", "trajectory_file"},
@@ -31,7 +31,9 @@ LAYERS: list[set[str]] = [
     {"agents"},
 ]
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
-CORE = {"errors", "messages", "geometry", "motion", "tracking", "identity", "onboard", "perceived"}
+CORE = {
+    "errors", "messages", "geometry", "motion", "tracking", "identity", "relative", "onboard", "perceived"
+}  # fmt: skip
 # What judges and says, and touches nothing: facts in, sentences out.
 JUDGES = {"diagnosis", "evaluation", "monitor.verdict", "monitor.team", "monitor.timeline"}
 TOUCHES_THE_WORLD = {

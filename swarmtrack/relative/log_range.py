@@ -1,0 +1,293 @@
+"""What is believed of where teammates are: a direction, the logarithm of the range, the velocity over the range.
+
+Theory of operation. In team axes (NED) r = teammate − own camera = exp(l) d, with d on the unit sphere, and the
+teammate's own velocity is v = exp(l) s. A bearing measures d, and the width of a box measures l up to errors that last:
+all of it is linear in this state, so what a camera cannot see, the range, is never touched by a linearization of what
+it can. A Cartesian extended filter makes up range out of bearings, an iterated one runs towards the observer.
+
+The errors that last are states too, because whatever lasts and is taken for noise makes a confident wrong range: of
+the size, one part for good and one that wanders within a second; of a place that the teammate says, f; of its north
+against ours, ψ. The error state of a row is
+
+    α (2) across d on the axes E, l, s (3), size (2: lasting, wandering), f (3) m, ψ rad
+
+Motion between two exposures, exact in the mean, with u the own camera's way between them and e, φ from `decay`:
+
+    y = d + φ s − u exp(−l),   d' = y / |y|,   l' = l + ln |y|,   s' = e s / |y|
+
+A batch is n teammates, a row each. Nothing here writes into its arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from swarmtrack.messages import Array
+
+STATES: Final = 12
+ACROSS, RANGE, SPEED = slice(0, 2), 2, slice(3, 6)
+LASTING, WANDERING, PLACE, TURN = 6, 7, slice(8, 11), 11
+_MOVING: Final = slice(0, 6)
+# m: nearer and farther is nobody; a guess that runs away ends here.
+NEAREST, FARTHEST = 0.3, 300.0
+_LOG_NEAREST, _LOG_FARTHEST = math.log(NEAREST), math.log(FARTHEST)
+# Times the variance of the own way along three axes: what moved by less tells nothing of ranges.
+LEVER = 9.0
+# Of forget_s: a step that is shorter.
+SHORT = 1e-2
+_IDENTITY: Final = np.eye(STATES)
+_IDENTITY.setflags(write=False)
+
+
+class VelocityPrior(NamedTuple):
+    """How a teammate's velocity changes: it forgets itself within forget_s, around zero ± speed_sigma m/s per axis."""
+
+    speed_sigma: Array
+    """(n,)"""
+    forget_s: float
+
+
+class SizeErrors(NamedTuple):
+    """Of ln(width): wandering, one sigma, within wander_s; what lasts is told when a row begins."""
+
+    wandering: float
+    wander_s: float
+
+
+class OwnWay(NamedTuple):
+    """Of the own camera during a step: u (3,) m; walked, jitter m² per axis: how much of its noise stays, and how much
+    is of the two places at its ends only; turned rad² per axis: how far the error of its attitude went."""
+
+    u: Array
+    walked: float
+    jitter: float
+    turned: float
+
+
+class Drift(NamedTuple):
+    """How fast what a teammate says of itself leaves what we say: m/√s and rad/√s."""
+
+    place: float
+    turn: float
+
+
+class Decay(NamedTuple):
+    """Of an integrated Ornstein-Uhlenbeck process over one step: way from velocity φ, velocity left e, and Q per axis
+    of way and velocity, (n,) each: pp m², pv m²/s, vv m²/s²."""
+
+    phi: float
+    left: float
+    pp: Array
+    pv: Array
+    vv: Array
+
+
+def decay(dt: float, wander: VelocityPrior) -> Decay:
+    """Over dt s. Bar-Shalom, Li & Kirubarajan (2001), section 8.2, without the acceleration."""
+    tau = wander.forget_s
+    left = math.exp(-dt / tau)
+    phi = -tau * math.expm1(-dt / tau)
+    q = 2.0 * wander.speed_sigma**2 / tau
+    x = dt / tau
+    # Of short steps the closed form is a difference of nearly equal numbers.
+    way = dt**3 * (1.0 / 3.0 - x / 4.0 + 7.0 * x * x / 60.0)
+    if x > SHORT:
+        way = tau**2 * (dt - 2.0 * phi + 0.5 * tau * (1.0 - left * left))
+    return Decay(phi, left, q * way, q * phi * phi / 2.0, -0.5 * q * tau * math.expm1(-2.0 * x))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beliefs:
+    """Of n teammates at one instant: d (n, 3), axes E (n, 3, 2) across it, log_range (n,), s (n, 3) 1/s, size (n, 2),
+    place (n, 3) m, turn (n,) rad, and the covariance P (n, 12, 12) of the error state."""
+
+    d: Array
+    E: Array
+    log_range: Array
+    s: Array
+    size: Array
+    place: Array
+    turn: Array
+    P: Array
+
+    @property
+    def n(self) -> int:
+        return len(self.log_range)
+
+    def rows(self, index: Array | slice | list[int]) -> Beliefs:
+        """These rows only, in this order."""
+        return Beliefs(*(getattr(self, name)[index] for name in self.__slots__))
+
+    def joined(self, other: Beliefs) -> Beliefs:
+        """The rows of both."""
+        return Beliefs(
+            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in self.__slots__)
+        )
+
+
+def nobody() -> Beliefs:
+    """No rows."""
+    return Beliefs(
+        np.empty((0, 3)), np.empty((0, 3, 2)), np.empty(0), np.empty((0, 3)), np.empty((0, 2)),
+        np.empty((0, 3)), np.empty(0), np.empty((0, STATES, STATES)),
+    )  # fmt: skip
+
+
+def across(d: Array) -> Array:
+    """(n, 3, 2): two unit vectors across each of d (n, 3) and each other."""
+    first = np.zeros_like(d)
+    first[np.arange(len(d)), np.abs(d).argmin(axis=1)] = 1.0
+    one = _cross(d, first)
+    one /= np.sqrt((one * one).sum(axis=1))[:, None]
+    return np.stack([one, _cross(d, one)], axis=2)
+
+
+def predicted(
+    now: Beliefs, step: Decay, own: OwnWay, *, dt: float, errors: SizeErrors, drift: Drift
+) -> tuple[Beliefs, Array]:
+    """One step on, and F (n, 12, 12), by which the error state moved.
+
+    The lever of the own way on the range is shrunk by its noise: that is in the innovation too (errors in variables),
+    and would drive the range outwards step by step. The mean has the whole of it.
+    """
+    u = own.u
+    near = np.exp(-now.log_range)
+    y = now.d + step.phi * now.s - u * near[:, None]
+    length = np.maximum(np.sqrt((y * y).sum(axis=1)), 1e-6)
+    shorter = 1.0 / length
+    d = y * shorter[:, None]
+    E = across(d)
+    s = now.s * (step.left * shorter)[:, None]
+    onto = np.concatenate([E, d[:, :, None]], axis=2).swapaxes(1, 2) * shorter[:, None, None]
+    lever = max(0.0, 1.0 - LEVER * (own.walked + 2.0 * own.jitter) / max(float(u @ u), 1e-12))
+    by_state = np.zeros((now.n, 3, 6))
+    by_state[:, :, ACROSS] = now.E
+    by_state[:, :, RANGE] = u * (lever * near)[:, None]
+    by_state[:, 0, 3] = by_state[:, 1, 4] = by_state[:, 2, 5] = step.phi
+    moved = onto @ by_state
+    F = np.zeros((now.n, STATES, STATES))
+    F[:, :3, _MOVING] = moved
+    F[:, RANGE, RANGE] += 1.0
+    F[:, SPEED, _MOVING] = -s[:, :, None] * moved[:, 2, None, :]
+    for i in (3, 4, 5):
+        F[:, i, i] += step.left * shorter
+    kept = math.exp(-dt / errors.wander_s)
+    F[:, WANDERING, WANDERING] = kept
+    for i in (LASTING, 8, 9, 10, TURN):
+        F[:, i, i] = 1.0
+    P = F @ now.P @ F.swapaxes(1, 2)
+    P[:, _MOVING, _MOVING] += _shaken(onto * near[:, None, None], s, near * shorter, step, own.walked)
+    P[:, WANDERING, WANDERING] += errors.wandering**2 * (1.0 - kept * kept)
+    P[:, 0, 0] += own.turned
+    P[:, 1, 1] += own.turned
+    for i in (8, 9, 10):
+        P[:, i, i] += drift.place**2 * dt
+    P[:, TURN, TURN] += drift.turn**2 * dt
+    size = now.size * (1.0, kept)
+    log_range = np.clip(now.log_range + np.log(length), _LOG_NEAREST, _LOG_FARTHEST)
+    return replace(now, d=d, E=E, log_range=log_range, s=s, size=size, P=0.5 * (P + P.swapaxes(1, 2))), F
+
+
+def _shaken(onto: Array, s: Array, scale: Array, step: Decay, walked: float) -> Array:
+    """(n, 6, 6): what the noise of one step adds to (α, l, s). onto (n, 3, 3): from metres to (α, l); scale (n,): from
+    m/s to s."""
+    G = np.zeros((len(s), 6, 6))
+    G[:, :3, :3] = onto
+    G[:, SPEED, :3] = -s[:, :, None] * G[:, 2, None, :3]
+    Q = np.zeros((len(s), 6, 6))
+    for i in (0, 1, 2):
+        G[:, 3 + i, 3 + i] = scale
+        Q[:, i, i] = step.pp + walked
+        Q[:, i, 3 + i] = Q[:, 3 + i, i] = step.pv
+        Q[:, 3 + i, 3 + i] = step.vv
+    shaken: Array = G @ Q @ G.swapaxes(1, 2)
+    return shaken
+
+
+def corrected(prior: Beliefs, H: Array, nu: Array, R: Array) -> tuple[Beliefs, Array]:
+    """Fold in one measurement of each row: H (n, m, 12), innovation nu (n, m), R (n, m, m). Also returns A (n, 12, 12),
+    by which the error of the prior is left. A row of H that is zero measures nothing.
+
+    Joseph form: stays symmetric and positive when R is tiny.
+    """
+    PHt = prior.P @ H.swapaxes(1, 2)
+    S = H @ PHt + R
+    K = np.linalg.solve(S, PHt.swapaxes(1, 2)).swapaxes(1, 2)
+    A = _IDENTITY - K @ H
+    P = A @ prior.P @ A.swapaxes(1, 2) + K @ R @ K.swapaxes(1, 2)
+    moved, T = _moved(prior, (K @ nu[:, :, None])[:, :, 0])
+    return replace(moved, P=_turned(0.5 * (P + P.swapaxes(1, 2)), T)), T @ A
+
+
+def corrected_late(now: Beliefs, covariance: Array, nu: Array, V: Array) -> Beliefs:
+    """Fold in what was measured of an earlier state of one row: its innovation nu (m,) against that state, V (m, m) its
+    covariance, and covariance (12, m): of the error now with that innovation's. n = 1.
+
+    Bar-Shalom, "Update with out-of-sequence measurements" (2002), with the estimate of then as it was then: a linear
+    update whose second moments are all known, so that what it claims is what it has.
+    """
+    K = np.linalg.solve(V, covariance.T).T
+    P = now.P - (K @ covariance.T)[None]
+    moved, T = _moved(now, (K @ nu)[None])
+    return replace(moved, P=_turned(0.5 * (P + P.swapaxes(1, 2)), T))
+
+
+def _moved(prior: Beliefs, dx: Array) -> tuple[Beliefs, Array]:
+    """The means moved by dx (n, 12), P as it was; and T (n, 12, 12), from the old axes to the new."""
+    way = (prior.E @ dx[:, ACROSS, None])[:, :, 0]
+    angle = np.sqrt((way * way).sum(axis=1))[:, None]
+    d = prior.d * np.cos(angle) + way * np.sinc(angle / math.pi)
+    d /= np.sqrt((d * d).sum(axis=1))[:, None]
+    E = across(d)
+    T = np.zeros((prior.n, STATES, STATES)) + _IDENTITY
+    T[:, ACROSS, ACROSS] = E.swapaxes(1, 2) @ prior.E
+    moved = Beliefs(
+        d,
+        E,
+        np.clip(prior.log_range + dx[:, RANGE], _LOG_NEAREST, _LOG_FARTHEST),
+        prior.s + dx[:, SPEED],
+        prior.size + dx[:, LASTING : WANDERING + 1],
+        prior.place + dx[:, PLACE],
+        prior.turn + dx[:, TURN],
+        prior.P,
+    )
+    return moved, T
+
+
+def _turned(P: Array, T: Array) -> Array:
+    turned: Array = T @ P @ T.swapaxes(1, 2)
+    return turned
+
+
+class Cartesian(NamedTuple):
+    """r (n, 3) m: teammate minus own camera; v (n, 3) m/s: the teammate's own velocity; both along the team's axes;
+    cov (n, 6, 6) of both; range_sigma_log (n,)."""
+
+    r: Array
+    v: Array
+    cov: Array
+    range_sigma_log: Array
+
+
+def cartesian(now: Beliefs) -> Cartesian:
+    """In metres. dr = exp(l) (E α + d dl), dv = v dl + exp(l) ds."""
+    rho = np.exp(now.log_range)
+    r, v = rho[:, None] * now.d, rho[:, None] * now.s
+    J = np.zeros((now.n, 6, 6))
+    J[:, :3, ACROSS] = rho[:, None, None] * now.E
+    J[:, :3, RANGE] = r
+    J[:, 3:, RANGE] = v
+    J[:, 3, 3] = J[:, 4, 4] = J[:, 5, 5] = rho
+    P = now.P[:, _MOVING, _MOVING]
+    return Cartesian(r, v, J @ P @ J.swapaxes(1, 2), np.sqrt(now.P[:, RANGE, RANGE]))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """np.cross of (n, 3), at a third of its price."""
+    x, y, z = a[:, 0], a[:, 1], a[:, 2]
+    i, j, k = b[:, 0], b[:, 1], b[:, 2]
+    return np.stack([y * k - z * j, z * i - x * k, x * j - y * i], axis=1)

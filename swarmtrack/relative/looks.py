@@ -1,0 +1,106 @@
+"""What a scan tells of named teammates: rays in team axes, and the range that the width of a box stands for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.messages import Array
+
+# rad: a camera rolled by more sees no width of its own.
+MOST_ROLL = math.radians(35.0)
+# px: a box that is nearer to the border may be cut off.
+BORDER_PX = 2.0
+# Of the width: a box that was turned upright by the own roll is as much less certain, for each rad.
+ROLL_NOISE = 0.3
+
+
+class NamedBox(NamedTuple):
+    """A teammate as a scan shows it: its name's track, the undistorted pixel z (2,) with R (2, 2) px², and the box's
+    size (2,) px; all NaN where it was not detected."""
+
+    drone_id: int
+    track_id: int
+    z: Array
+    R: Array
+    size: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TeamLook:
+    """One scan, at t [s]. camera (3,) m and velocity (3,) m/s: of the own camera along the team's axes; keys: of n
+    teammates drone and track; ray (n, 3) and ray_cov (n, 3, 3) in team axes, width (n,) rad; NaN where unknown."""
+
+    t: float
+    camera: Array
+    velocity: Array
+    keys: tuple[tuple[int, int], ...]
+    ray: Array
+    ray_cov: Array
+    width: Array
+
+    @classmethod
+    def of(
+        cls,
+        t: float,
+        boxes: Sequence[NamedBox],
+        camera: PinholeCamera,
+        team_from_camera: Pose,
+        velocity: Array,
+    ) -> TeamLook:
+        """boxes: of all named tracks, detected or not."""
+        z = np.array([box.z for box in boxes]).reshape(-1, 2)
+        R = np.array([box.R for box in boxes]).reshape(-1, 2, 2)
+        size = np.array([box.size for box in boxes]).reshape(-1, 2)
+        rays = camera.bearing_undistorted(z)
+        by_pixel = (np.eye(3) - rays[:, :, None] * rays[:, None, :])[:, :, :2] * rays[:, 2, None, None]
+        by_pixel = team_from_camera.rotation @ by_pixel / np.array([camera.fx, camera.fy])
+        return cls(
+            t,
+            team_from_camera.position,
+            velocity,
+            tuple((box.drone_id, box.track_id) for box in boxes),
+            rays @ team_from_camera.rotation.T,
+            by_pixel @ R @ by_pixel.swapaxes(1, 2),
+            widths(z, size, camera, team_from_camera.rotation),
+        )
+
+
+def widths(z: Array, size: Array, camera: PinholeCamera, team_from_camera: Array) -> Array:
+    """(n,) rad: how wide the boxes of size (n, 2) px at undistorted z (n, 2) are, level as seen in the world.
+
+    A drone is wider than high, so that the box of a camera that rolls by ρ has sides w² = W² cos² ρ + H² sin² ρ and
+    h² = W² sin² ρ + H² cos² ρ, as of an ellipse: turned back, W² = (w² cos² ρ − h² sin² ρ) / cos 2ρ. NaN where the
+    camera rolls by more than `MOST_ROLL`, and of a box at the border, which may be cut off.
+    """
+    roll = camera_roll(team_from_camera)
+    if abs(roll) > MOST_ROLL:
+        return np.full(len(z), np.nan)
+    cosine, sine = math.cos(roll) ** 2, math.sin(roll) ** 2
+    with np.errstate(invalid="ignore"):
+        square = size[:, 0] ** 2 * cosine - size[:, 1] ** 2 * sine
+        level = np.sqrt(np.where(square > 0.0, square, np.nan) / math.cos(2.0 * roll))
+        low, high = camera.ideal_bounds
+        whole = (z - 0.5 * size > low + BORDER_PX).all(axis=1) & (z + 0.5 * size < high - BORDER_PX).all(
+            axis=1
+        )
+    edge = np.zeros_like(z)
+    edge[:, 0], edge[:, 1] = 0.5 * level * math.cos(roll), -0.5 * level * math.sin(roll)
+    left, right = camera.bearing_undistorted(z - edge), camera.bearing_undistorted(z + edge)
+    apart = 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(((right - left) ** 2).sum(axis=1)), 1.0))
+    return np.asarray(np.where(whole & (apart > 0.0), apart, np.nan))
+
+
+def camera_roll(team_from_camera: Array) -> float:
+    """How far the camera is turned about its axis against the horizon, rad, clockwise as seen along the axis: by that
+    much what is level appears turned the other way. Of one that looks straight up or down, 0."""
+    down = team_from_camera[2]
+    if math.hypot(down[0], down[1]) < 0.1:
+        return 0.0
+    return math.atan2(down[0], down[1])

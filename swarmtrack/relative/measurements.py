@@ -1,0 +1,152 @@
+"""What tells of a teammate's place and motion, each as innovation, H and R of the state in `log_range.py`.
+
+What a camera sees is measured at the scan, of all teammates at once. What is said or ranged comes with a time of its
+own: it is compared with the belief of the last scan before, carried on to that time (`Carried`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.messages import Array
+from swarmtrack.relative.log_range import (
+    ACROSS,
+    LASTING,
+    PLACE,
+    RANGE,
+    SPEED,
+    STATES,
+    TURN,
+    WANDERING,
+    Beliefs,
+    Decay,
+    across,
+)
+
+_ABOUT_DOWN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+"""(3, 3): by how much a turn about the vertical moves a vector, per rad."""
+
+
+class Measured(NamedTuple):
+    """nu (…, m), H (…, m, 12), R (…, m, m)."""
+
+    nu: Array
+    H: Array
+    R: Array
+
+
+def seen(now: Beliefs, ray: Array, ray_cov: Array, log_range: Array, log_var: float) -> Measured:
+    """By the camera, of n teammates. ray (n, 3) unit vectors in team axes, ray_cov (n, 3, 3) rad²; log_range (n,): by
+    the width of the box, log_var its white variance. What was not seen is NaN."""
+    n = now.n
+    nu, H, R = np.zeros((n, 3)), np.zeros((n, 3, STATES)), np.zeros((n, 3, 3))
+    got = np.isfinite(ray[:, 0])
+    sized = got & np.isfinite(log_range)
+    ahead = (ray * now.d).sum(axis=1)
+    got &= ahead > 0.5
+    axes = now.E.swapaxes(1, 2)
+    with np.errstate(invalid="ignore"):
+        nu[:, :2] = np.where(got[:, None], (axes @ ray[:, :, None])[:, :, 0] / ahead[:, None], 0.0)
+        nu[:, 2] = np.where(sized, log_range - now.log_range - now.size.sum(axis=1), 0.0)
+    H[:, 0, 0] = H[:, 1, 1] = got
+    H[:, 2, RANGE] = H[:, 2, LASTING] = H[:, 2, WANDERING] = sized
+    R[:, :2, :2] = np.where(got[:, None, None], axes @ ray_cov @ now.E, np.eye(2))
+    R[:, 2, 2] = log_var
+    return Measured(nu, H, R)
+
+
+class Carried(NamedTuple):
+    """One teammate at the time of a message: x (3,) m from where the camera was at the scan, velocity v (3,) m/s, and
+    their derivatives by the error state, (3, 12) each; noise_x m² and noise_v m²/s² of each axis since the scan. turn
+    rad, place (3,) m: the errors of what it says, as they are believed.
+
+    Metres are exp(l) times what the state holds. While l is hardly known that bends: bent_x, bent_v (3,) are the second
+    order of the means, and more_x, more_v (3, 3) of the covariances. Without them a velocity that is said by a teammate
+    of unknown range makes a sure wrong range.
+    """
+
+    x: Array
+    v: Array
+    by_x: Array
+    by_v: Array
+    noise_x: float
+    noise_v: float
+    bent_x: Array
+    bent_v: Array
+    more_x: Array
+    more_v: Array
+    place: Array
+    turn: float
+
+    @classmethod
+    def of(cls, then: Beliefs, step: Decay) -> Carried:
+        """then: of one row, at the scan; step: from there on."""
+        rho = float(np.exp(then.log_range[0]))
+        r, v = rho * then.d[0], rho * then.s[0]
+        by_r, by_v = np.zeros((3, STATES)), np.zeros((3, STATES))
+        by_r[:, ACROSS] = rho * then.E[0]
+        by_r[:, RANGE] = r
+        by_v[:, RANGE] = v
+        by_v[:, SPEED] = rho * np.eye(3)
+        P = then.P[0]
+        vague, shared = float(P[RANGE, RANGE]), rho * P[RANGE, SPEED]
+        bent_v = 0.5 * vague * v + shared
+        more_v = 0.5 * vague**2 * np.outer(v, v) + vague * (np.outer(v, shared) + np.outer(shared, v))
+        more_v += rho**2 * vague * P[SPEED, SPEED] + np.outer(shared, shared)
+        return cls(
+            r + step.phi * v,
+            step.left * v,
+            by_r + step.phi * by_v,
+            step.left * by_v,
+            float(step.pp[0]),
+            float(step.vv[0]),
+            0.5 * vague * r + step.phi * bent_v,
+            step.left * bent_v,
+            0.5 * vague**2 * np.outer(r, r) + step.phi**2 * more_v,
+            step.left**2 * more_v,
+            then.place[0],
+            float(then.turn[0]),
+        )
+
+
+def said_velocity(at: Carried, velocity: Array, cov: Array) -> Measured:
+    """The teammate's own velocity (3,) m/s, by its own north; cov (3, 3)."""
+    turned = _ABOUT_DOWN @ at.v
+    H = at.by_v + at.turn * _ABOUT_DOWN @ at.by_v
+    H[:, TURN] += turned
+    nu = velocity - at.v - at.bent_v - at.turn * turned
+    return Measured(nu, H, cov + at.more_v + at.noise_v * np.eye(3))
+
+
+def said_place(at: Carried, place: Array, cov: Array) -> Measured:
+    """Where the teammate says it is, (3,) m from where the camera was at the scan; cov (3, 3): of what does not last,
+    as what lasts is a state."""
+    H = at.by_x.copy()
+    H[:, PLACE] += np.eye(3)
+    return Measured(place - at.x - at.bent_x - at.place, H, cov + at.more_x + at.noise_x * np.eye(3))
+
+
+def ranged(at: Carried, distance: float, sigma: float, own_way: Array) -> Measured:
+    """A distance [m]; its logarithm, in which the state is linear. own_way (3,) m: of the camera since the scan."""
+    x = at.x - own_way
+    rho = float(np.sqrt(x @ x))
+    variance = (sigma**2 + at.noise_x) / distance**2
+    return Measured(
+        np.array([math.log(distance / rho)]), (x / rho**2 @ at.by_x)[None], np.array([[variance]])
+    )
+
+
+def ray_of_another(
+    at: Carried, origin: Array, direction: Array, sigma: float, origin_sigma: float
+) -> Measured:
+    """A ray on which another drone sees the teammate. origin (3,) m from where our camera was at the scan; direction
+    (3,) unit; sigma rad, of frames that differ too; origin_sigma m per axis."""
+    x = at.x - origin
+    axes = across(direction[None])[0].T
+    along = max(float(direction @ x), 1e-3)
+    variance = sigma**2 + (origin_sigma**2 + at.noise_x) / along**2
+    R = variance * np.eye(2) + axes @ at.more_x @ axes.T / along**2
+    return Measured(-(axes @ (x + at.bent_x)) / along, axes @ at.by_x / along, R)

@@ -1,0 +1,79 @@
+"""What the relative states believe of airframes, detectors, autopilots and how drones fly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# The shipped detector on 18 real drones in nine clips, log sigmas: from drone to drone, and within one.
+DRONE_TO_DRONE, WANDERING, WHITE, WANDER_S = 0.18, 0.12, 0.06, 1.0
+# Of airframes nobody told the span of: half are between 0.3 and 0.7 m.
+USUAL_SPAN_M, USUAL_SPAN_SIGMA = 0.45, 0.6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RelativeParameters:
+    """Of the filter in `log_range.py`. All sizes are relative, as sigmas of a logarithm."""
+
+    airframe_span_m: float | None = None
+    """From the outer rim of one rotor disc to that of its neighbour; None: it is not known, and the size tells a range
+    only once something else told one."""
+    width_per_span: float = 1.0
+    """Of the detector's boxes: their mean width over the span. 1.14 for the true outline of a quadrotor over all yaws;
+    the shipped detector's boxes are 14 % narrower."""
+    size_lasting: float = DRONE_TO_DRONE
+    """What of a box's width lasts: aspect, model, light."""
+    size_wandering: float = WANDERING
+    size_wander_s: float = WANDER_S
+    size_white: float = WHITE
+    speed_sigma: float = 1.5
+    """How fast a teammate flies, m/s per axis."""
+    fellows: float = 0.7
+    """Of the own speed: as fast may a teammate be along each axis, if that is more."""
+    forget_s: float = 4.0
+    """How long it keeps its velocity."""
+    odometry: float = 0.02
+    """How the own position drifts, m/√s."""
+    jitter_m: float = 0.02
+    """How it scatters from one pose to the next."""
+    attitude_walk: float = 0.005
+    """How the error of the own attitude moves, rad/√s: 15 mrad that last for 15 s. How large it is, comes with the own
+    pose, and only into what is said."""
+    turn_sigma: float = 0.06
+    """How far a teammate's north is from ours, rad."""
+    place_drift: float = 0.02
+    """How two drones' frames drift apart, m/√s, and rad/√s."""
+    turn_drift: float = 0.002
+    ray_sigma: float = 0.035
+    """By how much a third drone's ray is off beside what it says, rad; it lasts for `ray_lasts_s`."""
+    ray_lasts_s: float = 20.0
+    drift_speed: float = 0.5
+    """How fast a drone may have left the place it announced, m/s."""
+
+    def __post_init__(self) -> None:
+        span = self.airframe_span_m
+        if span is not None and not 0.05 <= span <= 10.0:
+            raise ValueError(f"relative.airframe_span_m: found {span!r}, expected 0.05 to 10")
+        for name in (
+            "width_per_span",
+            "size_white",
+            "size_wander_s",
+            "speed_sigma",
+            "forget_s",
+            "ray_lasts_s",
+        ):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"relative.{name}: found {getattr(self, name)!r}, expected a number above 0")
+        for name in ("size_lasting", "size_wandering", "odometry", "jitter_m", "drift_speed"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"relative.{name}: found {getattr(self, name)!r}, expected 0 or more")
+
+    @property
+    def width_m(self) -> float:
+        """Of a teammate at 1 rad: how wide its box is."""
+        return (USUAL_SPAN_M if self.airframe_span_m is None else self.airframe_span_m) * self.width_per_span
+
+    @property
+    def lasting(self) -> float:
+        """What of the size lasts, the span's own error included."""
+        unknown = USUAL_SPAN_SIGMA if self.airframe_span_m is None else 0.0
+        return float((self.size_lasting**2 + unknown**2) ** 0.5)

@@ -1,0 +1,433 @@
+"""Where each identified teammate is: the filter of `log_range.py`, told of scans and of what teammates say.
+
+Theory of operation. A row begins with a name: from the place that the teammate said, where that tells its range better
+than the size of its box does, else from that size. It ends with the name and is never handed on to another: a key is a
+drone and a track. The belief stands at the last scan. What comes with a time of its own is compared with the belief
+of the last scan before that time, and corrects the belief of now by what the two share; `History` keeps, for a second,
+how errors moved from scan to scan. That is exact until a row has been corrected so: what is older than that is let go.
+
+What contradicts the belief is refused and counted: a liar, or a clock that is hours off, costs nothing but the count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from swarmtrack.messages import (
+    RELATIVE_SOURCES,
+    Announcement,
+    Array,
+    MotionReport,
+    RangeReport,
+    RelativeSource,
+    RelativeState,
+    SightingReport,
+)
+from swarmtrack.relative import measurements
+from swarmtrack.relative.log_range import (
+    ACROSS,
+    FARTHEST,
+    LASTING,
+    NEAREST,
+    PLACE,
+    RANGE,
+    STATES,
+    TURN,
+    WANDERING,
+    Beliefs,
+    Drift,
+    OwnWay,
+    SizeErrors,
+    VelocityPrior,
+    across,
+    cartesian,
+    corrected,
+    corrected_late,
+    decay,
+    nobody,
+    predicted,
+)
+from swarmtrack.relative.looks import TeamLook
+from swarmtrack.relative.measurements import Carried, Measured
+from swarmtrack.relative.parameters import RelativeParameters
+
+# s of scans whose beliefs are kept for what comes late; and how far ahead of the last scan a message may be.
+HISTORY_S, AHEAD_S = 1.0, 0.5
+# Of the squared distance of what is believed, by how many numbers were measured.
+_GATE = {m: float(chi2.ppf(0.9999, m)) for m in (1, 2, 3)}
+# Times the covariance: no more is believed of one ray.
+MOST_SURPRISED = 100.0
+# m/s: no drone is faster; its own frame was set anew.
+FASTEST = 50.0
+# Of ln(range): a range that is known no better is none.
+VAGUE = 0.5
+# m, of a said place, one sigma per axis: what does not last, and what lasts of the best.
+PLACE_WHITE, PLACE_LASTING = 0.05, 0.1
+# m/s, of a said velocity, one sigma per axis; and m/s², s: how much it changes while clocks are apart.
+SPEED_WHITE, CHANGE = 0.05, 1.5
+# m: how far a drone whose own word is all that is known may be from there.
+UNTOLD_PLACE = 0.5
+# That a third drone's ray is to whom it says.
+SURE = 0.9
+
+
+class OwnMotion(NamedTuple):
+    """The own camera at some time: camera (3,) m and velocity (3,) m/s along the team's axes, velocity_cov (3, 3),
+    attitude_cov (3, 3) rad² about these axes."""
+
+    camera: Array
+    velocity: Array
+    velocity_cov: Array
+    attitude_cov: Array
+
+
+class _SaidPlace(NamedTuple):
+    t: float
+    position: Array
+    lasting: float
+    """m² per axis."""
+    source: RelativeSource
+
+
+@dataclass(slots=True)
+class _Moment:
+    """The beliefs at a scan; onward (n, 12, 12): by how much of each row's error is left at the next."""
+
+    t: float
+    camera: Array
+    velocity: Array
+    keys: tuple[tuple[int, int], ...]
+    beliefs: Beliefs
+    onward: Array
+
+
+class RelativeStates:
+    """`observe` every scan, tell what was heard, and read `at` any time."""
+
+    def __init__(self, parameters: RelativeParameters | None = None) -> None:
+        self._p = parameters or RelativeParameters()
+        self._errors = SizeErrors(self._p.size_wandering, self._p.size_wander_s)
+        self._drift = Drift(self._p.place_drift, self._p.turn_drift)
+        self._now: _Moment | None = None
+        self._before: deque[_Moment] = deque()
+        self._said: dict[int, _SaidPlace] = {}
+        self._sources: dict[tuple[int, int], set[RelativeSource]] = {}
+        self._exact_since: dict[tuple[int, int], float] = {}
+        """s: scans before say nothing any more of how errors moved, as something late was folded in."""
+        self._rays: dict[tuple[int, int], float] = {}
+        """By observer and drone: when it last told a ray."""
+        self.refused = 0
+        self.surprised = 0
+        self.late = 0
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What contradicted what is believed, rays that nobody expected, and what came too late to be used."""
+        return {
+            "relative_refused": self.refused,
+            "relative_surprised": self.surprised,
+            "relative_late": self.late,
+        }
+
+    # --- what is seen ---
+
+    def observe(self, look: TeamLook) -> None:
+        """A scan, later than the one before."""
+        kept = self._carry(look) if self._now is not None else nobody()
+        known = () if self._now is None else tuple(key for key in self._now.keys if key in look.keys)
+        self._sources = {key: self._sources[key] for key in known}
+        self._exact_since = {key: t for key, t in self._exact_since.items() if key in known}
+        fresh = [
+            i for i, key in enumerate(look.keys) if key not in known and math.isfinite(float(look.ray[i, 0]))
+        ]
+        begun = [self._begun(look, i) for i in fresh]
+        beliefs = kept
+        for row in begun:
+            beliefs = beliefs.joined(row)
+        keys = known + tuple(look.keys[i] for i in fresh)
+        self._now = _Moment(look.t, look.camera, look.velocity, keys, beliefs, np.empty((0, STATES, STATES)))
+
+    def _carry(self, look: TeamLook) -> Beliefs:
+        """The rows that go on, at the time of the look and corrected by it."""
+        last = self._now
+        assert last is not None
+        stay = [i for i, key in enumerate(last.keys) if key in look.keys]
+        if len(stay) < len(last.keys):
+            last.keys, last.beliefs = tuple(last.keys[i] for i in stay), last.beliefs.rows(stay)
+        dt, u = look.t - last.t, look.camera - last.camera
+        if float(u @ u) > (FASTEST * dt + 1.0) ** 2:
+            last.keys, last.beliefs, stay = (), nobody(), []
+        if not stay:
+            self._before.clear()
+            return nobody()
+        own = OwnWay(u, self._p.odometry**2 * dt, self._p.jitter_m**2, self._p.attitude_walk**2 * dt)
+        step = decay(dt, self._wander(look.velocity, len(stay)))
+        prior, F = predicted(last.beliefs, step, own, dt=dt, errors=self._errors, drift=self._drift)
+        rows = [look.keys.index(key) for key in last.keys]
+        posterior, A = self._corrected(prior, look, rows, last.keys)
+        last.onward = A @ F
+        self._before.append(last)
+        while self._before[0].t < look.t - HISTORY_S:
+            self._before.popleft()
+        return posterior
+
+    def _corrected(
+        self, prior: Beliefs, look: TeamLook, rows: list[int], keys: tuple[tuple[int, int], ...]
+    ) -> tuple[Beliefs, Array]:
+        near = np.exp(-2.0 * prior.log_range)
+        ray_cov = look.ray_cov[rows] + (self._p.jitter_m**2 * near)[:, None, None] * np.eye(3)
+        log_range = np.log(self._p.width_m / look.width[rows])
+        found = measurements.seen(prior, look.ray[rows], ray_cov, log_range, self._p.size_white**2)
+        prior = self._surprised(prior, found)
+        for key, sized in zip(keys, found.H[:, 2, RANGE].tolist(), strict=True):
+            if sized:
+                self._sources[key].add("size")
+        return corrected(prior, found.H, found.nu, found.R)
+
+    def _surprised(self, prior: Beliefs, found: Measured) -> Beliefs:
+        """The prior, as uncertain as its rays show it to be: the track is the teammate, so that a ray that was not
+        expected tells that the belief was wrong. A size may be that of two drones: it is zeroed, in place."""
+        S = found.H @ prior.P @ found.H.swapaxes(1, 2) + found.R
+        a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
+        x, y = found.nu[:, 0], found.nu[:, 1]
+        times = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b) / _GATE[2]
+        odd = found.nu[:, 2] ** 2 / S[:, 2, 2] > _GATE[1]
+        found.H[odd, 2], found.nu[odd, 2] = 0.0, 0.0
+        self.refused += int(odd.sum())
+        if not (times > 1.0).any():
+            return prior
+        self.surprised += int((times > 1.0).sum())
+        return replace(prior, P=prior.P * np.clip(times, 1.0, MOST_SURPRISED)[:, None, None])
+
+    def _wander(self, own_velocity: Array, n: int) -> VelocityPrior:
+        """Who flies with a fast drone is fast, too."""
+        speed = max(self._p.speed_sigma, self._p.fellows * math.sqrt(float(own_velocity @ own_velocity)))
+        return VelocityPrior(np.full(n, speed), self._p.forget_s)
+
+    def _begun(self, look: TeamLook, i: int) -> Beliefs:
+        """A row of its own, for look.keys[i]."""
+        key, ray = look.keys[i], look.ray[i]
+        p = self._p
+        P = np.zeros((STATES, STATES))
+        E = across(ray[None])
+        P[ACROSS, ACROSS] = E[0].T @ look.ray_cov[i] @ E[0]
+        P[LASTING, LASTING], P[WANDERING, WANDERING] = p.lasting**2, p.size_wandering**2
+        P[TURN, TURN] = p.turn_sigma**2
+        said = self._said.get(key[0])
+        lasting = UNTOLD_PLACE**2 if said is None else said.lasting
+        P[PLACE, PLACE] = lasting * np.eye(3)
+        by_size = p.lasting**2 + p.size_wandering**2 + p.size_white**2
+        width = float(look.width[i])
+        sources: set[RelativeSource] = set()
+        log_range, variance = math.log(10.0), 1.0
+        placed = None if said is None else _along(said, look, i, p.drift_speed)
+        if placed is not None and math.isfinite(width):
+            apart = (placed[0] - math.log(p.width_m / width)) ** 2 / (placed[1] + by_size)
+            placed = placed if placed[1] < by_size and apart < _GATE[1] else None
+        if placed is not None:
+            log_range, variance = placed
+            # What it says is its place less f: as far as that is wrong, so is the range.
+            P[RANGE, PLACE] = P[PLACE, RANGE] = -ray * lasting * math.exp(-log_range)
+            assert said is not None
+            sources.add(said.source)
+        elif math.isfinite(width):
+            log_range, variance = math.log(p.width_m / width), by_size
+            P[RANGE, LASTING] = P[LASTING, RANGE] = -(p.lasting**2)
+            P[RANGE, WANDERING] = P[WANDERING, RANGE] = -(p.size_wandering**2)
+            sources.add("size")
+        log_range = min(max(log_range, math.log(NEAREST)), math.log(FARTHEST))
+        P[RANGE, RANGE] = variance
+        speed = float(self._wander(look.velocity, 1).speed_sigma[0]) * math.exp(-log_range)
+        for k in (3, 4, 5):
+            P[k, k] = speed**2
+        row = Beliefs(
+            ray[None], E, np.array([log_range]), np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3)),
+            np.zeros(1), P[None],
+        )  # fmt: skip
+        self._sources[key] = sources
+        if "size" not in sources and math.isfinite(width):
+            sources.add("size")
+            missing = np.full_like(look.ray_cov[i], np.nan)
+            found = measurements.seen(
+                row, ray[None], missing[None], np.array([math.log(p.width_m / width)]), p.size_white**2
+            )
+            # The ray was used already.
+            found.H[:, :2], found.R[:, :2, :2] = 0.0, np.eye(2)
+            row, _ = corrected(row, found.H, found.nu, found.R)
+        return row
+
+    # --- what is said ---
+
+    def hear_announcement(self, said: Announcement) -> None:
+        """A teammate's place, and how well it knows it."""
+        lasting = 2.0 * float(np.trace(said.position_cov)) / 3.0 + PLACE_LASTING**2
+        self._said[said.drone_id] = _SaidPlace(said.t, said.position, lasting, "announcement")
+        self._hear_place(said.drone_id, said.t, said.t_sigma, said.position, "announcement")
+
+    def hear_motion(self, said: MotionReport) -> None:
+        """A teammate's own velocity, at its own time."""
+        cov = said.velocity_cov + (SPEED_WHITE**2 + (CHANGE * said.t_sigma) ** 2) * np.eye(3)
+
+        def measured(at: Carried, _: _Moment) -> Measured:
+            return measurements.said_velocity(at, said.velocity, cov)
+
+        self._fold(said.drone_id, said.t, "velocity", measured)
+
+    def hear_range(self, said: RangeReport) -> None:
+        """A distance to a teammate from this drone."""
+        sigma = math.hypot(said.sigma, self._p.speed_sigma * said.t_sigma)
+
+        def measured(at: Carried, then: _Moment) -> Measured:
+            return measurements.ranged(at, said.distance, sigma, (said.t - then.t) * then.velocity)
+
+        self._fold(said.other, said.t, "range", measured)
+
+    def hear_sightings(self, said: SightingReport) -> None:
+        """Where a teammate says it is, and on which rays it sees others."""
+        drone = said.observer
+        known = self._said.get(drone)
+        lasting = UNTOLD_PLACE**2 if known is None else known.lasting
+        self._said[drone] = _SaidPlace(said.t, said.position, lasting, "pose")
+        self._hear_place(drone, said.t, said.t_sigma, said.position, "pose")
+        for seen in said.sightings:
+            if seen.probability < SURE or self._row(seen.drone_id) is None:
+                continue
+            since = min(max(said.t - self._rays.get((drone, seen.drone_id), -math.inf), 0.05), 1e3)
+            # Its frame is off for long: many rays count as one.
+            often = max(2.0 * self._p.ray_lasts_s / since, 1.0) ** 0.5
+            sigma = math.hypot(seen.sigma, often * self._p.ray_sigma)
+            origin_sigma = often * math.hypot(said.position_sigma, lasting**0.5)
+            if self._fold(seen.drone_id, said.t, "sighting", _ray(said, seen.direction, sigma, origin_sigma)):
+                self._rays[drone, seen.drone_id] = said.t
+
+    def _hear_place(self, drone: int, t: float, t_sigma: float, place: Array, source: RelativeSource) -> None:
+        cov = (PLACE_WHITE**2 + (self._p.speed_sigma * t_sigma) ** 2) * np.eye(3)
+
+        def measured(at: Carried, then: _Moment) -> Measured:
+            return measurements.said_place(at, place - then.camera, cov)
+
+        self._fold(drone, t, source, measured)
+
+    def _row(self, drone_id: int) -> int | None:
+        keys = () if self._now is None else self._now.keys
+        return next((i for i, key in enumerate(keys) if key[0] == drone_id), None)
+
+    def _fold(
+        self, drone_id: int, t: float, source: RelativeSource, measure: Callable[[Carried, _Moment], Measured]
+    ) -> bool:
+        """Fold in what was measured at t. False where it is of nobody who is seen, or was not believed."""
+        now, row = self._now, self._row(drone_id)
+        if now is None or row is None:
+            return False
+        key = now.keys[row]
+        chain = self._chain(key, t)
+        if chain is None:
+            self.late += 1
+            return False
+        then = chain[0]
+        mine = then.beliefs.rows([then.keys.index(key)])
+        at = Carried.of(mine, decay(t - then.t, self._wander(then.velocity, 1)))
+        found = measure(at, then)
+        shared = mine.P[0] @ found.H.T
+        V = found.H @ shared + found.R
+        for moment in chain[:-1]:
+            shared = moment.onward[moment.keys.index(key)] @ shared
+        if not float(found.nu @ np.linalg.solve(V, found.nu)) < _GATE[len(found.nu)]:
+            self.refused += 1
+            return False
+        better = corrected_late(now.beliefs.rows([row]), shared, found.nu, V)
+        rest = [i for i in range(now.beliefs.n) if i != row]
+        now.keys = (*(now.keys[i] for i in rest), key)
+        now.beliefs = now.beliefs.rows(rest).joined(better)
+        self._exact_since[key] = now.t
+        self._sources[key].add(source)
+        return True
+
+    def _chain(self, key: tuple[int, int], t: float) -> list[_Moment] | None:
+        """The scans from the last before t until now; None where that is too long ago, or t is yet to come."""
+        assert self._now is not None
+        if not t < self._now.t + AHEAD_S:
+            return None
+        chain = [self._now]
+        for moment in reversed(self._before):
+            if chain[0].t <= t:
+                break
+            chain.insert(0, moment)
+        first = chain[0]
+        usable = first.t <= t and key in first.keys and first.t >= self._exact_since.get(key, -math.inf)
+        return chain if usable else None
+
+    # --- what is known ---
+
+    def at(self, t: float, own: OwnMotion) -> dict[tuple[int, int], RelativeState]:
+        """By drone and track: the states carried on to t, seen from where the own camera is then; of those whose range
+        is known at all. The attitude's error, which bears on all of them alike, comes in here and nowhere else."""
+        now = self._now
+        if now is None or not now.keys:
+            return {}
+        found = cartesian(now.beliefs)
+        step = decay(max(t - now.t, 0.0), self._wander(own.velocity, now.beliefs.n))
+        r = found.r + step.phi * found.v - (own.camera - now.camera)
+        v = step.left * found.v - own.velocity
+        cov = _carried(found.cov, step.phi, step.left)
+        by_turn = np.concatenate([_hat(r), _hat(v)], axis=1)
+        cov += by_turn @ own.attitude_cov @ by_turn.swapaxes(1, 2)
+        for i in (0, 1, 2):
+            cov[:, i, i] += step.pp + self._p.jitter_m**2
+            cov[:, i, 3 + i] += step.pv
+            cov[:, 3 + i, i] += step.pv
+            cov[:, 3 + i, 3 + i] += step.vv
+        cov[:, 3:, 3:] += own.velocity_cov
+        states = {}
+        for i, (key, sigma) in enumerate(zip(now.keys, found.range_sigma_log.tolist(), strict=True)):
+            if sigma < VAGUE:
+                sources = tuple(name for name in RELATIVE_SOURCES if name in self._sources[key])
+                states[key] = RelativeState(key[0], t, r[i], v[i], cov[i], sigma, sources)
+        return states
+
+
+def _ray(
+    said: SightingReport, direction: Array, sigma: float, origin_sigma: float
+) -> Callable[[Carried, _Moment], Measured]:
+    def measured(at: Carried, then: _Moment) -> Measured:
+        return measurements.ray_of_another(at, said.position - then.camera, direction, sigma, origin_sigma)
+
+    return measured
+
+
+def _along(said: _SaidPlace, look: TeamLook, i: int, drift_speed: float) -> tuple[float, float] | None:
+    """ln(range) and its variance by a said place; None where the ray does not lead there."""
+    away = said.position - look.camera
+    distance = float(look.ray[i] @ away)
+    spread = said.lasting + PLACE_WHITE**2 + (drift_speed * (look.t - said.t)) ** 2
+    if distance < NEAREST or spread > (VAGUE * distance) ** 2:
+        return None
+    aside = away - distance * look.ray[i]
+    if float(aside @ aside) > _GATE[2] * (spread + 0.03**2 * distance**2):
+        return None
+    return math.log(distance), spread / distance**2
+
+
+def _carried(cov: Array, phi: float, left: float) -> Array:
+    """(n, 6, 6), by position += φ velocity, velocity *= left."""
+    new = cov.copy()
+    rv, vv = cov[:, :3, 3:], cov[:, 3:, 3:]
+    new[:, :3, :3] += phi * (rv + rv.swapaxes(1, 2)) + phi * phi * vv
+    new[:, :3, 3:] = left * (rv + phi * vv)
+    new[:, 3:, :3] = new[:, :3, 3:].swapaxes(1, 2)
+    new[:, 3:, 3:] *= left * left
+    return new
+
+
+def _hat(v: Array) -> Array:
+    """(n, 3, 3): the matrices of the cross product with v (n, 3)."""
+    hat = np.zeros((len(v), 3, 3))
+    hat[:, 2, 1], hat[:, 0, 2], hat[:, 1, 0] = v[:, 0], v[:, 1], v[:, 2]
+    return hat - hat.swapaxes(1, 2)

@@ -1,0 +1,41 @@
+"""`swarmtrack bench relative`: what its table says is what was flown."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from swarmtrack.benchmarks import relative
+
+
+def test_the_table_has_a_row_for_each_kind_and_range(tmp_path):
+    result = relative.publish(tmp_path, 2, (10.0,), relative.MODES[:2], processes=1)
+    assert [row["mode"] for row in result["rows"]] == [mode.words for mode in relative.MODES[:2]]
+    written = json.loads((tmp_path / "relative.json").read_text(encoding="utf-8"))
+    assert written["rows"][0]["rmse_m"] == result["rows"][0]["rmse_m"]
+    assert relative.MODES[1].words in (tmp_path / "relative.md").read_text(encoding="utf-8")
+
+
+def test_a_summary_is_of_the_second_half_and_settles_where_it_stays_below_a_tenth():
+    share = np.full((105, 1), 0.05)
+    share[:21] = 0.3
+    ones = np.ones((105, 1))
+    flight = relative.Judged(4.0 * ones, ones, 0.01 * ones, 6.0 * ones, ones, share)
+    found = relative.summary([flight, flight])
+    assert (found["rmse_m"], found["bound_m"], found["range_error"]) == pytest.approx((2.0, 1.0, 0.1))
+    assert found["nees6"]["value"] == pytest.approx(1.0)
+    assert found["to_10_percent_s"] == pytest.approx(3.0)
+
+
+def test_the_simulated_teammates_wander_as_the_bound_and_the_filter_are_told():
+    """Speeds have the stationary sigma, and after 1.5 s keep exp(−1.5 / 3) of themselves."""
+    truths = [relative.wandering(40.0, relative.MODES[0], np.random.default_rng(seed)) for seed in range(20)]
+    speed = np.concatenate([truth.speed for truth in truths], axis=1)
+    assert speed.std() == pytest.approx(1.0, rel=0.1)
+    lag = round(1.5 / relative.DT)
+    correlation = (speed[lag:] * speed[:-lag]).mean() / (speed**2).mean()
+    assert correlation == pytest.approx(math.exp(-lag * relative.DT / relative.WANDER_S), abs=0.1)
+    step = (speed[1:] + speed[:-1]) / 2.0 * relative.DT
+    place = np.concatenate([truth.place for truth in truths], axis=1)
+    assert np.abs(np.diff(place, axis=0) - step).max() < 0.1

@@ -1,0 +1,296 @@
+"""Relative states as a whole: against least squares over a whole flight, in Monte Carlo, and against liars."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from swarmtrack.benchmarks import relative as bench
+from swarmtrack.geometry import rotation
+from swarmtrack.messages import Announcement, MotionReport, RangeReport, Sighting, SightingReport
+from swarmtrack.relative.looks import TeamLook
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.states import OwnMotion, RelativeStates
+
+DT = 1.0 / 7.0
+STILL = OwnMotion(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
+TOLD = RelativeParameters(airframe_span_m=0.5)
+PLACE = np.array([8.0, 2.0, -1.0])
+
+
+def look(t, *places, track=7, width=0.5, camera=(0.0, 0.0, 0.0), rng=None, sigma=2.5e-3):
+    """What is seen of teammates 2, 3, … at places (3,) m from the camera."""
+    away = np.array(places, float).reshape(-1, 3)
+    rho = np.linalg.norm(away, axis=1)
+    ray = away / rho[:, None]
+    if rng is not None:
+        ray = ray + sigma * rng.normal(size=ray.shape)
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    keys = tuple((2 + i, track) for i in range(len(away)))
+    cov = np.tile(sigma**2 * np.eye(3), (len(away), 1, 1))
+    return TeamLook(t, np.array(camera, float), np.zeros(3), keys, ray, cov, width / rho)
+
+
+def announced(place, sigma=0.1, t=0.0, drone=2):
+    return Announcement(drone, "0000000a", 0, t, 0.0, np.array(place, float), np.eye(3), sigma**2 * np.eye(3))
+
+
+def moves(velocity, t, drone=2, t_sigma=0.0):
+    cov = 0.05**2 * np.eye(3)
+    return MotionReport(drone, "0000000a", 0, t, t_sigma, np.zeros(3), cov, np.array(velocity, float), cov)
+
+
+def watched(states, places, begin=0.0):
+    for k, place in enumerate(places):
+        states.observe(look(begin + k * DT, place))
+    return begin + (len(places) - 1) * DT
+
+
+def only(states, t, own=STILL):
+    (state,) = states.at(t, own).values()
+    return state
+
+
+def test_a_drone_of_known_span_has_a_range_from_its_first_box():
+    states = RelativeStates(TOLD)
+    t = watched(states, [PLACE])
+    state = only(states, t)
+    assert state.drone_id == 2
+    assert state.position == pytest.approx(PLACE, rel=1e-6)
+    assert state.sources == ("size",)
+    assert state.range_sigma_log == pytest.approx(math.sqrt(0.18**2 + 0.12**2 + 0.06**2))
+
+
+def test_of_an_airframe_nobody_told_of_the_size_tells_no_range_until_a_place_is_known():
+    states = RelativeStates()
+    t = watched(states, [PLACE] * 8)
+    assert states.at(t, STILL) == {}
+    states = RelativeStates()
+    states.hear_announcement(announced(PLACE))
+    t = watched(states, [PLACE] * 8)
+    state = only(states, t)
+    assert state.sources == ("size", "announcement")
+    assert state.position == pytest.approx(PLACE, abs=0.1)
+
+
+def test_a_range_that_was_announced_teaches_what_the_box_is_worth():
+    """Once the drone has flown off, the size alone keeps the range: its lasting error was learned."""
+    told = replace(TOLD, size_wandering=0.0, size_white=0.02)
+    states = RelativeStates(told)
+    states.hear_announcement(announced(PLACE, sigma=0.05))
+    for k in range(20):
+        # The box is a fifth too wide.
+        states.observe(look(k * DT, PLACE, width=0.6))
+    for k in range(20, 120):
+        far = PLACE * min(1.0 + 0.02 * (k - 20), 2.0)
+        states.observe(look(k * DT, far, width=0.6))
+    state = only(states, 119 * DT)
+    assert np.linalg.norm(state.position) == pytest.approx(2.0 * np.linalg.norm(PLACE), rel=0.05)
+    assert state.range_sigma_log < 0.06
+
+
+@pytest.mark.parametrize(("radius", "apart"), [(0.0, 0.1), (2.0, 4.0)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_steady_flight_is_estimated_as_by_least_squares_over_all_of_it(seed, radius, apart):
+    """A teammate on a straight line, an observer that hovers or circles: the same data to SciPy, all at once. While it
+    hovers all is linear; on the circle the first steps knew the range less well than the last.
+    """
+    rng = np.random.default_rng(seed)
+    told = replace(TOLD, speed_sigma=1.5, fellows=0.0, forget_s=1e9, size_wandering=0.0, size_white=0.1,
+                   odometry=0.0, jitter_m=0.0, attitude_walk=0.0)  # fmt: skip
+    states = RelativeStates(told)
+    t = np.arange(60) * DT
+    eye = radius * np.column_stack([np.cos(t), np.sin(t), 0.0 * t])
+    velocity, bias = np.array([0.2, 0.9, -0.1]), 0.12
+    away = PLACE + t[:, None] * velocity - eye
+    rho = np.linalg.norm(away, axis=1)
+    rays = away / rho[:, None] + 2.5e-3 * rng.normal(size=away.shape)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    width = 0.5 / rho * np.exp(-bias - 0.1 * rng.normal(size=60))
+    for k in range(60):
+        seen = TeamLook(
+            t[k], eye[k], np.zeros(3), ((2, 7),), rays[k][None], 2.5e-3**2 * np.eye(3)[None], width[k, None]
+        )
+        states.observe(seen)
+
+    def misses(x):
+        d = x[:3] + t[:, None] * x[3:6] - eye
+        length = np.linalg.norm(d, axis=1)
+        across = (d / length[:, None] - rays) / 2.5e-3
+        size = (np.log(length) + x[6] - np.log(0.5 / width)) / 0.1
+        return np.concatenate([across.ravel(), size, x[3:6] / 1.5, x[6:] / 0.18])
+
+    whole = least_squares(misses, np.concatenate([PLACE, np.zeros(3), [0.0]]))
+    cov = np.linalg.inv(whole.jac.T @ whole.jac)
+    to_end = np.block([[np.eye(3), t[-1] * np.eye(3)], [np.zeros((3, 3)), np.eye(3)]])
+    at_end, cov = to_end @ whole.x[:6], to_end @ cov[:6, :6] @ to_end.T
+    at_end[:3] -= eye[-1]
+    state = only(states, t[-1], STILL._replace(camera=eye[-1]))
+    off = np.concatenate([state.position, state.velocity]) - at_end
+    assert off @ np.linalg.solve(cov, off) < apart
+    assert np.sqrt(np.diag(state.cov)) == pytest.approx(np.sqrt(np.diag(cov)), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("row", "range_m"), [(0, 3.0), (0, 40.0), (1, 3.0), (2, 10.0), (4, 10.0), (8, 10.0), (9, 10.0)]
+)
+def test_what_is_stated_is_as_far_off_as_it_says(row, range_m):
+    """Of 15 teammates: the mean NEES lies in the interval of as many flights with four independent instants each."""
+    flights = [bench.fly(range_m, bench.MODES[row], seed) for seed in (1, 2, 3)]
+    mean = np.concatenate([flight.nees[7:].mean(axis=0) for flight in flights])
+    assert np.isfinite(mean).all()
+    n = 4 * len(mean)
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], 6 * n) / n
+    assert low < mean.mean() < high
+
+
+@pytest.mark.parametrize("row", [4, 8], ids=["velocity", "UWB"])
+def test_velocity_that_is_said_is_worth_a_radio_ranger(row):
+    found = bench.summary([bench.fly(10.0, bench.MODES[row], seed) for seed in (1, 2)])
+    assert found["range_error"] < 0.03
+    assert found["to_10_percent_s"] < 3.0
+
+
+def test_a_late_word_counts_at_its_own_time():
+    """A teammate brakes hard: what it said of the time before is no lie, and is not believed of now."""
+    states = RelativeStates(TOLD)
+    states.hear_announcement(announced(PLACE, 0.05))
+    aside = np.array([0.0, 1.5, 0.0])
+    places = [PLACE + k * DT * aside for k in range(15)]
+    places += [places[-1]] * 3
+    t = watched(states, places)
+    states.hear_motion(moves(aside, t - 4 * DT))
+    assert states.counters["relative_refused"] == 0
+    assert only(states, t).velocity[1] < 1.2
+
+
+def test_what_is_older_than_the_history_or_yet_to_come_is_let_go():
+    states = RelativeStates(TOLD)
+    t = watched(states, [PLACE] * 20)
+    before = only(states, t)
+    for when in (t - 2.0, t + 7200.0, t - 7200.0, math.nan):
+        states.hear_motion(moves((0.5, 0.0, 0.0), when))
+    assert states.counters["relative_late"] == 4
+    assert (only(states, t).cov == before.cov).all()
+
+
+def test_words_that_overtake_each_other_count_once():
+    """After what is late was folded in, the scans before tell no more how errors moved: what is older still goes."""
+    states = RelativeStates(TOLD)
+    t = watched(states, [PLACE] * 10)
+    states.hear_motion(moves((0.0, 0.0, 0.0), t - 2 * DT))
+    after = only(states, t).cov
+    states.hear_motion(moves((0.0, 0.0, 0.0), t - 3 * DT))
+    assert states.counters["relative_late"] == 1
+    assert (only(states, t).cov == after).all()
+    states.hear_motion(moves((0.0, 0.0, 0.0), t + 0.01))
+    assert np.trace(only(states, t).cov) < np.trace(after)
+
+
+def test_the_attitude_counts_in_what_is_said_and_nowhere_else():
+    states = RelativeStates(TOLD)
+    t = watched(states, [PLACE] * 5)
+    plain = only(states, t)
+    tilted = only(states, t, STILL._replace(attitude_cov=0.02**2 * np.eye(3)))
+    assert (only(states, t).cov == plain.cov).all()
+    assert tilted.range_sigma_log == plain.range_sigma_log
+    more = tilted.cov[:3, :3] - plain.cov[:3, :3]
+    # Of a turn about each axis: across the ray, by 20 mrad times the distance.
+    assert PLACE @ more @ PLACE == pytest.approx(0.0, abs=1e-6)
+    assert np.trace(more) == pytest.approx(2.0 * (0.02 * np.linalg.norm(PLACE)) ** 2, rel=1e-3)
+
+
+def test_a_state_ends_with_its_name_and_is_handed_on_to_nobody():
+    states = RelativeStates(TOLD)
+    t = watched(states, [PLACE] * 5)
+    states.hear_range(RangeReport(1, 2, t, 0.0, float(np.linalg.norm(PLACE)), 0.1))
+    assert only(states, t).range_sigma_log < 0.02
+    # The same ID on another track.
+    states.observe(look(t + DT, PLACE, track=8))
+    assert list(states.at(t + DT, STILL)) == [(2, 8)]
+    assert only(states, t + DT).range_sigma_log > 0.15
+    states.observe(look(t + 2 * DT))
+    assert states.at(t + 2 * DT, STILL) == {}
+
+
+def test_a_teammate_that_is_not_detected_for_a_while_is_carried_on_and_blurs():
+    states = RelativeStates(TOLD)
+    places = [PLACE + k * DT * np.array([0.0, 1.0, 0.0]) for k in range(30)]
+    t = watched(states, places[:20])
+    before = only(states, t)
+    for k in range(20, 30):
+        unseen = look(k * DT, places[k])
+        states.observe(replace(unseen, ray=np.full((1, 3), np.nan), width=np.full(1, np.nan)))
+    after = only(states, 29 * DT)
+    assert np.trace(after.cov) > 2.0 * np.trace(before.cov)
+    off = after.position - places[29]
+    assert off @ np.linalg.solve(after.cov[:3, :3], off) < chi2.ppf(0.999, 3)
+
+
+def test_a_liar_costs_nothing_but_a_count():
+    states, honest = RelativeStates(TOLD), RelativeStates(TOLD)
+    for one in (states, honest):
+        t = watched(one, [PLACE] * 10)
+    states.hear_motion(moves((200.0, 0.0, 0.0), t))
+    states.hear_range(RangeReport(1, 2, t, 0.0, 250.0, 0.01))
+    states.hear_sightings(SightingReport(2, "0000000a", 0, t, 0.0, 30.0 * PLACE, 0.1, (), ()))
+    states.hear_announcement(announced(-PLACE, t=t))
+    assert states.counters["relative_refused"] == 4
+    assert (only(states, t).cov == only(honest, t).cov).all()
+    assert (only(states, t).position == only(honest, t).position).all()
+
+
+@pytest.mark.parametrize(("distance", "sigma"), [(math.nan, 0.1), (-1.0, 0.1), (5.0, 0.0), (5.0, math.inf)])
+def test_a_range_that_is_none_is_refused_at_birth(distance, sigma):
+    with pytest.raises(ValueError, match="expected finite numbers above 0"):
+        RangeReport(1, 2, 0.0, 0.0, distance, sigma)
+
+
+@pytest.mark.parametrize("times", [-1.0, 4.0], ids=["behind the camera", "four times as far as its size"])
+def test_a_start_that_cannot_be_is_not_believed(times):
+    states = RelativeStates(TOLD)
+    states.hear_announcement(announced(times * PLACE))
+    t = watched(states, [PLACE] * 3)
+    assert only(states, t).sources == ("size",)
+
+
+def test_an_own_frame_that_is_set_anew_begins_everything_anew():
+    states = RelativeStates(TOLD)
+    watched(states, [PLACE] * 5)
+    states.observe(look(5 * DT, PLACE, camera=(500.0, 0.0, 0.0)))
+    state = only(states, 5 * DT, STILL._replace(camera=np.array([500.0, 0.0, 0.0])))
+    assert state.position == pytest.approx(PLACE, rel=1e-6)
+    assert state.range_sigma_log > 0.2
+
+
+def test_rays_of_others_narrow_the_range_and_many_are_no_more_than_a_few():
+    """Two observers at right angles: what is left is what their frames differ by, however long they look."""
+    states, alone, eye = RelativeStates(TOLD), RelativeStates(TOLD), np.array([8.0, -6.0, -1.0])
+    towards = (PLACE - eye) / np.linalg.norm(PLACE - eye)
+    ray = Sighting(2, 0.99, rotation.exp([0.0, 0.0, 0.03]) @ towards, 2e-3)
+    for k in range(300):
+        for one in (states, alone):
+            one.observe(look(k * DT, PLACE))
+        if k % 7 == 0:
+            states.hear_sightings(SightingReport(5, "0000000b", k, k * DT, 0.0, eye, 0.05, (), (ray,)))
+    state = only(states, 299 * DT)
+    assert state.sources == ("size", "sighting")
+    assert 0.03 < state.range_sigma_log < 0.75 * only(alone, 299 * DT).range_sigma_log
+    assert math.log(np.linalg.norm(state.position / np.linalg.norm(PLACE))) < 3.0 * state.range_sigma_log
+
+
+def test_scans_of_nobody_are_ordinary():
+    states = RelativeStates(TOLD)
+    for k in range(3):
+        states.observe(look(k * DT))
+    assert states.at(3 * DT, STILL) == {}
+    states.hear_motion(moves((0.0, 0.0, 0.0), 2 * DT))
+
+
+def test_the_same_flight_gives_the_same_bits():
+    one, two = (bench.fly(10.0, bench.MODES[5], 3) for _ in range(2))
+    assert (one.nees == two.nees).all()
+    assert (one.place2 == two.place2).all()
