@@ -68,6 +68,9 @@ class _Log:
 
         self.said.append((self.said[-1][0] if self.said else BEGIN_S, AutopilotRebooted()))
 
+    def on_switch(self, t: float) -> None:
+        """No switch is watched."""
+
     def on_found_flying(self) -> None:
         """Where it started is the config's to say."""
 

@@ -58,6 +58,9 @@ class SampleCollector(AutopilotListener):
     def on_found_flying(self) -> None:
         """Of no interest here."""
 
+    def on_switch(self, t: float) -> None:
+        """Of no interest here."""
+
     def gyro(self) -> GyroTurns:
         return GyroTurns(
             np.array([sample.t for sample in self.samples]),

@@ -34,6 +34,8 @@ LONGEST_INTERVAL_US = 60e6
 HEARTBEAT_EVERY = 1.0  # s
 RESTARTS_AFTER = 0.5  # s from the command to reboot
 CATCH_UP = 0.5  # s: what was not sent for longer (the process was stopped) is not sent at all
+RC_CHANNELS, RC_FIELDS = 16, 18  # of its receiver, and of the message
+RC_MIDDLE_US, RC_LOW_US = 1500, 1000  # of the sticks, and of a switch that is off
 PORTS = 3  # the companion's, a ground station's, and one for who asks for the truth, as SITL has
 SET_POINTS = ("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT")
 DATA_STREAMS = {
@@ -43,6 +45,7 @@ DATA_STREAMS = {
         common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
         common.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     ),
+    common.MAV_DATA_STREAM_RC_CHANNELS: (common.MAVLINK_MSG_ID_RC_CHANNELS,),
     common.MAV_DATA_STREAM_EXTRA1: (common.MAVLINK_MSG_ID_ATTITUDE,),
     common.MAV_DATA_STREAM_EXTRA3: (common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,),
 }
@@ -62,7 +65,8 @@ class SimulatedVehicle:
     asked for; truth: None where nobody knows it, and it is not offered; pilot: None: it flies a path of its own. Public
     attributes may be changed while it runs.
 
-    mute: says nothing at all; imu_gap: sends no IMU messages, as if the sensor had failed.
+    mute: says nothing at all; imu_gap: sends no IMU messages, as if the sensor had failed; rc_us: where the pilot's
+    sticks and switches are, by channel.
     """
 
     firmware: Firmware
@@ -89,6 +93,7 @@ class SimulatedVehicle:
             n for n in (self.offers if offered is None else offered) if truth is not None or n not in TRUE
         )
         self.mute, self.imu_gap = False, False
+        self.rc_us = 4 * [RC_MIDDLE_US] + (RC_CHANNELS - 4) * [RC_LOW_US]
         self.own = MavlinkAddress(system, component)
         self.channels = tuple(Channel(self.own) for _ in range(ports))
         self.parameters = VehicleParameters(self.firmware.parameters, bytewise=self.firmware.bytewise)
@@ -284,6 +289,8 @@ class SimulatedVehicle:
             return TRUE[message_id](stamp, self._truth.at(self.time(stamp)))
         if message_id == common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
             return common.MAVLink_extended_sys_state_message(0, self.pilot.landed)
+        if message_id == common.MAVLINK_MSG_ID_RC_CHANNELS:
+            return self._channels(stamp)
         if message_id in INERTIAL:
             return INERTIAL[message_id](stamp, self.senses.inertial(self.time(stamp)))
         # Several streams are due at once: they tell of one and the same sample.
@@ -292,12 +299,23 @@ class SimulatedVehicle:
             self._sensed = (us, self.senses.at(self.time(stamp)))
         return SENSED[message_id](stamp, self._sensed[1])
 
+    def _channels(self, stamp: float) -> Any:
+        n = len(self.rc_us)
+        missing = (RC_FIELDS - n) * [self.firmware.no_channel]
+        return common.MAVLink_rc_channels_message(round(stamp * 1e3), n, *self.rc_us, *missing, 255)
+
 
 class SimulatedArduPilot(SimulatedVehicle):
     """ArduCopter."""
 
     firmware = ARDUCOPTER
-    offers = (*INERTIAL, *SENSED, common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, common.MAVLINK_MSG_ID_SIM_STATE)
+    offers = (
+        *INERTIAL,
+        *SENSED,
+        common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        common.MAVLINK_MSG_ID_RC_CHANNELS,
+        common.MAVLINK_MSG_ID_SIM_STATE,
+    )
 
     def understand(self, message: Any, now: float, channel: Channel) -> None:
         """Ground stations still ask for groups of messages, by REQUEST_DATA_STREAM."""

@@ -44,7 +44,8 @@ class Firmware:
     is; take_off_m: above the ground, if no height is asked for; NaN: one must be. idle_s, landed_s: the motors stop by
     themselves so long after arming without a take-off, and after landing. armed_state: MAV_STATE on the ground with the
     motors on. parameters: by name, what can be read; bytewise: whole numbers among them are sent as bits. not_offered:
-    the MAV_RESULT to who asks for a message that there is not; acknowledges_set_mode: answers the old SET_MODE.
+    the MAV_RESULT to who asks for a message that there is not; acknowledges_set_mode: answers the old SET_MODE;
+    no_channel: in RC_CHANNELS, of a channel that its receiver lacks.
     """
 
     autopilot: int
@@ -63,6 +64,7 @@ class Firmware:
     bytewise: bool
     not_offered: int
     acknowledges_set_mode: bool
+    no_channel: int
 
 
 _BY_HAND = common.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | common.MAV_MODE_FLAG_STABILIZE_ENABLED
@@ -97,6 +99,7 @@ ARDUCOPTER = Firmware(
     bytewise=False,
     not_offered=common.MAV_RESULT_DENIED,
     acknowledges_set_mode=True,
+    no_channel=0,
 )
 PX4 = Firmware(
     autopilot=common.MAV_AUTOPILOT_PX4,
@@ -125,4 +128,5 @@ PX4 = Firmware(
     bytewise=True,
     not_offered=common.MAV_RESULT_FAILED,
     acknowledges_set_mode=False,
+    no_channel=65535,
 )

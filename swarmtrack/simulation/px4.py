@@ -93,6 +93,7 @@ class SimulatedPx4(SimulatedVehicle):
         common.MAVLINK_MSG_ID_HIGHRES_IMU,
         *SENSED,
         common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        common.MAVLINK_MSG_ID_RC_CHANNELS,
         common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION,
     )
 

@@ -29,6 +29,7 @@ from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.links import records
+from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
 from swarmtrack.simulation.channel import Channel
 
 SHARED = SHARED / "mavlink"
@@ -448,6 +449,59 @@ async def test_every_change_of_state_is_one_line_in_the_log(caplog):
     ]
 
 
+# ── the pilot's switch ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("kind", [FakeAutopilot, FakePx4])
+async def test_a_switch_is_thrown_when_it_goes_up_and_not_where_it_was_found_up(kind):
+    autopilot = kind()
+    autopilot.rc_us[7] = 1900
+    async with Flight(autopilot, switch=PilotSwitch(8, 1700.0)) as flight:
+        flight.fly(4.0)
+        assert flight.text.endswith(", switch on")
+        assert flight.listener.switched == []
+        autopilot.rc_us[7] = 1100
+        flight.fly(2.0)
+        assert flight.text.endswith(", switch off")
+        thrown = flight.clock.now()
+        autopilot.rc_us[7] = 1900
+        flight.fly(2.0)
+        autopilot.rc_us[7] = 1680  # it trembles
+        flight.fly(1.0)
+        autopilot.rc_us[7] = 1720
+        flight.fly(1.0)
+        (switched,) = flight.listener.switched
+        assert 0.0 < switched - thrown < 0.3
+
+
+@pytest.mark.parametrize("kind", [FakeAutopilot, FakePx4])
+async def test_a_channel_that_the_receiver_lacks_is_no_switch_and_is_said(kind):
+    async with Flight(kind(), switch=PilotSwitch(17, 1700.0)) as flight:
+        flight.fly(4.0)
+        assert flight.text.endswith(", no switch: channel 17 is not reported")
+        assert flight.listener.switched == []
+
+
+async def test_where_a_switch_stands_after_a_silence_says_nothing_of_when_it_was_moved():
+    autopilot = FakeAutopilot()
+    async with Flight(autopilot, switch=PilotSwitch(8, 1700.0)) as flight:
+        flight.fly(4.0)
+        autopilot.mute = True
+        flight.fly(3.0)
+        autopilot.mute, autopilot.rc_us[7] = False, 1900
+        flight.fly(4.0)
+        assert flight.text.endswith(", switch on")
+        assert flight.listener.switched == []
+
+
+async def test_who_watches_no_switch_asks_for_none():
+    autopilot = FakeAutopilot()
+    async with Flight(autopilot) as flight:
+        flight.fly(3.0)
+        assert common.MAVLINK_MSG_ID_RC_CHANNELS not in [message_id for message_id, _ in autopilot.commands]
+        assert "switch" not in flight.text
+
+
 # ── real sockets ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -467,6 +521,18 @@ async def test_two_megabytes_of_noise_into_the_udp_port_stop_nothing(caplog):
             assert not caplog.records  # no trouble to tell of
             assert flight.unit.status().ok
             np.testing.assert_allclose(flight.listener.imu[-1].gyro, autopilot.gyro, rtol=1e-6)
+
+
+async def test_a_switch_is_seen_through_a_real_socket():
+    port = free_port()
+    async with RealFlight(f"udpin:127.0.0.1:{port}", switch=PilotSwitch(8, 1700.0)) as flight:
+        autopilot = FakeAutopilot(boot_at=flight.now() - 40.0)
+        async with serve_udp(autopilot, "127.0.0.1", port):
+            await flight.until(lambda: flight.unit.status().text.endswith(", switch off"))
+            thrown = flight.now()
+            autopilot.rc_us[7] = 1900
+            await flight.until(lambda: bool(flight.listener.switched))
+            assert thrown <= flight.listener.switched[0] <= flight.now()
 
 
 async def test_a_serial_autopilot_is_found_lost_and_found_again(tmp_path):

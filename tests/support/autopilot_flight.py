@@ -24,11 +24,15 @@ class Listener:
         self.imu: list[ImuSample] = []
         self.poses: list[EgoPose] = []
         self.states: list[FlightState] = []
+        self.switched: list[float] = []
         self.reboots = 0
         self.found_flying = 0
 
     def on_found_flying(self) -> None:
         self.found_flying += 1
+
+    def on_switch(self, t: float) -> None:
+        self.switched.append(t)
 
     def on_flight_state(self, state: FlightState) -> None:
         self.states.append(state)

@@ -30,6 +30,7 @@ from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.gyro_delay import GyroDelays
 from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, LinkState, State
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link
+from swarmtrack.sensors.mavlink.pilot_switch import RC_CHANNELS, REPORTS_HZ, PilotSwitch
 from swarmtrack.sensors.mavlink.signing import Codec, read_key
 from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, Answer, StreamRequests
 from swarmtrack.sensors.mavlink.telemetry import Telemetry
@@ -61,7 +62,8 @@ class MavlinkAutopilot:
     link: an address such as `udpin:0.0.0.0:14540`, or a link already made; system_id: the vehicle to listen to, None
     for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
     see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
-    gyro_delay_s: how late its gyro is, None: as it says itself. Raises `SourceError` for what can never work.
+    gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched. Raises
+    `SourceError` for what can never work.
 
     Beside `run`, `opened`, `received` and `tick` are all there is to it: told the time, it needs no event loop.
     """
@@ -77,6 +79,7 @@ class MavlinkAutopilot:
         signing_key: Path | None = None,
         gps: GlobalPosition | None = None,
         gyro_delay_s: float | None = None,
+        switch: PilotSwitch | None = None,
     ) -> None:
         _check(imu_rate_hz, system_id)
         self._clock = clock
@@ -88,9 +91,10 @@ class MavlinkAutopilot:
         self._contact = Contact(system_id)
         self._news = News(self._now)
         self._flight = FlightWatch()
+        self._switch = switch
         self._requests = StreamRequests(
             imu_rate_hz,
-            LOCAL_POSE if gps is None else GLOBAL_POSE,
+            (LOCAL_POSE if gps is None else GLOBAL_POSE) | ({RC_CHANNELS: REPORTS_HZ} if switch else {}),
             line=self._link.bytes_per_second,
             signed=key is not None,
         )
@@ -113,6 +117,7 @@ class MavlinkAutopilot:
             requests=self._requests,
             telemetry=self._telemetry,
             news=self._news,
+            switch=switch,
         )
         self._readers: dict[int, Callable[[float, Any], None]] = {
             common.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
@@ -120,6 +125,8 @@ class MavlinkAutopilot:
             common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             **self._telemetry.readers,
         }
+        if switch is not None:
+            self._readers[RC_CHANNELS] = self._on_channels
         self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES)
         self._next_heartbeat = self._next_tick = -math.inf
         self._greeted = False
@@ -335,6 +342,11 @@ class MavlinkAutopilot:
         if not self._greeted and state.airborne_since is not None:
             self._telemetry.listener.on_found_flying()
         self._greeted = True
+
+    def _on_channels(self, t: float, m: Any) -> None:
+        assert self._switch is not None
+        if self._switch.on_channels(t, m):
+            self._telemetry.listener.on_switch(t)
 
     def _on_ack(self, t: float, m: Any) -> None:
         codec, system = self._codec, self._contact.system

@@ -18,6 +18,7 @@ from swarmtrack.messages import LinkStatus
 from swarmtrack.sensors.mavlink.contact import OPENING, Contact, News
 from swarmtrack.sensors.mavlink.framer import Framer
 from swarmtrack.sensors.mavlink.links import Link
+from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
 from swarmtrack.sensors.mavlink.signing import Codec
 from swarmtrack.sensors.mavlink.streams import StreamRequests
 from swarmtrack.sensors.mavlink.telemetry import STALE_AFTER, Telemetry
@@ -48,6 +49,7 @@ class LinkState:
     requests: StreamRequests
     telemetry: Telemetry
     news: News
+    switch: PilotSwitch | None = None
     state: State = State.SEARCHING
     _trouble: str = "just started"
     """The name of the present one, empty while streaming."""
@@ -104,9 +106,9 @@ class LinkState:
             case State.STALE:
                 return "stale", f"no IMU sample for {now - telemetry.imu_at:.1f} s"
             case State.STREAMING if lack := telemetry.lack(now):
-                return "no position", f"{self._imu_text()}, but no position: {lack}"
+                return "no position", f"{self._imu_text(now)}, but no position: {lack}"
             case State.STREAMING:
-                return "streaming", self._imu_text()
+                return "streaming", self._imu_text(now)
 
     def _why_no_autopilot(self) -> tuple[str, str]:
         framer, contact = self.framer, self.contact
@@ -125,7 +127,7 @@ class LinkState:
             f"frames but no autopilot heartbeat{expected} (heard: {others or 'nobody by name'})",
         )
 
-    def _imu_text(self) -> str:
+    def _imu_text(self, now: float) -> str:
         telemetry = self.telemetry
         sigma = telemetry.clock_map.sigma
         clock = f", clock ±{sigma * 1e3:.1f} ms" if math.isfinite(sigma) else ""
@@ -133,7 +135,9 @@ class LinkState:
             clock += f" (it {wrong})"
         gyro = f", gyro {telemetry.gyro_delay} late"
         asked = "" if self.link.recording else f"{self.requests.imu_stream.asked_hz:g} Hz asked, "
-        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {telemetry.imu_source.name}{clock}{gyro}"
+        switch = f", {self.switch.in_words(now)}" if self.switch else ""
+        source = telemetry.imu_source.name
+        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}"
 
     def trouble(self, now: float) -> str:
         """What is missing, in a few words for a pilot; a hiccup is nothing."""

@@ -24,6 +24,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.messages import Array
 from swarmtrack.sensors.mavlink.framer import CRC_LENGTH, HEADER_V2, PAYLOAD_SIZE, SIGNATURE_LENGTH
+from swarmtrack.sensors.mavlink.pilot_switch import RC_CHANNELS
 
 STANDARD_GRAVITY = 9.80665  # m/s²: accelerations come in thousandths of it
 WINDOW = 2.0  # s over which a rate is measured
@@ -350,6 +351,7 @@ _GROUPS: dict[int, int] = {
     LOCAL_POSITION_NED: common.MAV_DATA_STREAM_POSITION,
     GLOBAL_POSITION_INT: common.MAV_DATA_STREAM_POSITION,
     GPS_RAW_INT: common.MAV_DATA_STREAM_EXTENDED_STATUS,
+    RC_CHANNELS: common.MAV_DATA_STREAM_RC_CHANNELS,
 }
 
 
