@@ -30,7 +30,7 @@ from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, R
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.heading import HeadingSigma
-from swarmtrack.team_config import TeamSection, resolve_plan, roster_problems, take_own_start
+from swarmtrack.team_config import TeamSection, resolve_plan, roster_problems, switch_problems, take_own_start
 from swarmtrack.toml.layers import Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml.sections import (
     Count,
@@ -584,6 +584,7 @@ def config_of(layers: Layers) -> DroneConfig:
     take_own_start(layers)
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
     problems += _start_problems(layers) + _telling_problems(layers) + roster_problems(layers)
+    problems += switch_problems(layers)
     return _validated(DroneConfig, layers, problems)
 
 

@@ -387,13 +387,15 @@ class AgreedMotion:
     """How a teammate moves by what was agreed before the flight; nothing of it was on the air.
 
     t (n,) s, increasing, n ≥ 2, on our monotonic clock; displacement (n, 3) m in the team frame's axes, counted from
-    anywhere. planned: by a plan of its way, which is flown less exactly than a code.
+    anywhere. planned: by a plan of its way, which is flown less exactly than a code. tried: whether it flies that then
+    is not known.
     """
 
     drone_id: int
     t: Array
     displacement: Array
     planned: bool
+    tried: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.t)

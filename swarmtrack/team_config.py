@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, Strict, field_validator, model_validator
 
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.toml.layers import Layers, Problem, Table
@@ -59,12 +59,35 @@ class FiledDrone(Section):
 Utc = Annotated[datetime, Field(strict=True)]
 
 
+class SwitchSection(Section):
+    """A switch of the pilot's transmitter. Thrown, it starts the codes at the next full 10 s of UTC."""
+
+    channel: Annotated[int, Strict(), Field(ge=1, le=18)] = Field(
+        description="of the radio control, as the autopilot numbers them in RC_CHANNELS"
+    )
+    above_us: Annotated[Number, Field(ge=1000.0, le=2000.0)] = Field(
+        default=1700.0, description="pulse width above which the switch is on, µs"
+    )
+
+
 class CodeSection(Section):
     """When the drones of the team sway by their codes (`swarmtrack mission sway`)."""
 
     begins: tuple[Utc, ...] = Field(
-        min_length=1, description="UTC, such as 2026-05-01T10:00:00Z; several for more than once"
+        default=(), description="UTC, such as 2026-05-01T10:00:00Z; several for more than once"
     )
+    switch: SwitchSection | None = Field(
+        default=None,
+        description="{ channel, above_us }: the channel of the radio control by which the pilot starts them",
+    )
+
+    @model_validator(mode="after")
+    def _begins_some_time(self) -> CodeSection:
+        if not self.begins and self.switch is None:
+            raise ValueError(
+                "neither begins nor switch, expected begins = [UTC, …] or switch = { channel = 8 }"
+            )
+        return self
 
     @field_validator("begins")
     @classmethod
@@ -193,6 +216,16 @@ def roster_problems(layers: Layers) -> list[Problem]:
         return []
     text = f"{found(here)}, expected what [team.drones] says of drone {drone['id']}: {found(there)}"
     return [layers.problem(("drone", "start", key), f"drone.start.{key}: {text}")]
+
+
+def switch_problems(layers: Layers) -> list[Problem]:
+    """Who reads the pilot's switch needs an autopilot that reports it."""
+    code = _table(_table(layers.table.get("team")).get("code"))
+    link = _table(layers.table.get("autopilot")).get("link", "none")
+    if "switch" not in code or link not in ("none", "sim"):
+        return []
+    text = f"{found(link)}, expected a MAVLink link, which reports the channel of team.code.switch"
+    return [layers.problem(("autopilot", "link"), f"autopilot.link: {text}")]
 
 
 def _own_entries(layers: Layers) -> tuple[dict[str, Any], dict[str, Any]]:

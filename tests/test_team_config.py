@@ -70,6 +70,7 @@ CODES = TEAM.replace(
 PLAN = TEAM.replace(
     "[team.drones]", 'plan = { file = "plan.csv", begins = 2026-05-01T10:00:00Z }\n[team.drones]'
 )
+SWITCHED = TEAM.replace("[team.drones]", "code = { switch = { channel = 8 } }\n[team.drones]")
 UTC_S = 1777629600.0  # 2026-05-01T10:00:00Z
 
 
@@ -119,7 +120,17 @@ def test_a_plan_with_a_drone_that_is_not_of_the_team_is_refused(load, tmp_path):
         (
             "drone.id = 1",
             CODES.replace("[2026-05-01T10:00:00Z, 2026-05-01T10:01:00Z]", "[]"),
-            "team.code.begins: []",
+            "team.code: neither begins nor switch, expected begins = [UTC, …] or switch = { channel = 8 }",
+        ),
+        (
+            "drone.id = 1\nautopilot.link = 'udpin:0.0.0.0:14540'",
+            SWITCHED.replace("8", "19"),
+            "team.toml:4: team.code.switch.channel: 19, expected",
+        ),
+        (
+            "drone.id = 1",
+            SWITCHED,
+            'autopilot.link: "none", expected a MAVLink link, which reports the channel of team.code.switch',
         ),
         ("drone.id = 1", "team.announce = false\n", "announce = false without drones, expected"),
     ],

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from swarmtrack.identity.motion_evidence import CODED, PLANNED, Saying
+from swarmtrack.identity.motion_evidence import CODED, PLANNED, TRIED, Saying, Trust
 from swarmtrack.messages import AgreedMotion
 
 
@@ -39,5 +39,11 @@ class AgreedMotions:
                 t,
                 np.array(now[:3]),
                 np.array(now[3:]),
-                PLANNED if motion.planned else CODED,
+                _trust(motion),
             )
+
+
+def _trust(motion: AgreedMotion) -> Trust:
+    if motion.planned:
+        return PLANNED
+    return TRIED if motion.tried else CODED

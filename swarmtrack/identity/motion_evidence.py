@@ -13,7 +13,8 @@ The log ratio of the two is what motion says of a pair. A team that hovers witho
 noise, and then the drone and the standing thing foretell the same: nothing is learned, however long it lasts.
 
 Three kinds of sources say how a drone moves, and `Trust` is how closely it then flies: its own messages, the places in
-its reports, a code or plan that all know. What comes late counts at its own time: rays are kept for `MEMORY_S`.
+its reports, a code or plan that all know. While one of them speaks, those that tell less are not heard. What comes
+late counts at its own time: rays are kept for `MEMORY_S`.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ MEMORY_S, SIMULTANEOUS_S = 2.0, 0.12
 SHORTEST_S, LONGEST_S = 0.11, 5.0
 # s and rad: a filter begins again after so long, or so far from the ray that it began with.
 LIFE_S, REACH = 20.0, 0.5
+# s: a source that has said nothing for so long speaks no more.
+SILENT_S = 3.0
 # m: a displacement that leaves its own speed by so much was set, not flown.
 JUMP = 1.0
 # px: of a track's centre, beside what its tracker knows.
@@ -61,7 +64,8 @@ _NONE = math.log(1.0 / (_MODELS - 1))
 class Trust(NamedTuple):
     """How closely a drone flies what a source says: smoothly off by `wander` m, at `bandwidth` rad/s, and by `white` m
     from one saying to the next; clock [s]: by how much its time may be off. most: the log odds that it may give, either
-    way. placed: its displacement is a place in the team frame, which tells its distance too."""
+    way. placed: its displacement is a place in the team frame, which tells its distance too. tried: as likely as not it
+    flies nothing of the kind, so that what speaks against it says little."""
 
     wander: float
     bandwidth: float
@@ -69,12 +73,14 @@ class Trust(NamedTuple):
     clock: float
     most: float
     placed: bool = False
+    tried: bool = False
 
 
 PUBLISHED = Trust(wander=0.03, bandwidth=0.5, white=0.02, clock=0.1, most=MOST)
 REPORTED = Trust(wander=0.15, bandwidth=0.5, white=0.1, clock=0.1, most=math.log(1e3), placed=True)
 # Two codes of a large team may both be far likelier than a stranger: which of them, only uncut odds tell.
 CODED = Trust(wander=0.1, bandwidth=1.5, white=0.02, clock=0.1, most=5.0 * MOST)
+TRIED = CODED._replace(tried=True)
 PLANNED = Trust(wander=0.3, bandwidth=1.0, white=0.02, clock=0.25, most=math.log(1e3))
 
 
@@ -182,22 +188,25 @@ class MotionEvidence:
 
     def log_ratio(self, track_id: int, drone_id: int) -> float:
         """How much more likely the track is the drone than another thing, by how both moved."""
-        most = self._last[drone_id].trust.most if drone_id in self._last else 0.0
-        return min(max(self._ratio.get((track_id, drone_id), 0.0), -most), most)
+        if drone_id not in self._last:
+            return 0.0
+        trust = self._last[drone_id].trust
+        ratio = self._ratio.get((track_id, drone_id), 0.0)
+        return min(max(_if_flown(ratio) if trust.tried else ratio, -trust.most), trust.most)
 
     def _compare(self, sayings: Sequence[Saying]) -> None:
         """sayings: one of each drone, in order. The rays of the scan nearest to each are weighed by all models."""
         pairs, looks, begins = [], [], []
         for saying in sayings:
             before = self._last.get(saying.drone_id)
-            if before is not None and saying.t - before.t < SHORTEST_S and saying.source == before.source:
+            if before is not None and not _is_news(before, saying):
                 continue
             scan = min(self._scans, key=lambda scan: abs(scan.t - saying.t))
             if abs(scan.t - saying.t) > SIMULTANEOUS_S:
                 continue
             self._last[saying.drone_id] = saying
             if before is not None and not _follows(before, saying):
-                self._begin_again(saying.drone_id)
+                self._begin_again(before)
             here = [(track, saying.drone_id) for track in scan.row]
             pairs += here
             looks += [_Look(saying, scan, row) for row in scan.row.values()]
@@ -205,10 +214,16 @@ class MotionEvidence:
         if pairs:
             self._weigh(pairs, looks, np.array(begins))
 
-    def _begin_again(self, drone_id: int) -> None:
-        """Where it is counted from has changed, also for the tracks that this scan lacks."""
-        for pair in [pair for pair in self._begun if pair[1] == drone_id]:
-            del self._begun[pair]
+    def _begin_again(self, last: Saying) -> None:
+        """Where a drone is counted from has changed since `last`, also for the tracks that this scan lacks."""
+        for pair, row in self._row.items():
+            if pair[1] != last.drone_id:
+                continue
+            self._begun.pop(pair, None)
+            if last.trust.tried:
+                log = self._filters.log[row]
+                log[0] += _if_flown(self._ratio[pair]) - self._ratio[pair]
+                self._ratio[pair] = float(_ratios(log))
 
     def _weigh(
         self, pairs: Sequence[tuple[int, int]], found: Sequence[_Look], begins: NDArray[np.bool_]
@@ -248,6 +263,14 @@ class _Look(NamedTuple):
     saying: Saying
     scan: _Scan
     row: int
+
+
+def _is_news(before: Saying, saying: Saying) -> bool:
+    """Whether it can be compared with what a drone said before, or is by who tells more, or after a silence."""
+    since = saying.t - before.t
+    if saying.source == before.source:
+        return since >= SHORTEST_S
+    return saying.trust.wander <= before.trust.wander or since >= SILENT_S
 
 
 def _follows(before: Saying, saying: Saying) -> bool:
@@ -301,6 +324,11 @@ def _inverse_distance(look: _Look) -> tuple[float, float]:
         return float(look.scan.kappa[look.row]), SPAN_SIGMA
     distance = max(float(np.linalg.norm(look.saying.displacement - look.scan.camera)), NEAREST)
     return 1.0 / distance, math.hypot(PLACED_SHARE, PLACED_M / distance)
+
+
+def _if_flown(ratio: float) -> float:
+    """The log ratio of a drone that as likely as not moves in another way than was compared."""
+    return float(np.logaddexp(ratio, 0.0)) - math.log(2.0)
 
 
 def _ratios(log: Array) -> Array:

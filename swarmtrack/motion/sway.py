@@ -23,11 +23,18 @@ LASTS_S = 8.0
 EASE_S = 1.5
 # s of UTC: a sway begins at a multiple of it, so clocks that are off by seconds still agree on which.
 BEGINS_EVERY_S = 10.0
+# s: by how much two drones may differ in when a switch was thrown, by their clocks and radios.
+SWITCH_S = 1.0
 
 
 def next_begin(utc: float) -> float:
     """When a sway begins that was asked for at `utc` [s]: at the next full 10 s, by UTC."""
     return math.ceil(utc / BEGINS_EVERY_S) * BEGINS_EVERY_S
+
+
+def possible_begins(utc: float) -> list[float]:
+    """When others may begin to sway who saw the same switch thrown, give or take `SWITCH_S`."""
+    return sorted({next_begin(utc - SWITCH_S), next_begin(utc + SWITCH_S)})
 
 
 def frequency(drone_id: int, team: Collection[int]) -> float:

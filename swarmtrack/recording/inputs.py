@@ -183,6 +183,7 @@ FORMS: tuple[Form, ...] = (
             Entry("t", "t_s", (-1,)),
             Entry("displacement", "displacement_m", (-1, 3)),
             Entry("planned", "planned", type="boolean"),
+            Entry("tried", "tried", type="boolean", added=True),
         ),
     ),
 )

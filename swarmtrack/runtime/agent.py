@@ -150,6 +150,10 @@ class Agent:
         """From the autopilot, on the event loop."""
         self.tell(AutopilotRebooted())
 
+    def on_switch(self, t: float) -> None:
+        """From the autopilot, on the event loop."""
+        self._team.on_switch(t)
+
     def on_flight_state(self, state: FlightState) -> None:
         """From the autopilot, on the event loop."""
         self.tell(state)
@@ -378,6 +382,7 @@ def make_teamwork(
         silent=not team.announce,
         filed=parts.filed,
         agreed=parts.agreed,
+        coded=tuple(map(int, team.drones)),
         share_hz=team.share_hz if team.share == "velocity" else None,
         on_report=None if parts.recorder is None else parts.recorder.said,
         simulated=parts.simulated_teammates,

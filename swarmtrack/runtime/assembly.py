@@ -23,6 +23,7 @@ from swarmtrack.sensors.mavlink.address import is_recording
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
+from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
 from swarmtrack.transport import topology
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
@@ -188,7 +189,13 @@ def make_autopilot(
         signing_key=section.signing_key,
         gps=_gps(config),
         gyro_delay_s=config.motion.gyro_delay_s,
+        switch=_switch(config),
     )
+
+
+def _switch(config: DroneConfig) -> PilotSwitch | None:
+    switch = config.team.code.switch if config.team.code else None
+    return None if switch is None else PilotSwitch(switch.channel, switch.above_us)
 
 
 def _gps(config: DroneConfig) -> GlobalPosition | None:

@@ -78,8 +78,8 @@ def agreed_motions(config: DroneConfig, monotonic_from_utc: float) -> list[Agree
     ]
 
 
-def coded_motion(drone_id: int, team: Collection[int], begin: float) -> AgreedMotion:
-    """The code of a drone of the team, as all sway from `begin` [s, monotonic] on."""
+def coded_motion(drone_id: int, team: Collection[int], begin: float, *, tried: bool = False) -> AgreedMotion:
+    """The code of a drone of the team, as all sway from `begin` [s, monotonic] on; tried: if they do."""
     t = np.linspace(0.0, LASTS_S, round(LASTS_S * SAMPLED_HZ) + 1)
     displacement = np.array([sway(drone_id, team, one)[0] for one in t.tolist()])
-    return AgreedMotion(drone_id, begin + t, displacement, planned=False)
+    return AgreedMotion(drone_id, begin + t, displacement, planned=False, tried=tried)

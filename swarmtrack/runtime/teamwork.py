@@ -7,8 +7,9 @@ import itertools
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -31,10 +32,13 @@ from swarmtrack.messages import (
     PeerEvent,
     SightingReport,
 )
+from swarmtrack.motion.sway import next_begin, possible_begins
 from swarmtrack.perceived import Perceived
 from swarmtrack.runtime import periods
+from swarmtrack.runtime.filed import coded_motion
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.pilot_notices import PilotNotices
+from swarmtrack.sensors.mavlink.notices import Severity
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.motion import motion_message
@@ -52,7 +56,7 @@ class Teamwork:
     tell: the way into Onboard; what comes out there comes back by `ask_for_pose` and `on_disagreement`. start: in the
     team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that frame.
     silent: nothing is told to the team, and nothing asked. filed: what is known of teammates before they
-    say it, and agreed: how they move without saying it.
+    say it, and agreed: how they move without saying it. coded: everybody who sways by a code when the pilot says so.
     share_hz: how often the team is told how this drone moves; None: never.
     on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
     """
@@ -73,6 +77,7 @@ class Teamwork:
         silent: bool = False,
         filed: Sequence[Announcement] = (),
         agreed: Sequence[AgreedMotion] = (),
+        coded: Collection[int] = (),
         share_hz: float | None = None,
         on_report: Callable[[SightingReport], None] | None = None,
         simulated: Sequence[tuple[Transport, Announcement]] = (),
@@ -84,6 +89,7 @@ class Teamwork:
         self._silent = silent
         self._filed = filed
         self._agreed = agreed
+        self._coded = coded
         self._tell = tell
         self._perceived = perceived
         self._transport = transport
@@ -106,6 +112,17 @@ class Teamwork:
     def on_position(self) -> None:
         """The autopilot knows where the drone is."""
         self._posed.set()
+
+    def on_switch(self, t: float) -> None:
+        """The pilot has thrown the switch at t [s]: everybody sways by the code from the next full 10 s of UTC on."""
+        utc = self._clock.utc() - self._clock.now()
+        for begin in possible_begins(t + utc):
+            for drone_id in self._coded:
+                if drone_id != self._drone_id:
+                    self._tell(coded_motion(drone_id, self._coded, begin - utc, tried=True))
+        when = f"{datetime.fromtimestamp(next_begin(t + utc), UTC):%H:%M:%S} UTC"
+        self._note(self._drone_id, f"the pilot's switch: codes are flown from {when} on", logging.INFO)
+        self._notices.add(Severity.INFO, f"codes from {when} on")
 
     async def listen(self) -> None:
         """Every event of the transport into Onboard, and a line of it into health and log; first what is filed."""

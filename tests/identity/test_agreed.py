@@ -7,7 +7,7 @@ import pytest
 
 from support.observer import LEFT, RIGHT, SCAN_S, Observer, at
 from swarmtrack.identity.agreed import AgreedMotions
-from swarmtrack.identity.motion_evidence import CODED, PLANNED
+from swarmtrack.identity.motion_evidence import CODED, PLANNED, TRIED
 from swarmtrack.identity.spans import SPAN
 from swarmtrack.messages import AgreedMotion
 from swarmtrack.motion.sway import sway
@@ -43,6 +43,13 @@ def test_a_code_and_a_plan_are_counted_from_different_places_and_trusted_differe
     assert plan.trust == PLANNED
 
 
+def test_a_code_that_may_not_be_flown_is_trusted_as_that():
+    agreed = AgreedMotions()
+    agreed.agree(coded_motion(2, (1, 2, 3), 10.0, tried=True))
+    (code,) = agreed.at(12.0)
+    assert code.trust == TRIED
+
+
 def test_what_is_told_again_counts_once():
     agreed = AgreedMotions()
     for _ in range(2):
@@ -55,8 +62,9 @@ def test_times_that_do_not_increase_are_refused():
         AgreedMotion(2, np.zeros(2), np.zeros((2, 3)), planned=False)
 
 
+@pytest.mark.parametrize("tried", [False, True], ids=["as agreed", "by the pilot's switch"])
 @pytest.mark.parametrize("team", [(2, 3), tuple(range(1, 11))], ids=["two", "neighbours among ten"])
-def test_drones_that_start_somewhere_are_known_by_how_they_sway_and_by_nothing_else(team):
+def test_drones_that_start_somewhere_are_known_by_how_they_sway_and_by_nothing_else(team, tried):
     """The left one is drone 2 and the right one drone 3; all that is known of them is how each of the team sways."""
     watching = Observer(probability=0.99)
     begin, metres = 1.0, 4.0
@@ -64,7 +72,7 @@ def test_drones_that_start_somewhere_are_known_by_how_they_sway_and_by_nothing_e
         watching.identities.announce(
             filed_announcement(drone_id, 0.0, position=np.zeros(3), yaw=0.0, sigma=SOMEWHERE_M)
         )
-        watching.identities.agree(coded_motion(drone_id, team, begin))
+        watching.identities.agree(coded_motion(drone_id, team, begin, tried=tried))
     size = (430.0 * SPAN / metres,) * 2
     watching.sizes = {"a": size, "b": size}
 
@@ -79,3 +87,20 @@ def test_drones_that_start_somewhere_are_known_by_how_they_sway_and_by_nothing_e
         assert names["a"] in (None, 2)
         assert names["b"] in (None, 3)
     assert names == {"a": 2, "b": 3}
+
+
+def test_a_switch_thrown_by_mistake_takes_no_name():
+    """Both hold their places while their codes would be flown, three times."""
+    watching = Observer()
+    for drone_id, pixel in ((2, LEFT), (3, RIGHT)):
+        watching.hears(drone_id, pixel)
+        for begin in (1.0, 11.0, 21.0):
+            watching.identities.agree(coded_motion(drone_id, (2, 3), begin, tried=True))
+    rng, told = np.random.default_rng(4), []
+    while watching.t < 29.5:
+        a, b = np.array([LEFT, RIGHT]) + 0.5 * rng.standard_normal((2, 2))
+        names = watching.sees(SCAN_S, a=tuple(a), b=tuple(b))
+        told += watching.identities.take_astray()
+        if watching.t > 1.0:
+            assert names == {"a": 2, "b": 3}
+    assert told == []

@@ -8,7 +8,15 @@ from scipy.stats import multivariate_normal
 
 from support.observer import CAMERA, FORWARD
 from swarmtrack.identity import ray_filters
-from swarmtrack.identity.motion_evidence import MOST, PUBLISHED, REPORTED, MotionEvidence, Saying
+from swarmtrack.identity.motion_evidence import (
+    CODED,
+    MOST,
+    PUBLISHED,
+    REPORTED,
+    TRIED,
+    MotionEvidence,
+    Saying,
+)
 from swarmtrack.identity.ray_filters import Looks, Model, RayFilters
 from swarmtrack.identity.reprojection import ObserverCamera
 from swarmtrack.messages import Track, TrackStatus
@@ -268,3 +276,51 @@ def test_tracks_that_have_ended_are_forgotten_and_their_place_is_used_again():
     found.keep({2})
     assert found.pairs == {(2, 1)}
     assert found.log_ratio(1, 1) == 0.0
+
+
+# --- what may not be flown, and who tells more ---
+
+
+def of_source(name, flown, trust, *, after=0.0, until=math.inf):
+    """A source that speaks for drone 1 at after ≤ t < until [s]; else it says what was said long ago."""
+
+    def said(t):
+        return Saying(1, (name,), t if after <= t < until else -9.0, *flown(t), trust)
+
+    return said
+
+
+def test_what_a_drone_may_not_fly_at_all_speaks_for_it_and_hardly_against_it():
+    sways, other = hovering(3), hovering(4)
+    flight = Flight([[8.0, -1.0, 0.0], [8.0, 1.0, 0.0]], [sways, other])
+    rng = np.random.default_rng
+    surely = flight.watched(8.0, [published(1, sways, CODED)], rng=rng(5))
+    tried = flight.watched(8.0, [published(1, sways, TRIED)], rng=rng(5))
+    assert surely.log_ratio(2, 1) < -math.log(100.0)
+    assert tried.log_ratio(2, 1) == pytest.approx(-math.log(2.0), abs=0.01)
+    assert tried.log_ratio(1, 1) == pytest.approx(surely.log_ratio(1, 1) - math.log(2.0), abs=0.01)
+
+
+def test_a_code_that_was_not_flown_the_first_time_names_at_the_second():
+    """At the first time the drone stays where it is; then it sways as it was to do before."""
+    sways = hovering(3)
+    flight = Flight([[8.0, 0.0, 0.0]], [lambda t: at_rest(t) if t < 7.0 else sways(t)])
+    times = [
+        of_source("first", sways, TRIED, until=7.0),
+        of_source("second", sways, TRIED, after=7.0),
+    ]
+    first = flight.watched(6.9, times[:1], rng=np.random.default_rng(5))
+    both = flight.watched(14.9, times, rng=np.random.default_rng(5))
+    assert first.log_ratio(1, 1) < -0.5
+    assert both.log_ratio(1, 1) > math.log(1e3)
+
+
+def test_who_tells_less_is_not_heard_while_somebody_tells_more():
+    sways = hovering(3)
+    flight = Flight([[8.0, 0.0, 0.0]], [sways])
+    alone = flight.watched(8.0, [published(1, sways)], rng=np.random.default_rng(5))
+    beside = [published(1, sways), of_source("report", sways, REPORTED)]
+    assert flight.watched(8.0, beside, rng=np.random.default_rng(5)).log_ratio(1, 1) == alone.log_ratio(1, 1)
+    falls_silent = [of_source("boot", sways, PUBLISHED, until=0.2), of_source("report", sways, REPORTED)]
+    later = flight.watched(9.0, falls_silent, rng=np.random.default_rng(5))
+    assert later.exact == ()

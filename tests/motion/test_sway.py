@@ -14,6 +14,7 @@ from swarmtrack.motion.sway import (
     SLOWEST_HZ,
     frequency,
     next_begin,
+    possible_begins,
     sway,
 )
 
@@ -71,6 +72,14 @@ def test_neighbours_in_a_team_are_unlike_even_for_who_knows_neither_size_nor_sta
 @pytest.mark.parametrize(("utc", "begin"), [(1000.0, 1000.0), (1000.1, 1010.0), (1009.99, 1010.0)])
 def test_it_begins_at_the_next_full_ten_seconds(utc, begin):
     assert next_begin(utc) == begin
+
+
+@pytest.mark.parametrize(
+    ("thrown", "begins"), [(13.0, [20.0]), (19.5, [20.0, 30.0]), (20.0, [20.0, 30.0]), (20.7, [20.0, 30.0])]
+)
+def test_near_a_full_ten_seconds_others_may_have_seen_the_switch_on_its_other_side(thrown, begins):
+    assert possible_begins(thrown) == begins
+    assert next_begin(thrown) in begins
 
 
 def test_a_drone_that_is_not_of_the_team_has_no_code():

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from support.patience import PATIENCE
-from swarmtrack.clock import SystemClock
+from support.ports import free_port
+from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.messages import (
@@ -181,6 +182,34 @@ def test_a_silent_drone_knows_its_teammates_from_the_file_and_says_nothing(parts
     asyncio.run(fly())
     assert list(silent.door.perceived.teammates) == [2]
     assert list(health.events) == ["drone 2 starts at [5.0, 1.0, -0.1] m, by the team's file"]
+
+
+SWITCHED = """
+[team]
+code.switch = { channel = 8 }
+drones = { 1 = {}, 2 = {}, 3 = {} }
+"""
+
+
+@pytest.mark.parametrize(
+    ("second", "begins"), [(13.0, [20.0]), (19.5, [20.0, 30.0]), (20.5, [20.0, 30.0])], ids=str
+)
+def test_a_switch_starts_the_codes_of_all_others_at_the_next_full_ten_seconds(tmp_path, second, begins):
+    """Also at those at which others may begin who saw it on the other side of a full ten seconds."""
+    config = tmp_path / "drone.toml"
+    link = f'"udpin:127.0.0.1:{free_port()}"'
+    config.write_text(CONFIG.replace('"none"', link) + SWITCHED, encoding="utf-8")
+    utc = 1777629600.0  # 2026-05-01T10:00:00Z
+    clock = ManualClock(500.0, utc + second)
+    switched = assemble(load_config(config), clock)
+    health, told = make_health(switched), []
+    team = make_teamwork(switched, health, make_notices(switched), told.append)
+    team.on_switch(500.0)
+    assert [(one.drone_id, round(one.t[0] - 500.0 + second, 6), one.tried) for one in told] == [
+        (drone_id, begin, True) for begin in begins for drone_id in (2, 3)
+    ]
+    own = "10:00:30" if second > 20.0 else "10:00:20"
+    assert list(health.events) == [f"the pilot's switch: codes are flown from {own} UTC on"]
 
 
 @pytest.fixture
