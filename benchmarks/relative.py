@@ -124,7 +124,8 @@ def wandering(range_m: float, mode: Mode, rng: np.random.Generator) -> Truth:
         w, r = 0.75, 2.0
         eye[:, 0], eye[:, 1] = r * np.cos(w * t + phase), r * np.sin(w * t + phase)
         eye_speed[:, 0], eye_speed[:, 1] = -r * w * np.sin(w * t + phase), r * w * np.cos(w * t + phase)
-    places, speeds = [], []
+    places: list[Array] = []
+    speeds: list[Array] = []
     while len(places) < TEAMMATES:
         place, speed = _one_flight(range_m, steps * fine, DT / fine, rng)
         place, speed = place[::fine] + eye[0], speed[::fine]
