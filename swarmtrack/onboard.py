@@ -63,6 +63,8 @@ from swarmtrack.tracking.scan import make_scan
 MAX_SILENCE = 1.0
 # m: how well a drone knows its place that doubts its start or heading. For whoever hears it, that is nowhere.
 DOUBTED_M = 1000.0
+# rad: of a turn between two scans that is known no better, tracks may have taken up each other's detections.
+UNMEASURED = 0.35
 
 
 Output = ScanReport | Disagreement | PoseWanted | HeadingNews | DoubtNews | Astray
@@ -293,6 +295,8 @@ class Onboard:
         orientation = self.gyro.orientation(t)
         turn = rotation_between(self._orientation or orientation, orientation)
         self._tracker.predict(t, turn.matrix, turn.variance)
+        if turn.variance > UNMEASURED**2:
+            self._identities.turn_unmeasured()
         scan = make_scan(detections, t, self.camera, self._tracker)
         self.camera_clock.see(detections.t, scan, self.camera)
         self._tracker.update(scan)

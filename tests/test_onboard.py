@@ -212,6 +212,24 @@ def test_teammates_are_named_by_where_they_said_they_are():
     assert by_place == {round(left[0]): 2, round(right[0]): 3}
 
 
+def test_names_are_withheld_while_the_camera_turns_unmeasured():
+    drone = onboard()
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
+    drone.tell(announced(3, [6.0, 1.0, 0.0]))
+    stated = {}
+    for k in range(120):
+        t = k / 15
+        if not 4.0 < t < 7.0:
+            for j in range(10):
+                drone.tell(ImuSample(t + j / 150, np.zeros(3), NO_ACCEL))
+        v = 240.0 + 150.0 * np.clip(t - 1.0, 0.0, 1.0)  # they fly to where nobody would look for them
+        drone.tell(seen(t, (320 - 430 / 6, v), (320 + 430 / 6, v)))
+        stated[k] = identities(drone, t)
+    assert stated[59] == stated[64] == {2, 3}  # so soon nothing can have turned far
+    assert {None} in [stated[k] for k in range(75, 90)]  # until their places tell them apart again
+    assert stated[119] == {None}  # the places are too old to tell
+
+
 def test_scans_disagreements_and_wishes_leave_by_one_way_and_once():
     """A teammate that says it stands elsewhere than we see it: we give its name up, and want its pose again."""
     drone = onboard()

@@ -143,6 +143,11 @@ class Identities:
 
     # --- what this drone sees ---
 
+    def turn_unmeasured(self) -> None:
+        """The camera has turned since the last scan, and nobody knows how far."""
+        if self._parameters.profile != "paper":
+            self._occlusion.turn_unmeasured()
+
     def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
         """Look at the tracks of a scan, with this drone's own pose at its exposure."""
         t = observer.t

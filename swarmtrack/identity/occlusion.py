@@ -1,4 +1,4 @@
-"""Where two drones hide each other their tracks may change places unseen, so both are asked where they are."""
+"""Where two drones hide each other, or the camera turns unmeasured, tracks may change places unseen."""
 
 from __future__ import annotations
 
@@ -41,6 +41,14 @@ class OcclusionWatch:
                 if t - held.verified_t >= VERIFY_S or not still_near:
                     self.verify(held, t)
                     held.met = still_near
+
+    def turn_unmeasured(self) -> None:
+        """Each track may have taken up another's detections: what was believed of it says nothing any more."""
+        for held in self._names:
+            if held.standing in (Standing.SETTLED, Standing.CHALLENGED):
+                self._names.fire(held, Event.RIVALLED)
+            held.weaken(0.0)
+            self._weighing.hide(held.track_id, 0.0)
 
     def verify(self, held: Assignment, t: float) -> None:
         """Ask it and those it met while one of them was not seen: their tracks may have changed places."""
