@@ -230,7 +230,8 @@ def _sameness(replayed: Replayed) -> str:
     scans, answers = replayed.scans_compared, replayed.answers_compared
     if replayed.exact:
         return f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks compared"
-    parted = min((s.parted_s for s in (scans, answers) if s.parted_s is not None), default=math.nan)
+    streams = (scans, answers, replayed.states_compared)
+    parted = min((s.parted_s for s in streams if s.parted_s is not None), default=math.nan)
     return (
         f"not as recorded from {parted:.3f} s on: {scans.same} of {scans.recorded} scans, "
         f"{answers.same} of {answers.recorded} published lists of tracks are the same"
@@ -289,6 +290,7 @@ def _record(one: _Flown) -> dict[str, Any]:
         "digest": replayed.digest,
         "scans_compared": replayed.scans_compared._asdict(),
         "answers_compared": replayed.answers_compared._asdict(),
+        "states_compared": replayed.states_compared._asdict(),
         "diff": one.diff and one.diff.as_record(),
         "scans": scans_record(one.scans),
     }

@@ -193,8 +193,7 @@ def fly(range_m: float, mode: Mode, seed: int, told: RelativeParameters | None =
 def _judged(states: RelativeStates, t: float, own: OwnMotion, truth: Truth, k: int) -> list[Array]:
     """Squared errors of all teammates at scan k, (n,) each."""
     out = np.full((5, TEAMMATES), np.nan)
-    for (drone, _), state in states.at(t, own).items():
-        n = drone - 2
+    for n, state in states.at(t, own).items():
         r, v = truth.place[k, n] - truth.eye[k], truth.speed[k, n] - truth.eye_speed[k]
         e = np.concatenate([state.position - r, state.velocity - v])
         rho = float(np.linalg.norm(r))

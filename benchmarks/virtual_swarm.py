@@ -36,6 +36,7 @@ from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
 from swarmtrack.perceived import Perceived
+from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion, filed_announcement
 from swarmtrack.simulation.oracle import OracleDetector
 from swarmtrack.simulation.scenarios import Scenario
@@ -121,7 +122,8 @@ class VirtualSwarm:
 
     eyes: what finds drones in frames, `oracle_eyes` by default. camera_clocks_told: every drone knows by
     how much its camera's stamps are late, and does not estimate it. observers: the members that perceive, all by
-    default; of a team that tells each other nothing the rest need not be computed. mistakes: by drone.
+    default; of a team that tells each other nothing the rest need not be computed. mistakes: by drone. relative: what
+    all know of airframes and more.
     """
 
     def __init__(
@@ -135,6 +137,7 @@ class VirtualSwarm:
         share_hz: float | None = None,
         observers: Collection[int] | None = None,
         mistakes: Mapping[int, Mistake] | None = None,
+        relative: RelativeParameters | None = None,
     ) -> None:
         self.scenario = scenario
         self.announcements = 0
@@ -146,6 +149,7 @@ class VirtualSwarm:
         self._camera_clocks_told = camera_clocks_told
         self._share_hz = share_hz or scenario.share_hz or 0.0
         self._mistakes = mistakes or {}
+        self._relative = relative
         self._drones = {drone_id: self._make(drone_id) for drone_id in observers or scenario.members}
 
     def _make(self, drone_id: int) -> _Drone:
@@ -166,6 +170,7 @@ class VirtualSwarm:
             gyro=GyroHistory(),
             ego=EgoHistory(origin=start.position_m),
             identity=self._identity,
+            relative=self._relative,
         )
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
         ego = Ego(scenario.world, drone_id)

@@ -210,15 +210,43 @@ class MotionProof(NamedTuple):
     since: float
 
 
+RelativeSource = Literal["size", "announcement", "velocity", "range", "pose", "sighting"]
+RELATIVE_SOURCES: tuple[RelativeSource, ...] = get_args(RelativeSource)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativeState:
+    """Where an identified teammate is, and how it moves, relative to this drone's camera, in team axes (NED).
+
+    position (3,) m: the teammate minus the own camera; velocity (3,) m/s: of one against the other; cov (6, 6) of both.
+    range_sigma_log: how well the distance is known, as a share of it. sources: what told of it beside the direction.
+    """
+
+    drone_id: int
+    t: float
+    position: Array
+    velocity: Array
+    cov: Array
+    range_sigma_log: float
+    sources: tuple[RelativeSource, ...]
+
+    def __post_init__(self) -> None:
+        _hold(self, "position", (3,))
+        _hold(self, "velocity", (3,))
+        _hold(self, "cov", (6, 6))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedTrack:
     """A track and who it is. `identity_probability`: that whoever is stated is there; 0 while unknown. It falls with
-    the track's own while that is not detected. proof: where motion alone says the same."""
+    the track's own while that is not detected. proof: where motion alone says the same. relative: where that teammate
+    is, in metres, at the time of the scan; None while nothing tells its range."""
 
     track: Track
     identity: Identity
     identity_probability: float
     proof: MotionProof | None = None
+    relative: RelativeState | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -403,32 +431,6 @@ class AgreedMotion:
         _hold(self, "displacement", (n, 3))
         if n < 2 or not (np.diff(self.t) > 0.0).all():
             raise ValueError(f"AgreedMotion.t: expected two or more times that increase, got {n} that do not")
-
-
-RelativeSource = Literal["size", "announcement", "velocity", "range", "pose", "sighting"]
-RELATIVE_SOURCES: tuple[RelativeSource, ...] = get_args(RelativeSource)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RelativeState:
-    """Where an identified teammate is, and how it moves, relative to this drone's camera, in team axes (NED).
-
-    position (3,) m: the teammate minus the own camera; velocity (3,) m/s: of one against the other; cov (6, 6) of both.
-    range_sigma_log: how well the distance is known, as a share of it. sources: what told of it beside the direction.
-    """
-
-    drone_id: int
-    t: float
-    position: Array
-    velocity: Array
-    cov: Array
-    range_sigma_log: float
-    sources: tuple[RelativeSource, ...]
-
-    def __post_init__(self) -> None:
-        _hold(self, "position", (3,))
-        _hold(self, "velocity", (3,))
-        _hold(self, "cov", (6, 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

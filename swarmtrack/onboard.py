@@ -36,12 +36,14 @@ from swarmtrack.messages import (
     FlightState,
     HeadingNews,
     IdClash,
+    IdentifiedTrack,
     ImuSample,
     Input,
     MotionReport,
     PeerArrived,
     PeerDeparted,
     PoseWanted,
+    Scan,
     ScanReport,
     SightingReport,
     Track,
@@ -54,6 +56,10 @@ from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import CameraClock
+from swarmtrack.relative.detected import named_boxes
+from swarmtrack.relative.looks import TeamLook
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.states import OwnMotion, RelativeStates
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
@@ -98,6 +104,7 @@ class Onboard:
         gyro: GyroHistory,
         ego: EgoHistory,
         identity: IdentityParameters,
+        relative: RelativeParameters | None = None,
         estimate_gyro_bias: bool = True,
     ) -> None:
         """estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
@@ -114,6 +121,7 @@ class Onboard:
         self._identities = Identities(
             drone_id, camera=camera, body_from_camera=mounting.body_from_camera, parameters=identity
         )
+        self._relative = RelativeStates(relative)
         self._drone_id = drone_id
         self._consensus = Consensus()
         self._view: OwnView | None = None
@@ -144,12 +152,19 @@ class Onboard:
             case SightingReport():
                 self._identities.on_report(event)
                 self._compare(event)
+                if event.observer != self._drone_id:
+                    self._relative.hear_sightings(event)
             case MotionReport():
                 self._identities.on_motion(event)
+                if event.drone_id != self._drone_id:
+                    self._relative.hear_motion(event)
             case AgreedMotion():
                 self._identities.agree(event)
             case Announcement():
-                self.counters.announcements_refused += not self._identities.announce(event)
+                if self._identities.announce(event):
+                    self._relative.hear_announcement(event)
+                else:
+                    self.counters.announcements_refused += 1
             case PeerArrived() | PeerDeparted() | IdClash():
                 self._identities.on_membership(event)
             case AutopilotRebooted():
@@ -248,7 +263,9 @@ class Onboard:
     @property
     def part_counters(self) -> dict[str, int]:
         """What its parts refused or had to mend."""
-        parts = (self._tracker, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus)
+        parts = (
+            self._tracker, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus, self._relative
+        )  # fmt: skip
         return {name: count for part in parts for name, count in part.counters.items()}
 
     def _settle(self, now: float | None = None) -> None:
@@ -315,4 +332,26 @@ class Onboard:
             own = self._as_sure_as_it_is(observer)
             self._view = OwnView.of(own, self._mounting.body_from_camera, seen)
             self._consensus.remember(self._view)
-        self._events.append(ScanReport(detections.sequence, TrackList(t, t, self._identities.label(tracks))))
+        labelled = self._identities.label(tracks)
+        if observer is not None:
+            labelled = self._in_metres(labelled, scan, observer)
+        self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled)))
+
+    def _in_metres(
+        self, tracks: tuple[IdentifiedTrack, ...], scan: Scan, observer: TeamPose
+    ) -> tuple[IdentifiedTrack, ...]:
+        """The same tracks, and where those are that are teammates."""
+        R = scan.R if scan.R is not None else self._tracker.measurement_noise(_sizes(scan), scan.score)
+        camera = observer.pose @ self._mounting.body_from_camera
+        velocity, velocity_cov = self._ego.velocity(observer.t)
+        boxes = named_boxes(tracks, scan, R)
+        self._relative.observe(TeamLook.of(observer.t, boxes, self.camera, camera, velocity))
+        own = OwnMotion(camera.position, velocity, velocity_cov, observer.attitude_cov)
+        states = self._relative.at(observer.t, own)
+        if not states:
+            return tracks
+        return tuple(replace(entry, relative=states.get(entry.track.id)) for entry in tracks)
+
+
+def _sizes(scan: Scan) -> Array:
+    return scan.size if scan.size is not None else np.full((len(scan.z), 2), np.nan)

@@ -125,6 +125,11 @@ class TeamSection(Section):
         description="false: nothing is told to the team and nothing is asked; who is who comes from `drones` "
         "(docs/silent.md)",
     )
+    airframe_span_m: Annotated[Number, Field(ge=0.05, le=10.0)] | None = Field(
+        default=None,
+        description="how wide the team's drones are, from the outer rim of one rotor disc to that of its neighbour; "
+        "with it the size of a box tells a distance (docs/metres.md)",
+    )
     share: Literal["nothing", "velocity"] = Field(
         default="nothing",
         description='"velocity": this drone tells its team how it moves, so that names are proved by motion '

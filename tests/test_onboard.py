@@ -230,6 +230,36 @@ def test_names_are_withheld_while_the_camera_turns_unmeasured():
     assert stated[119] == {None}  # the places are too old to tell
 
 
+def metres(drone):
+    """By name, what the last scan's report says in metres."""
+    reports = [event for event in drone.events() if isinstance(event, ScanReport)]
+    return {e.identity: e.relative for e in reports[-1].tracks.tracks}
+
+
+def test_teammates_have_a_place_in_metres_from_their_names_on_and_strangers_none():
+    drone = onboard()
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
+    t = watch(drone, [(320 - 430 / 6, 240.0), (600.0, 60.0)])
+    found = metres(drone)
+    assert found[None] is None
+    state = found[2]
+    assert (state.drone_id, state.t) == (2, t)
+    off = state.position - [6.0, -1.0, 0.0]
+    assert np.linalg.norm(off) < 0.3
+    assert off @ np.linalg.solve(state.cov[:3, :3], off) < 12.0
+    assert "announcement" in state.sources
+
+
+def test_a_place_in_metres_ends_when_the_name_does():
+    drone = onboard()
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
+    t = watch(drone, [(320 - 430 / 6, 240.0)])
+    assert metres(drone)[2] is not None
+    drone.tell(SightingReport(2, "0000000a", 1, t, 0.0, np.array([0.0, 6.0, 0.0]), 0.01, (1,), ()))
+    watch(drone, [(320 - 430 / 6, 240.0)], start=8, scans=1)
+    assert metres(drone) == {None: None}
+
+
 def test_scans_disagreements_and_wishes_leave_by_one_way_and_once():
     """A teammate that says it stands elsewhere than we see it: we give its name up, and want its pose again."""
     drone = onboard()

@@ -66,6 +66,11 @@ def write_configs(
         shared.append(f"origin = {{ {place} }}")
     if scenario.share_hz is not None:
         shared += ['share = "velocity"', f"share_hz = {scenario.share_hz:g}"]
+    if not scenario.announces:
+        shared.append("announce = false                    # nothing is told, and nothing asked")
+    spans = {scenario.world.airframe(drone_id).span for drone_id in scenario.members}
+    if len(spans) == 1:
+        shared.append(f"airframe_span_m = {spans.pop():g}")
     if shared:
         text += "\n".join(["", "[team]", *shared, ""])
     if not scenario.announces:
@@ -113,8 +118,7 @@ tracks_hz = {scenario.tracks_hz:g}
 
 def _silent_team(scenario: Scenario, epoch_utc: float) -> str:
     """Who starts where, for drones that do not say it."""
-    lines = ["", "[team]", "announce = false                    # nothing is told, and nothing asked"]
-    lines += ["", "[team.drones]"]
+    lines = ["", "[team.drones]"]
     for drone_id in scenario.members:
         start = scenario.announced[drone_id]
         place = f"position_m = {_numbers(start.position_m)}, yaw_deg = {np.degrees(start.yaw):.3f}"

@@ -166,7 +166,7 @@ class DroneRecording:
         said = _DECODE_SAID(data)
         if self._seen is None or self._seen.observer.t != said.t_s:
             return
-        tracks, observer = outputs.decode_report(self._seen.data)[1].tracks, self._seen.observer
+        tracks, observer = outputs.decode_report(self._seen.data).report.tracks, self._seen.observer
         named = [
             (entry.identity, entry.track, entry.identity_probability)
             for entry in tracks.tracks
@@ -195,7 +195,7 @@ class DroneRecording:
         )
 
     def _tracks(self, data: bytes) -> TracksMessage:
-        tracks = outputs.decode_report(data)[1].tracks
+        tracks = outputs.decode_report(data).report.tracks
         return tracks_message(tracks, 0, self._offset, UTC_SIGMA)
 
     # --- telling ------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
 SPEED_OVER = 0.3  # s: of poses, that tell a velocity
 POSITION_JITTER = 0.02  # m: of an autopilot's position, from one pose to the next
 SPEED_SIGMA = 1.0  # m/s: how fast a drone may be moving where no pose says so
+ACCELERATION_SIGMA = 1.0  # m/s², of a drone whose velocity was known a moment ago
 RATE_SIGMA = 0.5  # rad/s, likewise
 # m: of a drone that hovers where it was put, by an autopilot that knows no position
 HELD_POSITION_SIGMA = 0.3
@@ -184,13 +185,10 @@ class EgoHistory:
         if self._placed is None or self._poses[-1].t - self._poses[0].t < SPEED_OVER:
             return None
         newest = self._poses[-1]
-        last = [pose for pose in self._poses if newest.t - pose.t <= SPEED_OVER]
-        if len(last) < 2:
+        line = self._line(newest.t - SPEED_OVER, newest.t)
+        if line is None:
             return None
-        # A straight line through them: its middle and its slope.
-        places, times = np.array([pose.position for pose in last]), np.array([pose.t for pose in last])
-        t, place = float(times.mean()), places.mean(axis=0)
-        spread = float(((times - t) ** 2).sum())
+        t, place, velocity, velocity_cov = line
         if self._first_place is None:
             self._first_place = place
         return MotionReport(
@@ -201,9 +199,33 @@ class EgoHistory:
             t_sigma=0.0,
             displacement=place - self._first_place,
             displacement_cov=newest.position_cov,
-            velocity=(times - t) @ places / spread,
-            velocity_cov=POSITION_JITTER**2 / spread * np.eye(3),
+            velocity=velocity,
+            velocity_cov=velocity_cov,
         )
+
+    def velocity(self, t: float) -> tuple[Array, Array]:
+        """How this drone itself moves at t: (3,) m/s in the team frame, and its covariance (3, 3)."""
+        line = None
+        if self._placed is not None:
+            line = self._line(t - 0.5 * SPEED_OVER, t + 0.5 * SPEED_OVER) or self._line(t - SPEED_OVER, t)
+        if line is None:
+            return np.zeros(3), SPEED_SIGMA**2 * np.eye(3)
+        middle, _, velocity, cov = line
+        return velocity, cov + (ACCELERATION_SIGMA * (t - middle)) ** 2 * np.eye(3)
+
+    def _line(self, begin: float, end: float) -> tuple[float, Array, Array, Array] | None:
+        """A straight line through the poses of that time: its middle [s] and place there, its slope (3,) m/s and the
+        slope's covariance (3, 3). None of fewer than two."""
+        within = [pose for pose in self._poses if begin <= pose.t <= end]
+        if len(within) < 2:
+            return None
+        places, times = np.array([pose.position for pose in within]), np.array([pose.t for pose in within])
+        middle = float(times.mean())
+        spread = float(((times - middle) ** 2).sum())
+        if spread <= 0.0:
+            return None
+        slope = (times - middle) @ places / spread
+        return middle, places.mean(axis=0), slope, POSITION_JITTER**2 / spread * np.eye(3)
 
     def _place(self, pose: EgoPose) -> tuple[Array, Array] | None:
         """Position in the team frame and its covariance (3, 3); None where nobody can tell."""

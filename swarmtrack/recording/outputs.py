@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.messages import IdentifiedTrack, ScanReport, Track, TrackList, TrackStatus
+from swarmtrack.messages import IdentifiedTrack, RelativeState, ScanReport, Track, TrackList, TrackStatus
 from swarmtrack.recording.inputs import numbers, plain
 
 TRACKS_TOPIC = "/tracks"
@@ -36,6 +36,19 @@ def digest(tracks: TrackList) -> str:
     return state.hexdigest()
 
 
+def relative_digest(tracks: TrackList) -> str:
+    """16 hex digits of every bit of where teammates are, in metres: apart, as older recordings tell nothing of it."""
+    state = hashlib.blake2b(digest_size=8)
+    for entry in tracks.tracks:
+        found = entry.relative
+        if found is not None:
+            state.update(f"{entry.track.id} {found.drone_id} {' '.join(found.sources)}".encode())
+            state.update(struct.pack("<dd", found.t, found.range_sigma_log))
+            for part in (found.position, found.velocity, found.cov):
+                state.update(part.tobytes())
+    return state.hexdigest()
+
+
 def encode_report(report: ScanReport) -> bytes:
     tracks = report.tracks
     return _ENCODER.encode(
@@ -43,18 +56,28 @@ def encode_report(report: ScanReport) -> bytes:
             "t_s": tracks.t,
             "sequence": int(report.sequence),
             "digest": digest(tracks),
+            "relative_digest": relative_digest(tracks),
             "tracks": [_track_record(entry) for entry in tracks.tracks],
         }
     )
 
 
-def decode_report(data: bytes) -> tuple[str, ScanReport]:
-    """Its digest as it was in flight, and the report. Raises RecordingError."""
+class RecordedReport(NamedTuple):
+    """The report of a scan, and its digests as they were in flight; relative_digest: None of an older recording."""
+
+    digest: str
+    relative_digest: str | None
+    report: ScanReport
+
+
+def decode_report(data: bytes) -> RecordedReport:
+    """Raises RecordingError."""
     try:
         record = _DECODER.decode(data)
         t = float(record["t_s"])
         entries = tuple(_identified(part) for part in record["tracks"])
-        return record["digest"], ScanReport(record["sequence"], TrackList(t, t, entries))
+        report = ScanReport(record["sequence"], TrackList(t, t, entries))
+        return RecordedReport(record["digest"], record.get("relative_digest"), report)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{TRACKS_TOPIC}: a record that is no swarmtrack.Tracks: {error}") from None
 
@@ -88,6 +111,19 @@ def _track_record(entry: IdentifiedTrack) -> dict[str, Any]:
         "cov": numbers(track.cov),
         "size_px": numbers(track.size),
         "coasting_since_s": None if track.coasting_since is None else float(track.coasting_since),
+        "relative": None if entry.relative is None else _relative_record(entry.relative),
+    }
+
+
+def _relative_record(state: RelativeState) -> dict[str, Any]:
+    return {
+        "drone_id": state.drone_id,
+        "t_s": float(state.t),
+        "position_m": numbers(state.position),
+        "velocity_m_s": numbers(state.velocity),
+        "cov": numbers(state.cov),
+        "range_sigma_log": float(state.range_sigma_log),
+        "sources": list(state.sources),
     }
 
 
@@ -102,4 +138,18 @@ def _identified(record: dict[str, Any]) -> IdentifiedTrack:
         size=np.array(record["size_px"], dtype=np.float64).reshape(2),
         coasting_since=record["coasting_since_s"],
     )
-    return IdentifiedTrack(track, record["identity"], record["identity_probability"])
+    found = record.get("relative")
+    relative = None if found is None else _relative(found)
+    return IdentifiedTrack(track, record["identity"], record["identity_probability"], relative=relative)
+
+
+def _relative(record: dict[str, Any]) -> RelativeState:
+    return RelativeState(
+        record["drone_id"],
+        record["t_s"],
+        np.array(record["position_m"], dtype=np.float64),
+        np.array(record["velocity_m_s"], dtype=np.float64),
+        np.array(record["cov"], dtype=np.float64).reshape(6, 6),
+        record["range_sigma_log"],
+        tuple(record["sources"]),
+    )

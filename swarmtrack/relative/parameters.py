@@ -25,10 +25,15 @@ class RelativeParameters:
     size_wandering: float = WANDERING
     size_wander_s: float = WANDER_S
     size_white: float = WHITE
-    speed_sigma: float = 1.5
-    """How fast a teammate flies, m/s per axis."""
+    speed_sigma: float = 1.0
+    """How fast a teammate flies, m/s per axis, before it was watched."""
     fellows: float = 0.7
-    """Of the own speed: as fast may a teammate be along each axis, if that is more."""
+    """Of the own speed: as fast may a teammate be along each axis then, if that is more."""
+    quickens_s: float = 1.0
+    """Over which a teammate that is faster counts as one that is fast, and one that is slower as slow."""
+    calms_s: float = 4.0
+    least_speed: float = 0.2
+    """Of the calmest, m/s per axis."""
     forget_s: float = 4.0
     """How long it keeps its velocity."""
     odometry: float = 0.02

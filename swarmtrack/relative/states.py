@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -64,6 +64,8 @@ HISTORY_S, AHEAD_S = 1.0, 0.5
 _GATE = {m: float(chi2.ppf(0.9999, m)) for m in (1, 2, 3)}
 # Times the covariance: no more is believed of one ray.
 MOST_SURPRISED = 100.0
+# s: so long the box may be one around two drones.
+ODD_S = 1.0
 # m/s: no drone is faster; its own frame was set anew.
 FASTEST = 50.0
 # Of ln(range): a range that is known no better is none.
@@ -74,6 +76,8 @@ PLACE_WHITE, PLACE_LASTING = 0.05, 0.1
 SPEED_WHITE, CHANGE = 0.05, 1.5
 # m: how far a drone whose own word is all that is known may be from there.
 UNTOLD_PLACE = 0.5
+# m: of a place, beyond which it tells no range.
+VAGUE_PLACE = 3.0
 # That a third drone's ray is to whom it says.
 SURE = 0.9
 
@@ -121,6 +125,10 @@ class RelativeStates:
         self._sources: dict[tuple[int, int], set[RelativeSource]] = {}
         self._exact_since: dict[tuple[int, int], float] = {}
         """s: scans before say nothing any more of how errors moved, as something late was folded in."""
+        self._pace: dict[tuple[int, int], float] = {}
+        """m²/s² per axis: how fast each flies."""
+        self._odd_since: dict[tuple[int, int], float] = {}
+        """s: since when its sizes have been unexpected."""
         self._rays: dict[tuple[int, int], float] = {}
         """By observer and drone: when it last told a ray."""
         self.refused = 0
@@ -143,7 +151,10 @@ class RelativeStates:
         kept = self._carry(look) if self._now is not None else nobody()
         known = () if self._now is None else tuple(key for key in self._now.keys if key in look.keys)
         self._sources = {key: self._sources[key] for key in known}
-        self._exact_since = {key: t for key, t in self._exact_since.items() if key in known}
+        self._exact_since, self._pace, self._odd_since = (
+            {key: value for key, value in of.items() if key in known}
+            for of in (self._exact_since, self._pace, self._odd_since)
+        )
         fresh = [
             i for i, key in enumerate(look.keys) if key not in known and math.isfinite(float(look.ray[i, 0]))
         ]
@@ -168,10 +179,11 @@ class RelativeStates:
             self._before.clear()
             return nobody()
         own = OwnWay(u, self._p.odometry**2 * dt, self._p.jitter_m**2, self._p.attitude_walk**2 * dt)
-        step = decay(dt, self._wander(look.velocity, len(stay)))
+        step = decay(dt, self._prior(last.keys))
         prior, F = predicted(last.beliefs, step, own, dt=dt, errors=self._errors, drift=self._drift)
         rows = [look.keys.index(key) for key in last.keys]
         posterior, A = self._corrected(prior, look, rows, last.keys)
+        self._learn_pace(dt, posterior)
         last.onward = A @ F
         self._before.append(last)
         while self._before[0].t < look.t - HISTORY_S:
@@ -185,31 +197,49 @@ class RelativeStates:
         ray_cov = look.ray_cov[rows] + (self._p.jitter_m**2 * near)[:, None, None] * np.eye(3)
         log_range = np.log(self._p.width_m / look.width[rows])
         found = measurements.seen(prior, look.ray[rows], ray_cov, log_range, self._p.size_white**2)
-        prior = self._surprised(prior, found)
+        prior = self._surprised(prior, found, look.t, keys)
         for key, sized in zip(keys, found.H[:, 2, RANGE].tolist(), strict=True):
             if sized:
                 self._sources[key].add("size")
         return corrected(prior, found.H, found.nu, found.R)
 
-    def _surprised(self, prior: Beliefs, found: Measured) -> Beliefs:
+    def _surprised(
+        self, prior: Beliefs, found: Measured, t: float, keys: Sequence[tuple[int, int]]
+    ) -> Beliefs:
         """The prior, as uncertain as its rays show it to be: the track is the teammate, so that a ray that was not
-        expected tells that the belief was wrong. A size may be that of two drones: it is zeroed, in place."""
+        expected tells that the belief was wrong. A size may for a moment be that of two drones: it is zeroed, in place;
+        for longer it is right, too."""
         S = found.H @ prior.P @ found.H.swapaxes(1, 2) + found.R
         a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
         x, y = found.nu[:, 0], found.nu[:, 1]
         times = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b) / _GATE[2]
-        odd = found.nu[:, 2] ** 2 / S[:, 2, 2] > _GATE[1]
-        found.H[odd, 2], found.nu[odd, 2] = 0.0, 0.0
-        self.refused += int(odd.sum())
+        by_size = found.nu[:, 2] ** 2 / S[:, 2, 2] / _GATE[1]
+        for i in np.flatnonzero(found.H[:, 2, RANGE]).tolist():
+            if by_size[i] <= 1.0:
+                self._odd_since.pop(keys[i], None)
+            elif t - self._odd_since.setdefault(keys[i], t) < ODD_S:
+                found.H[i, 2], found.nu[i, 2] = 0.0, 0.0
+                self.refused += 1
+            else:
+                times[i] = max(times[i], by_size[i])
         if not (times > 1.0).any():
             return prior
         self.surprised += int((times > 1.0).sum())
         return replace(prior, P=prior.P * np.clip(times, 1.0, MOST_SURPRISED)[:, None, None])
 
-    def _wander(self, own_velocity: Array, n: int) -> VelocityPrior:
-        """Who flies with a fast drone is fast, too."""
-        speed = max(self._p.speed_sigma, self._p.fellows * math.sqrt(float(own_velocity @ own_velocity)))
-        return VelocityPrior(np.full(n, speed), self._p.forget_s)
+    def _prior(self, keys: Iterable[tuple[int, int]]) -> VelocityPrior:
+        return VelocityPrior(np.sqrt([self._pace[key] for key in keys]), self._p.forget_s)
+
+    def _learn_pace(self, dt: float, beliefs: Beliefs) -> None:
+        """How fast each teammate flies, from how fast it is known to: soon when it is faster, slowly when not."""
+        assert self._now is not None
+        found = cartesian(beliefs)
+        moves = (found.v * found.v).sum(axis=1) + np.trace(found.cov[:, 3:, 3:], axis1=1, axis2=2)
+        for key, pace in zip(self._now.keys, (moves / 3.0).tolist(), strict=True):
+            before = self._pace[key]
+            over = self._p.quickens_s if pace > before else self._p.calms_s
+            share = -math.expm1(-dt / over)
+            self._pace[key] = max(before + share * (pace - before), self._p.least_speed**2)
 
     def _begun(self, look: TeamLook, i: int) -> Beliefs:
         """A row of its own, for look.keys[i]."""
@@ -244,7 +274,9 @@ class RelativeStates:
             sources.add("size")
         log_range = min(max(log_range, math.log(NEAREST)), math.log(FARTHEST))
         P[RANGE, RANGE] = variance
-        speed = float(self._wander(look.velocity, 1).speed_sigma[0]) * math.exp(-log_range)
+        pace = max(p.speed_sigma, p.fellows * math.sqrt(float(look.velocity @ look.velocity)))
+        self._pace[key] = pace**2
+        speed = pace * math.exp(-log_range)
         for k in (3, 4, 5):
             P[k, k] = speed**2
         row = Beliefs(
@@ -268,6 +300,10 @@ class RelativeStates:
     def hear_announcement(self, said: Announcement) -> None:
         """A teammate's place, and how well it knows it."""
         lasting = 2.0 * float(np.trace(said.position_cov)) / 3.0 + PLACE_LASTING**2
+        if lasting > VAGUE_PLACE**2:
+            # It doubts its own place.
+            self._said.pop(said.drone_id, None)
+            return
         self._said[said.drone_id] = _SaidPlace(said.t, said.position, lasting, "announcement")
         self._hear_place(said.drone_id, said.t, said.t_sigma, said.position, "announcement")
 
@@ -291,6 +327,8 @@ class RelativeStates:
 
     def hear_sightings(self, said: SightingReport) -> None:
         """Where a teammate says it is, and on which rays it sees others."""
+        if said.position_sigma > VAGUE_PLACE:
+            return
         drone = said.observer
         known = self._said.get(drone)
         lasting = UNTOLD_PLACE**2 if known is None else known.lasting
@@ -333,7 +371,7 @@ class RelativeStates:
             return False
         then = chain[0]
         mine = then.beliefs.rows([then.keys.index(key)])
-        at = Carried.of(mine, decay(t - then.t, self._wander(then.velocity, 1)))
+        at = Carried.of(mine, decay(t - then.t, self._prior([key])))
         found = measure(at, then)
         shared = mine.P[0] @ found.H.T
         V = found.H @ shared + found.R
@@ -366,14 +404,14 @@ class RelativeStates:
 
     # --- what is known ---
 
-    def at(self, t: float, own: OwnMotion) -> dict[tuple[int, int], RelativeState]:
-        """By drone and track: the states carried on to t, seen from where the own camera is then; of those whose range
+    def at(self, t: float, own: OwnMotion) -> dict[int, RelativeState]:
+        """By track: the states carried on to t, seen from where the own camera is then; of those whose range
         is known at all. The attitude's error, which bears on all of them alike, comes in here and nowhere else."""
         now = self._now
         if now is None or not now.keys:
             return {}
         found = cartesian(now.beliefs)
-        step = decay(max(t - now.t, 0.0), self._wander(own.velocity, now.beliefs.n))
+        step = decay(max(t - now.t, 0.0), self._prior(now.keys))
         r = found.r + step.phi * found.v - (own.camera - now.camera)
         v = step.left * found.v - own.velocity
         cov = _carried(found.cov, step.phi, step.left)
@@ -389,7 +427,7 @@ class RelativeStates:
         for i, (key, sigma) in enumerate(zip(now.keys, found.range_sigma_log.tolist(), strict=True)):
             if sigma < VAGUE:
                 sources = tuple(name for name in RELATIVE_SOURCES if name in self._sources[key])
-                states[key] = RelativeState(key[0], t, r[i], v[i], cov[i], sigma, sources)
+                states[key[1]] = RelativeState(key[0], t, r[i], v[i], cov[i], sigma, sources)
         return states
 
 

@@ -88,6 +88,8 @@ class Replayed:
     """Missing in the recording, by their running numbers: from there on nothing need be the same."""
     scans_compared: Stream = NOTHING
     answers_compared: Stream = NOTHING
+    states_compared: Stream = NOTHING
+    """Of every scan, where teammates are in metres; older recordings hold none."""
     digest: str = ""
     """Of all scans replayed: equal digests, equal flights."""
     refused: int = 0
@@ -96,7 +98,7 @@ class Replayed:
     @property
     def exact(self) -> bool:
         """Whether everything that was recorded came out again, bit for bit."""
-        streams = (self.scans_compared, self.answers_compared)
+        streams = (self.scans_compared, self.answers_compared, self.states_compared)
         return self.inputs_lost == 0 and all(stream.same == stream.recorded for stream in streams)
 
 
@@ -130,6 +132,7 @@ class Replayer:
         self._result = Replayed()
         self._scans = _Compared()
         self._answers = _Compared()
+        self._states = _Compared()
         self._hash = hashlib.blake2b(digest_size=16)
         self._last_n = 0
         self._exact_times: dict[str, Any] | None = None
@@ -156,6 +159,7 @@ class Replayer:
         result.begin = float(self._recording.preface["monotonic_s"])
         result.scans_compared = self._scans.result(result.begin)
         result.answers_compared = self._answers.result(result.begin)
+        result.states_compared = self._states.result(result.begin)
         result.digest = self._hash.hexdigest()
         return result
 
@@ -180,9 +184,11 @@ class Replayer:
                 self._watcher(tracks)
             self._collect()
         elif topic == outputs.TRACKS_TOPIC:
-            digest, report = outputs.decode_report(message.data)
-            self._scans.recorded.append(digest)
-            self._result.recorded_scans.append(report)
+            recorded = outputs.decode_report(message.data)
+            self._scans.recorded.append(recorded.digest)
+            if recorded.relative_digest is not None:
+                self._states.recorded.append(recorded.relative_digest)
+            self._result.recorded_scans.append(recorded.report)
         elif topic == FRAMES_TOPIC:
             self._exact_times = msgspec.json.decode(message.data)
         elif topic == IMAGES_TOPIC:
@@ -200,6 +206,7 @@ class Replayer:
                 self._result.scans.append(event)
                 digest = outputs.digest(event.tracks)
                 self._note(self._scans, digest, event.tracks.t)
+                self._note(self._states, outputs.relative_digest(event.tracks), event.tracks.t)
                 self._hash.update(digest.encode())
 
     def _note(self, stream: _Compared, digest: str, t: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from typing import TextIO
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import IdentifiedTrack, Identity, ScanReport, TrackStatus
+from swarmtrack.messages import IdentifiedTrack, Identity, RelativeState, ScanReport, TrackStatus
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 
 log = logging.getLogger(__name__)
@@ -98,7 +99,19 @@ class Console:
         name = _name(identity) if identity is not None else f"track {seen.entry.track.id} (unknown)"
         if self._colour and isinstance(identity, int):
             name = f"\x1b[1;{ANSI[identity % len(ANSI)]}m{name}\x1b[0m"
+        if seen.entry.relative is not None:
+            return f"{name}: {self._in_metres(seen, seen.entry.relative)}"
         return f"{name} at ({seen.centre[0]:.0f}, {seen.centre[1]:.0f}) ± {sigma:.1f} px"
+
+    def _in_metres(self, seen: SeenTrack, state: RelativeState) -> str:
+        """Range, its sigma, and how far to the left or right of the camera's axis."""
+        distance = math.sqrt(float(state.position @ state.position))
+        towards = state.position / distance
+        sigma = math.sqrt(float(towards @ state.cov[:3, :3] @ towards))
+        (ray,) = self._lens.bearing(seen.centre[None])
+        right = round(math.degrees(math.atan2(ray[0], ray[2])))
+        where = "ahead" if right == 0 else f"{abs(right)}° {'right' if right > 0 else 'left'}"
+        return f"{distance:.1f} m ± {sigma:.1f}, {where}"
 
     def _print(self, text: str) -> None:
         if self._quiet:

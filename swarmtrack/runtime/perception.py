@@ -14,6 +14,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
+from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 
 # What sees pictures needs OpenCV and ONNX Runtime: 80 MB and half a second, which an agent whose camera detects by
@@ -45,6 +46,7 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
         ),
         ego=make_ego_history(config, start, history_s=motion.history_s),
         identity=IdentityParameters(**config.identity.parameters),
+        relative=RelativeParameters(airframe_span_m=config.team.airframe_span_m),
         estimate_gyro_bias=motion.estimate_gyro_bias,
     )
 

@@ -210,7 +210,7 @@ def test_a_state_ends_with_its_name_and_is_handed_on_to_nobody():
     assert only(states, t).range_sigma_log < 0.02
     # The same ID on another track.
     states.observe(look(t + DT, PLACE, track=8))
-    assert list(states.at(t + DT, STILL)) == [(2, 8)]
+    assert list(states.at(t + DT, STILL)) == [8]
     assert only(states, t + DT).range_sigma_log > 0.15
     states.observe(look(t + 2 * DT))
     assert states.at(t + 2 * DT, STILL) == {}
@@ -225,7 +225,7 @@ def test_a_teammate_that_is_not_detected_for_a_while_is_carried_on_and_blurs():
         unseen = look(k * DT, places[k])
         states.observe(replace(unseen, ray=np.full((1, 3), np.nan), width=np.full(1, np.nan)))
     after = only(states, 29 * DT)
-    assert np.trace(after.cov) > 2.0 * np.trace(before.cov)
+    assert np.trace(after.cov) > 1.5 * np.trace(before.cov)
     off = after.position - places[29]
     assert off @ np.linalg.solve(after.cov[:3, :3], off) < chi2.ppf(0.999, 3)
 

@@ -31,7 +31,9 @@ from swarmtrack.recording import inputs
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.repair import repair
 from swarmtrack.recording.settings import read_settings
+from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.replay.replayer import Replayer
+from swarmtrack.runtime import perception
 
 DATA = ROOT.parent / "shared" / "data"
 REPLAY = [sys.executable, "-m", "swarmtrack.agents.main", "replay"]
@@ -87,6 +89,35 @@ def test_a_recorded_flight_comes_out_bit_for_bit(flown):
         assert all(same(a.tracks, b.tracks) for a, b in zip(result.recorded_scans, flight.scans, strict=True))
         assert all(same(a, b) for a, b in zip(answers, flight.answers, strict=True))
         assert {2, 3} - {flight.drone_id} <= {entry.identity for entry in answers[-1].tracks}
+
+
+def test_where_teammates_are_in_metres_comes_out_bit_for_bit_and_is_read_back_so(flown):
+    folder, flights = flown
+    for flight in flights:
+        result = replayed(folder / f"drone-{flight.drone_id}")
+        assert result.states_compared.recorded == result.states_compared.same == len(flight.scans)
+        flown_states, kept = (
+            [entry.relative for report in reports for entry in report.tracks.tracks]
+            for reports in (flight.scans, result.recorded_scans)
+        )
+        assert sum(state is not None for state in flown_states) > 10
+        for one, other in zip(flown_states, kept, strict=True):
+            if one is None:
+                assert other is None
+            else:
+                assert (one.t, one.sources, one.drone_id) == (other.t, other.sources, other.drone_id)
+                assert one.position.tobytes() == other.position.tobytes()
+                assert one.cov.tobytes() == other.cov.tobytes()
+
+
+def test_another_belief_of_airframes_changes_the_metres_and_nothing_else(flown, monkeypatch):
+    monkeypatch.setattr(
+        perception, "RelativeParameters", lambda airframe_span_m: RelativeParameters(airframe_span_m=0.8)
+    )
+    result = replayed(flown[0] / "drone-1")
+    assert not result.exact
+    assert result.scans_compared.same == result.scans_compared.recorded
+    assert result.states_compared.same < result.states_compared.recorded
 
 
 def test_it_is_the_same_in_every_process(flown, tmp_path, capsys):

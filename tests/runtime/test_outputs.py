@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from swarmtrack.messages import (
     Frame,
     IdentifiedTrack,
     MotionProof,
+    RelativeState,
     ScanReport,
     StampKind,
     Track,
@@ -71,6 +73,36 @@ def test_a_name_that_motion_proves_says_so_and_no_other(tmp_path):
     first, second = json.loads((tmp_path / "tracks.jsonl").read_text())["tracks"]
     assert "proof" not in first
     assert second["proof"] == {"probability": 0.9995, "proved_s": 12.0}
+
+
+def test_a_line_says_in_metres_where_a_teammate_is_as_contract_5_has_it(tmp_path):
+    cov = np.arange(36.0).reshape(6, 6)
+    state = RelativeState(
+        2, 100.0, np.array([8.0, -1.5, 0.5]), np.array([0.1, 0.2, -0.3]), cov + cov.T, 0.05, ("size",)
+    )
+    named = replace(track(300.0, 200.0, identity=2), relative=state)
+    lines = JsonLines(tmp_path / "tracks.jsonl")
+    scan = report(100.0, named, track(10.0, 10.0))
+    lines.write(scan, as_seen(scan, LENS))
+    lines.close()
+    first, second = json.loads((tmp_path / "tracks.jsonl").read_text())["tracks"]
+    assert second["relative"] is None
+    assert first["relative"]["position_m"] == [8.0, -1.5, 0.5]
+    assert first["relative"]["velocity_m_s"] == [0.1, 0.2, -0.3]
+    assert first["relative"]["cov"] == [(cov + cov.T)[i, j] for i in range(6) for j in range(i, 6)]
+    assert (first["relative"]["range_sigma_log"], first["relative"]["sources"]) == (0.05, ["size"])
+
+
+def test_the_console_says_metres_where_they_are_known():
+    stream = io.StringIO()
+    console = Console(LENS, quiet=False, stream=stream)
+    position = np.array([8.0, -1.5, 0.5])
+    state = RelativeState(2, 0.0, position, np.zeros(3), 0.09 * np.eye(6), 0.04, ("size",))
+    left = LENS.distort(np.array([[320.0 - 430.0 * math.tan(math.radians(12.0)), 240.0]]))[0]
+    (ideal,) = LENS.undistort(left[None])
+    console.see(report(0.0, replace(track(*ideal, identity=2), relative=state)))
+    console.line([])
+    assert f"drone 2: {np.linalg.norm(position):.1f} m ± 0.3, 12° left" in stream.getvalue()
 
 
 def test_a_full_disk_loses_lines_and_nothing_else():
