@@ -13,7 +13,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, MotionReport, RangeReport, Sighting, SightingReport
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.relative.states import OwnMotion, RelativeStates
+from swarmtrack.relative.states import GATE, OwnMotion, RelativeStates
 
 DT = 1.0 / 7.0
 STILL = OwnMotion(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
@@ -294,3 +294,7 @@ def test_the_same_flight_gives_the_same_bits():
     one, two = (bench.fly(10.0, bench.MODES[5], 3) for _ in range(2))
     assert (one.nees == two.nees).all()
     assert (one.place2 == two.place2).all()
+
+
+def test_the_gates_are_the_quantiles_that_scipy_gives():
+    assert {n: pytest.approx(chi2.ppf(0.9999, n), abs=1e-3) for n in GATE} == GATE
