@@ -57,6 +57,7 @@ from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
+from swarmtrack.relative.frames import FrameNews, Frames
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.states import OwnMotion, RelativeStates
@@ -73,7 +74,7 @@ DOUBTED_M = 1000.0
 UNMEASURED = 0.35
 
 
-Output = ScanReport | Disagreement | PoseWanted | HeadingNews | DoubtNews | Astray
+Output = ScanReport | Disagreement | PoseWanted | HeadingNews | DoubtNews | Astray | FrameNews
 
 
 @dataclass(slots=True)
@@ -122,6 +123,7 @@ class Onboard:
             drone_id, camera=camera, body_from_camera=mounting.body_from_camera, parameters=identity
         )
         self._relative = RelativeStates(relative)
+        self._frames = Frames(drone_id, relative)
         self._drone_id = drone_id
         self._consensus = Consensus()
         self._view: OwnView | None = None
@@ -152,17 +154,18 @@ class Onboard:
             case SightingReport():
                 self._identities.on_report(event)
                 self._compare(event)
-                if event.observer != self._drone_id:
-                    self._relative.hear_sightings(event)
+                self._hear_place(event)
             case MotionReport():
                 self._identities.on_motion(event)
                 if event.drone_id != self._drone_id:
-                    self._relative.hear_motion(event)
+                    self._relative.hear_motion(self._frames.motion_in_ours(event))
             case AgreedMotion():
                 self._identities.agree(event)
             case Announcement():
                 if self._identities.announce(event):
-                    self._relative.hear_announcement(event)
+                    self._frames.announce(event)
+                    if self._frames.transform(event.drone_id) is None:
+                        self._relative.hear_announcement(event)
                 else:
                     self.counters.announcements_refused += 1
             case PeerArrived() | PeerDeparted() | IdClash():
@@ -302,6 +305,16 @@ class Onboard:
                 self._consensus.forget(drone)
                 self._identities.overrule(drone, report.t)
 
+    def _hear_place(self, report: SightingReport) -> None:
+        """A teammate says where it is: in which frame, and where is it then?"""
+        if report.observer == self._drone_id:
+            return
+        news = self._frames.hear(report)
+        if news is not None:
+            self._relative.forget(report.observer)
+            self._events.append(news)
+        self._relative.hear_sightings(self._frames.report_in_ours(report))
+
     def _track(self, detections: Detections, t: float) -> None:
         newest, before = self.gyro.newest, self._tracker.t
         too_old = newest is not None and t < newest - self.gyro.history_s
@@ -345,7 +358,9 @@ class Onboard:
         camera = observer.pose @ self._mounting.body_from_camera
         velocity, velocity_cov = self._ego.velocity(observer.t)
         boxes = named_boxes(tracks, scan, R)
-        self._relative.observe(TeamLook.of(observer.t, boxes, self.camera, camera, velocity))
+        look = TeamLook.of(observer.t, boxes, self.camera, camera, velocity)
+        self._frames.see(look)
+        self._relative.observe(look)
         own = OwnMotion(camera.position, velocity, velocity_cov, observer.attitude_cov)
         states = self._relative.at(observer.t, own)
         if not states:

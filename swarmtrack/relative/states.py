@@ -345,6 +345,14 @@ class RelativeStates:
             if self._fold(seen.drone_id, said.t, "sighting", _ray(said, seen.direction, sigma, origin_sigma)):
                 self._rays[drone, seen.drone_id] = said.t
 
+    def forget(self, drone_id: int) -> None:
+        """What a teammate said turned out to be in another frame: its state begins anew, with its next ray."""
+        self._said.pop(drone_id, None)
+        now = self._now
+        if now is not None:
+            stay = [i for i, key in enumerate(now.keys) if key[0] != drone_id]
+            now.keys, now.beliefs = tuple(now.keys[i] for i in stay), now.beliefs.rows(stay)
+
     def _hear_place(self, drone: int, t: float, t_sigma: float, place: Array, source: RelativeSource) -> None:
         cov = (PLACE_WHITE**2 + (self._p.speed_sigma * t_sigma) ** 2) * np.eye(3)
 

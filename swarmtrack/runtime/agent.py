@@ -25,6 +25,7 @@ from swarmtrack.messages import (
     PoseWanted,
     ScanReport,
 )
+from swarmtrack.relative.frames import FrameNews
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
@@ -250,6 +251,8 @@ class Agent:
                     self._team.on_disagreement(event)
                 case Astray():
                     self._team.on_astray(event)
+                case FrameNews():
+                    self._team.on_frame(event)
                 case HeadingNews():
                     self._team.on_heading(event)
                 case DoubtNews():

@@ -34,6 +34,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.sway import next_begin, possible_begins
 from swarmtrack.perceived import Perceived
+from swarmtrack.relative.frames import FrameNews
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.filed import coded_motion
 from swarmtrack.runtime.health import Health
@@ -246,6 +247,10 @@ class Teamwork:
         """A teammate is not where it says, by how it moves."""
         self._note(found.drone_id, _describe_astray(found), logging.WARNING)
 
+    def on_frame(self, news: FrameNews) -> None:
+        """A teammate's start is not where it was announced, or is after all."""
+        self._note(news.drone_id, _describe_frame(news), logging.WARNING)
+
     def on_doubt(self, news: DoubtNews) -> None:
         """Where this drone is, it does not know, or knows again: the team must hear of it."""
         self._note(self._drone_id, _describe_doubt(news), logging.WARNING)
@@ -327,6 +332,16 @@ def _describe_astray(found: Astray) -> str:
     return (
         f"drone {found.drone_id} moves as track {found.track_id}, {found.miss_m:.1f} m from where it says that it is: "
         f"its start or our heading is wrong, and its name follows the motion"
+    )
+
+
+def _describe_frame(news: FrameNews) -> str:
+    if news.off_m is None:
+        return f"drone {news.drone_id}'s start fits what we see again"
+    degrees = abs(math.degrees(news.turn))
+    return (
+        f"drone {news.drone_id}'s start is {news.off_m:.1f} m and {degrees:.0f}° off, or ours is: what it says is "
+        "turned and shifted into our frame"
     )
 
 
