@@ -129,6 +129,11 @@ def is_vague(announcement: Announcement) -> bool:
     return float(np.trace(announcement.position_cov)) > 3.0 * VAGUE_M**2
 
 
+def key_of(announcement: Announcement) -> tuple[object, ...]:
+    """What its predictions are known by."""
+    return (announcement.drone_id, announcement.boot, announcement.sequence, announcement.t)
+
+
 def reproject(
     announcements: Sequence[Announcement],
     view: ObserverCamera,
@@ -175,7 +180,7 @@ def reproject(
     along = np.trace(spread + observer.position_cov, axis1=1, axis2=2) / 3.0 + (drift_speed * age) ** 2
     in_front = [a for a, good in zip(announcements, valid, strict=True) if good]
     return Predictions(
-        [(a.drone_id, a.boot, a.sequence, a.t) for a in in_front],
+        [key_of(a) for a in in_front],
         [a.drone_id for a in in_front],
         pixel[valid],
         share[:, valid],
@@ -203,7 +208,7 @@ def _somewhere(announcements: Sequence[Announcement], camera: PinholeCamera) -> 
     """Drones of which nobody knows where they are: as likely here as there."""
     k = len(announcements)
     return Predictions(
-        [(a.drone_id, a.boot, a.sequence, a.t) for a in announcements],
+        [key_of(a) for a in announcements],
         [a.drone_id for a in announcements],
         np.tile([0.5 * camera.width, 0.5 * camera.height], (k, 1)),
         np.ones((1, k)),

@@ -17,6 +17,7 @@ from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.own_pose import OwnPose, ScanEvidence, shifted
 from swarmtrack.identity.posterior import (
+    IN_VIEW,
     LOG_ANYWHERE,
     PRIOR,
     ReprojectionResiduals,
@@ -25,7 +26,15 @@ from swarmtrack.identity.posterior import (
     residuals,
 )
 from swarmtrack.identity.proof import PROVED, Proofs
-from swarmtrack.identity.reprojection import ASTRAY, NOBODY, ObserverCamera, Predictions, anywhere
+from swarmtrack.identity.reprojection import (
+    ASTRAY,
+    NOBODY,
+    ObserverCamera,
+    Predictions,
+    anywhere,
+    is_vague,
+    key_of,
+)
 from swarmtrack.identity.scene import Scene
 from swarmtrack.identity.spans import Spans
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, Track, TrackStatus
@@ -50,6 +59,8 @@ MOVES_AS = math.log(20.0)
 CONTRADICTED = -math.log(10.0)
 # Of a position's sigma: by how much its error changes in some seconds.
 DRIFT_SHARE = 0.1
+# How many drones the guess is worth that one which is anywhere is in view.
+TEAMS = 5.0
 # s after which a drone that said how it moves says it no more.
 SILENT_S = 3.0
 
@@ -75,6 +86,7 @@ class Weighing:
         self._motion = MotionEvidence()
         self.proofs = Proofs()
         self._agreed = AgreedMotions()
+        self._named: list[int] = []
         self._placed: dict[int, Announcement] = {}
         """By drone: the last place that it said."""
         self._published: dict[int, float] = {}
@@ -168,6 +180,10 @@ class Weighing:
         allowed = np.isfinite(by_place)
         ratios = np.where(allowed, 0.0, -np.inf)
         in_view, elevation = self._in_view(predicted), _elevations(tracks, view)
+        here = self._somewhere_in_view()
+        for j in self._somewhere(predicted):
+            ratios[:, j] += math.log(here / IN_VIEW)
+            in_view[j] = here
         for j, drone in enumerate(predicted.drone_id):
             distance, sigma = predicted.distance[j].tolist()
             for i in np.flatnonzero(allowed[:, j]).tolist():
@@ -229,6 +245,21 @@ class Weighing:
         found: list[float] = probability_in_view(mean, cov, self._camera).tolist()
         return found
 
+    def _somewhere(self, predicted: Predictions) -> list[int]:
+        """The columns of drones of which nobody ever knew where they are."""
+        return [
+            j
+            for j, drone in enumerate(predicted.drone_id)
+            if drone in self._placed
+            and is_vague(self._placed[drone])
+            and predicted.key[j] == key_of(self._placed[drone])
+        ]
+
+    def _somewhere_in_view(self) -> float:
+        """The probability that such a drone is in view: of a team, more likely so the more of it are."""
+        found = sum(drone in self._placed and is_vague(self._placed[drone]) for drone in self._named)
+        return (IN_VIEW * TEAMS + found) / (TEAMS + found)
+
     def near(self, tracks: Sequence[Track], predicted: Predictions) -> NDArray[np.bool_]:
         """(n, k): by where they are now alone, is a track rather the drone than a stranger?"""
         return np.asarray(log_ratios(_residuals(tracks, predicted), self._camera) > 0.0)
@@ -280,9 +311,10 @@ class Weighing:
         that it is a stranger; p_drone (n, k); named: the drones whose ID is stated."""
         u, v = predicted.pixel.T
         inside = (u > 0.0) & (u < self._camera.width) & (v > 0.0) & (v < self._camera.height)
+        self._named = list(named)
         found = zip(predicted.drone_id, p_drone.sum(axis=0).tolist(), inside.tolist(), strict=True)
         sure = {drone: float(round(p)) for drone, p, shown in found if shown and min(p, 1.0 - p) < DOUBT}
-        seen = dict.fromkeys(named, 1.0) | sure
+        seen = dict.fromkeys(self._named, 1.0) | sure
         weak, strong = [], []
         elevations = _elevations([track for track, _ in nameless], view)
         for (track, p_stranger), elevation in zip(nameless, elevations, strict=True):

@@ -3,7 +3,8 @@
 Theory of operation. Each of a team of n has a frequency of its own, spread evenly from `SLOWEST_HZ` to `FASTEST_HZ` in
 the order of their IDs. At a time that all know beforehand everybody sways by `AMPLITUDE_M` about its own height, for
 `LASTS_S`. Vertical, because gravity is the one direction that all share and a height is held best; a sine, because it
-stays a sine when a clock is off; upwards first, away from the ground. It begins and ends without a jump of the jerk.
+stays a sine when a clock is off; upwards first, away from the ground. In a large team neighbours in frequency would
+look alike for seconds, so every second one goes down first. It begins and ends without a jump of the jerk.
 """
 
 from __future__ import annotations
@@ -43,6 +44,13 @@ def frequency(drone_id: int, team: Collection[int]) -> float:
     return SLOWEST_HZ + (FASTEST_HZ - SLOWEST_HZ) * place / max(len(team) - 1, 1)
 
 
+def direction(drone_id: int, team: Collection[int]) -> float:
+    """1.0: upwards first; -1.0: downwards, as every second drone of a team whose neighbours come less than one swing
+    apart while a code lasts."""
+    swings = (FASTEST_HZ - SLOWEST_HZ) * LASTS_S
+    return -1.0 if len(team) - 1 > swings and sorted(team).index(drone_id) % 2 else 1.0
+
+
 def sway(drone_id: int, team: Collection[int], t: float) -> Array:
     """Displacement from its own place t [s] after the beginning, and three derivatives: (4, 3) m, m/s, …, NED.
 
@@ -51,7 +59,7 @@ def sway(drone_id: int, team: Collection[int], t: float) -> Array:
     omega = 2.0 * math.pi * frequency(drone_id, team)
     if not 0.0 < t < LASTS_S:
         return np.zeros((DERIVATIVES, 3))
-    up = np.array([0.0, 0.0, -AMPLITUDE_M])
+    up = np.array([0.0, 0.0, -AMPLITUDE_M * direction(drone_id, team)])
     rising = smooth_step(t / EASE_S)
     falling = smooth_step((LASTS_S - t) / EASE_S) * (-1.0) ** np.arange(DERIVATIVES)
     # At most one of the two changes at a time.

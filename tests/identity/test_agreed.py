@@ -10,7 +10,7 @@ from swarmtrack.identity.agreed import AgreedMotions
 from swarmtrack.identity.motion_evidence import CODED, PLANNED, TRIED
 from swarmtrack.identity.spans import SPAN
 from swarmtrack.messages import AgreedMotion
-from swarmtrack.motion.sway import sway
+from swarmtrack.motion.sway import LASTS_S, sway
 from swarmtrack.runtime.filed import SOMEWHERE_M, coded_motion, filed_announcement
 
 
@@ -104,3 +104,59 @@ def test_a_switch_thrown_by_mistake_takes_no_name():
         if watching.t > 1.0:
             assert names == {"a": 2, "b": 3}
     assert told == []
+
+
+class Swaying:
+    """A team of six that starts somewhere and sways by its codes from 1 s on: who is seen, and how far away each is."""
+
+    TEAM, BEGIN = (1, 2, 3, 4, 5, 6), 1.0
+
+    def __init__(self, seed, **metres):
+        self.rng, self.metres = np.random.default_rng(seed), metres
+        self.watching = Observer()
+        self.watching.sizes = {name: (430.0 * SPAN / far,) * 2 for name, far in metres.items()}
+        for drone_id in self.TEAM[1:]:
+            start = filed_announcement(drone_id, 0.0, position=np.zeros(3), yaw=0.0, sigma=SOMEWHERE_M)
+            self.watching.identities.announce(start)
+            self.watching.identities.agree(coded_motion(drone_id, self.TEAM, self.BEGIN))
+
+    def named_at(self, name, sways):
+        """When the track was named, s since the beginning, or inf. sways: t -> by track, its displacement (3,) m."""
+        while self.watching.t < self.BEGIN + LASTS_S:
+            moved = sways(self.watching.t + SCAN_S - self.BEGIN)
+            pixels = {one: self._pixel(one, moved[one]) for one in self.metres}
+            if self.watching.sees(SCAN_S, **pixels)[name] is not None:
+                return self.watching.t - self.BEGIN
+        return np.inf
+
+    def _pixel(self, name, moved):
+        column = 100.0 + 100.0 * "abcde".index(name)
+        place = at((column, 240.0), self.metres[name]) + moved
+        u, v = 320.0 + 430.0 * place[1] / place[0], 240.0 + 430.0 * place[2] / place[0]
+        return tuple(np.array([u, v]) + self.rng.standard_normal(2))
+
+
+def by_code(t):
+    return {
+        name: sway(drone_id, Swaying.TEAM, t)[0]
+        for name, drone_id in zip("abcde", (2, 3, 4, 5, 6), strict=True)
+    }
+
+
+def test_the_more_of_a_team_is_found_the_sooner_is_the_next():
+    """A far drone, alone in view and among four near ones."""
+    seeds = range(6)
+    alone = [Swaying(seed, a=20.0).named_at("a", by_code) for seed in seeds]
+    among = [Swaying(seed, a=20.0, b=4.0, c=4.0, d=4.0, e=4.0).named_at("a", by_code) for seed in seeds]
+    assert np.mean(np.minimum(among, LASTS_S)) < np.mean(np.minimum(alone, LASTS_S)) - 0.5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stranger_that_hovers_among_a_team_that_was_found_gets_no_name(seed):
+    rate, angle = np.random.default_rng(seed).uniform((0.5, 0.0), (3.0, 6.3), (4, 2)).T
+
+    def sways(t):
+        heave = 0.06 * np.sin(rate * t + angle).sum()
+        return by_code(t) | {"a": np.array([0.0, 0.0, heave])}
+
+    assert Swaying(seed, a=8.0, b=4.0, c=4.0, d=4.0, e=4.0).named_at("a", sways) == np.inf

@@ -31,11 +31,20 @@ def test_the_frequencies_are_spread_evenly_in_the_order_of_the_ids():
     assert found == pytest.approx(np.linspace(SLOWEST_HZ, FASTEST_HZ, 4))
 
 
-def test_it_sways_up_first_and_by_its_amplitude_in_the_middle():
-    for drone_id in TEAM:
-        height = heights(drone_id)
-        assert height[np.flatnonzero(np.abs(height) > 0.02)[0]] > 0.0
-        assert np.abs(height).max() == pytest.approx(AMPLITUDE_M, rel=0.02)
+@pytest.mark.parametrize(("team", "first"), [(TEAM[:3], [1, 1, 1]), (TEAM, [1, -1, 1, -1])])
+def test_it_sways_up_first_and_in_a_large_team_every_second_one_down(team, first):
+    found = [heights(drone_id, team) for drone_id in team]
+    assert [np.sign(height[np.flatnonzero(np.abs(height) > 0.02)[0]]) for height in found] == first
+    for height in found:
+        assert np.abs(height).max() == pytest.approx(AMPLITUDE_M, rel=0.03)
+
+
+@pytest.mark.parametrize("n", [5, 10])
+def test_neighbours_in_a_large_team_are_unlike_before_half_the_code_is_over(n):
+    team, half = tuple(range(1, n + 1)), slice(0, round(50 * LASTS_S))
+    for one in team[:-1]:
+        own, other = heights(one, team)[half], heights(one + 1, team)[half]
+        assert np.corrcoef(own, other)[0, 1] < 0.0
 
 
 def test_it_is_vertical_and_before_and_after_it_is_still():
