@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from swarmtrack.messages import Announcement, Array, MotionReport, SightingReport
 from swarmtrack.relative.alignment import WINDOW_S, FrameSight, FrameTransform, SightErrors, align
+from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
 
@@ -29,8 +29,7 @@ PLACE_M = 0.1
 RAY_SIGMA = 8e-3
 # How often in a row a frame must contradict, or fit, before that is said.
 SURE_AFTER = 3
-# Of the four numbers; and how large the least is that is worth a word: m, rad.
-_GATE = float(chi2.ppf(0.9999, 4))
+# How large the least is that is worth a word: m, rad.
 WORTH_M, WORTH_RAD = 0.5, math.radians(4.0)
 
 
@@ -96,7 +95,7 @@ class Frames:
         mate.found = found
         off, distance2 = self._off(found, start)
         worth = float(np.linalg.norm(off)) > WORTH_M or abs(found.turn) > WORTH_RAD
-        contradicts = distance2 > _GATE and worth
+        contradicts = distance2 > GATE[4] and worth
         mate.otherwise = mate.otherwise + 1 if contradicts != mate.contradicts else 0
         if mate.otherwise < SURE_AFTER:
             return None

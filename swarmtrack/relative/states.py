@@ -30,6 +30,7 @@ from swarmtrack.messages import (
     SightingReport,
 )
 from swarmtrack.relative import measurements
+from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.log_range import (
     ACROSS,
     FARTHEST,
@@ -59,9 +60,6 @@ from swarmtrack.relative.parameters import RelativeParameters
 
 # s of scans whose beliefs are kept for what comes late; and how far ahead of the last scan a message may be.
 HISTORY_S, AHEAD_S = 1.0, 0.5
-# Of the squared distance of what is believed, by how many numbers were measured: the χ² quantile of 0.9999, written
-# out, because `scipy.stats` takes every agent a second and 70 MB.
-GATE = {1: 15.1367, 2: 18.4207, 3: 21.1075}
 # Times the covariance: no more is believed of one ray.
 MOST_SURPRISED = 100.0
 # s: so long the box may be one around two drones.

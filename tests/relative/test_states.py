@@ -11,9 +11,10 @@ from scipy.stats import chi2
 from swarmtrack.benchmarks import relative as bench
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, MotionReport, RangeReport, Sighting, SightingReport
+from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.relative.states import GATE, OwnMotion, RelativeStates
+from swarmtrack.relative.states import OwnMotion, RelativeStates
 
 DT = 1.0 / 7.0
 STILL = OwnMotion(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
