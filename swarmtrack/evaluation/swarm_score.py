@@ -15,6 +15,7 @@ starts that second again, and so do a new life of the observer's process and, fo
   that has drifted off is no wrong name: recall and false tracks tell of it). "Foreign" is a name only `GRACE` after
   the observer had the drone's announcement: before, "none that I know of" is all it can say. A stranger that is
   tracked and not called by a team's ID is correct; one that is not tracked is not counted.
+* proved: of the right names of teammates, the share that motion alone proves as well.
 * wrong, at most: the highest probability that was stated with a wrong name, and with a teammate's name on a track that
   is nobody while that teammate is not even ahead. NaN where no name was wrong.
 * agreement: of the (instant, drone) about which two observers or more state a name, those where all names are one.
@@ -47,13 +48,14 @@ MIN_HIT_RADIUS = 15.0  # px: a track further off than this, and than half the bo
 
 
 class NamedTrack(NamedTuple):
-    """A confirmed track as its observer published it; centre in undistorted pixels."""
+    """A confirmed track as its observer published it; centre in undistorted pixels. proved: its name, by motion."""
 
     id: int
     identity: Identity
     identity_probability: float
     u: float
     v: float
+    proved: bool = False
 
 
 def confirmed_tracks(tracks: TrackList) -> tuple[NamedTrack, ...]:
@@ -65,6 +67,7 @@ def confirmed_tracks(tracks: TrackList) -> tuple[NamedTrack, ...]:
             named.identity_probability,
             float(named.track.mean[0]),
             float(named.track.mean[2]),
+            named.proof is not None,
         )
         for named in tracks.tracks
         if named.track.status is TrackStatus.CONFIRMED
@@ -104,6 +107,7 @@ class SwarmScore:
     samples: int
     time_to_identify_s: Mapping[int, float]
     correct: float
+    proved: float
     wrong: float
     wrong_max_probability: float
     unknown: float
@@ -165,6 +169,7 @@ class SwarmScorer:
         self._last_t = -math.inf
         self._glances = self._drones = self._switches = 0
         self._verdicts: Counter[str] = Counter()
+        self._named = self._proved = 0
         self._wrong_max_probability = math.nan
         self._false_tracks: set[tuple[int, str, int]] = set()
         self._squared_errors: dict[int, list[float]] = defaultdict(list)
@@ -229,6 +234,7 @@ class SwarmScorer:
             samples=samples,
             time_to_identify_s=dict(sorted(times.items())),
             correct=_ratio(verdicts["correct"], samples),
+            proved=_ratio(self._proved, self._named),
             wrong=_ratio(verdicts["wrong"], samples),
             wrong_max_probability=self._wrong_max_probability,
             unknown=_ratio(verdicts["unknown"], samples),
@@ -265,6 +271,9 @@ class SwarmScorer:
             self._squared_errors[glance.observer].append(float(error))
             if track.identity is not None:
                 self._names[glance.index, drone_id].append(track.identity)
+            if track.identity == drone_id:
+                self._named += 1
+                self._proved += track.proved
         verdict = self._judge(drone_id, track, ghost is not None)
         if verdict is not None:
             self._verdicts[verdict] += 1

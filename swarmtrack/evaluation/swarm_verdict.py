@@ -18,6 +18,8 @@ class Limits:
 
     correct: float = 0.97
     """At least."""
+    proved: float = 0.0
+    """At least, of right names, by motion: 0 where nobody tells how it moves."""
     wrong: float = 0.001
     """At most."""
     agreement: float = 0.99
@@ -96,6 +98,8 @@ class SwarmReport:
             short.append(f"identity.wrong: {score.wrong:.4f}, expected {limits.wrong:g} at most")
         if not score.correct >= limits.correct:
             short.append(f"identity.correct: {score.correct:.4f}, expected {limits.correct:g} at least")
+        if limits.proved > 0.0 and not score.proved >= limits.proved:
+            short.append(f"identity.proved: {score.proved:.4f}, expected {limits.proved:g} at least")
         if score.agreement < limits.agreement:  # NaN: nobody shared a view, which is no disagreement
             short.append(f"identity.agreement: {score.agreement:.4f}, expected {limits.agreement:g} at least")
         rmse_px = limits.rmse_px * self.image_width / REFERENCE_WIDTH
@@ -152,6 +156,7 @@ class SwarmReport:
                     str(observer): _rounded(seconds, 3) for observer, seconds in score.time_to_identify_s.items()
                 },
                 "correct": _rounded(score.correct),
+                "proved": _rounded(score.proved),
                 "wrong": _rounded(score.wrong),
                 "wrong_max_probability": _rounded(score.wrong_max_probability),
                 "unknown": _rounded(score.unknown),

@@ -219,6 +219,8 @@ def team_table(report: SwarmReport) -> Table:
     for heading in ("", "found", "expected"):
         table.add_column(heading, justify="left" if not heading else "right")
     table.add_row("right names", share(score.correct), f"≥ {limits.correct:g}")
+    if score.proved > 0.0 or limits.proved > 0.0:
+        table.add_row("of these proved by motion", share(score.proved), f"≥ {limits.proved:g}")
     table.add_row("wrong names", share(score.wrong), f"≤ {limits.wrong:g}")
     table.add_row("highest probability of a wrong name", number(score.wrong_max_probability, 3), "")
     table.add_row("unknown", share(score.unknown), "")

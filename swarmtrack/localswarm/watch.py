@@ -233,8 +233,16 @@ class Watch:
         if agent.last_index is not None and index <= agent.last_index:
             return
         self._fill(drone_id, agent, index)
+        proved = {proof.track_id for proof in message.proofs}
         tracks = tuple(
-            NamedTrack(track.id, track.identity, track.identity_probability, track.u_px, track.v_px)
+            NamedTrack(
+                track.id,
+                track.identity,
+                track.identity_probability,
+                track.u_px,
+                track.v_px,
+                track.id in proved,
+            )
             for track in message.tracks
             if track.status == "confirmed"
         )

@@ -35,6 +35,13 @@ def test_an_intruder_is_nobody_of_the_team():
     assert score.correct > 0.97
 
 
+def test_motion_proves_the_names_of_a_team_that_tells_how_it_moves():
+    score = recognition.fly("proof", 3, 12.0, "mbm", 1).score
+    assert score.wrong == 0.0
+    assert score.proved > 0.5
+    assert fly("hover-triangle", 3, 6.0, 1).score.proved == 0.0
+
+
 def test_a_team_that_can_be_seen_apart_announces_itself_once():
     assert fly("hover-triangle", 3, 6.0, 1).announcements_per_drone == 1.0
 

@@ -122,6 +122,18 @@ def test_a_track_that_has_drifted_off_its_drone_is_false_but_no_wrong_name():
     assert flight.score.false_tracks_per_s > 0.0
 
 
+def test_right_names_that_motion_proves_are_counted_and_wrong_ones_are_not():
+    flight, places = Flight(), {2: (100.0, 100.0), 3: (300.0, 100.0)}
+    two, three = track(1, 2, *places[2]), track(2, 3, *places[3])
+    flight.show(0, 20, places, (two, three))
+    assert flight.score.proved == 0.0
+    flight.show(20, 30, places, (two._replace(proved=True), three))
+    # From one second on 40 names are right, and 10 of them are proved.
+    assert flight.score.proved == pytest.approx(10 / 40)
+    flight.show(30, 40, places, (track(1, 3, *places[2])._replace(proved=True),))
+    assert flight.score.proved == pytest.approx(10 / 40)
+
+
 def test_who_comes_back_into_view_gives_the_observer_another_second():
     flight = Flight()
     flight.show(0, 20, {2: LEFT}, (track(7, 2, *LEFT),))
@@ -330,6 +342,7 @@ GOOD_SCORE = SwarmScore(
     samples=400,
     time_to_identify_s={1: 0.4, 2: 0.9},
     correct=0.99,
+    proved=0.0,
     wrong=0.0,
     wrong_max_probability=math.nan,
     unknown=0.01,
@@ -429,6 +442,13 @@ def test_the_limits_are_the_scenarios():
     rare = replace(GOOD_SCORE, wrong=0.0008)
     assert not replace(GOOD, score=rare).passed
     assert replace(GOOD, score=rare, limits=Limits()).passed
+
+
+def test_a_share_of_proved_names_is_expected_only_where_the_scenario_says_so():
+    sharing = replace(GOOD, limits=Limits(proved=0.5), score=replace(GOOD_SCORE, proved=0.6))
+    assert sharing.passed
+    (shortfall,) = replace(sharing, score=replace(GOOD_SCORE, proved=0.4)).shortfalls
+    assert shortfall == "identity.proved: 0.4000, expected 0.5 at least"
 
 
 def test_what_cannot_be_said_is_null_in_json():

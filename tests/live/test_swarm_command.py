@@ -133,7 +133,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, float(seconds))
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
     assert list(result["identity"]) == [
-        "time_to_identify_s", "correct", "wrong", "wrong_max_probability", "unknown", "agreement",
+        "time_to_identify_s", "correct", "proved", "wrong", "wrong_max_probability", "unknown", "agreement",
     ]  # fmt: skip
     assert set(result["identity"]["time_to_identify_s"]) <= {"1", "2"}
     assert list(result["tracking"]) == ["rmse_px", "recall", "false_tracks_per_s", "switches"]

@@ -29,7 +29,7 @@ ASKED = [
     "late-joiner",
     "lossy-radio",
 ]
-ASKED += ["mixed", "occlusion", "silent", "thirty", "yawing-observer"]
+ASKED += ["mixed", "occlusion", "proof", "silent", "thirty", "yawing-observer"]
 FIXED = "yawing-observer"  # its three drones are described one by one
 COMMANDED = "guided"  # its drones fly where somebody sends them
 ON_THE_GROUND = "errand"  # at first
