@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.messages import FOREIGN, Identity, ScanReport, TrackStatus
+from swarmtrack.messages import FOREIGN, Identity, RelativeState, ScanReport, TrackStatus
+from swarmtrack.relative.record import relative_record
 from swarmtrack.tracking.association import most_likely_matching
 
 GATE_PX = 15.0
@@ -21,12 +22,13 @@ APART_PX = 1.0  # from here on two tracks have parted
 
 
 class ConfirmedTrack(NamedTuple):
-    """One confirmed track, undistorted px."""
+    """One confirmed track, undistorted px; relative: where that teammate is."""
 
     id: int
     identity: Identity
     u: float
     v: float
+    relative: RelativeState | None = None
 
 
 class SeenScan(NamedTuple):
@@ -92,7 +94,11 @@ def seen_scans(reports: Iterable[ScanReport], begin: float) -> list[SeenScan]:
             report.tracks.t - begin,
             tuple(
                 ConfirmedTrack(
-                    entry.track.id, entry.identity, float(entry.track.mean[0]), float(entry.track.mean[2])
+                    entry.track.id,
+                    entry.identity,
+                    float(entry.track.mean[0]),
+                    float(entry.track.mean[2]),
+                    entry.relative,
                 )
                 for entry in report.tracks.tracks
                 if entry.track.status is TrackStatus.CONFIRMED
@@ -150,13 +156,19 @@ def _pairs(
 
 
 def scans_record(scans: Iterable[SeenScan]) -> list[dict[str, Any]]:
-    """For JSON; `scans_of` reads it."""
+    """For JSON; `scans_of` reads it, but for the metres."""
     return [
         {
             "frame": scan.sequence,
             "t_s": scan.t,
             "tracks": [
-                {"id": track.id, "identity": track.identity, "u_px": track.u, "v_px": track.v}
+                {
+                    "id": track.id,
+                    "identity": track.identity,
+                    "u_px": track.u,
+                    "v_px": track.v,
+                    "relative": None if track.relative is None else relative_record(track.relative),
+                }
                 for track in scan.tracks
             ],
         }

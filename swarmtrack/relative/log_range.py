@@ -138,12 +138,18 @@ def nobody() -> Beliefs:
 
 
 def across(d: Array) -> Array:
-    """(n, 3, 2): two unit vectors across each of d (n, 3) and each other."""
-    first = np.zeros_like(d)
-    first[np.arange(len(d)), np.abs(d).argmin(axis=1)] = 1.0
-    one = _cross(d, first)
-    one /= np.sqrt((one * one).sum(axis=1))[:, None]
-    return np.stack([one, _cross(d, one)], axis=2)
+    """(n, 3, 2): two unit vectors across each of d (n, 3) and each other.
+
+    Duff et al., "Building an orthonormal basis, revisited" (2017): without a cross product or a square root.
+    """
+    x, y, z = d[:, 0], d[:, 1], d[:, 2]
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    E = np.empty((len(d), 3, 2))
+    E[:, 0, 0], E[:, 1, 0], E[:, 2, 0] = 1.0 + sign * x * x * a, sign * b, -sign * x
+    E[:, 0, 1], E[:, 1, 1], E[:, 2, 1] = b, sign + y * y * a, -y
+    return E
 
 
 def predicted(
@@ -273,8 +279,8 @@ class Cartesian(NamedTuple):
     range_sigma_log: Array
 
 
-def cartesian(now: Beliefs) -> Cartesian:
-    """In metres. dr = exp(l) (E α + d dl), dv = v dl + exp(l) ds."""
+def cartesian(now: Beliefs, step: Decay | None = None) -> Cartesian:
+    """In metres, and a step on where there is one. dr = exp(l) (E α + d dl), dv = v dl + exp(l) ds."""
     rho = np.exp(now.log_range)
     r, v = rho[:, None] * now.d, rho[:, None] * now.s
     J = np.zeros((now.n, 6, 6))
@@ -282,12 +288,15 @@ def cartesian(now: Beliefs) -> Cartesian:
     J[:, :3, RANGE] = r
     J[:, 3:, RANGE] = v
     J[:, 3, 3] = J[:, 4, 4] = J[:, 5, 5] = rho
-    P = now.P[:, _MOVING, _MOVING]
-    return Cartesian(r, v, J @ P @ J.swapaxes(1, 2), np.sqrt(now.P[:, RANGE, RANGE]))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """np.cross of (n, 3), at a third of its price."""
-    x, y, z = a[:, 0], a[:, 1], a[:, 2]
-    i, j, k = b[:, 0], b[:, 1], b[:, 2]
-    return np.stack([y * k - z * j, z * i - x * k, x * j - y * i], axis=1)
+    if step is not None:
+        J[:, :3] += step.phi * J[:, 3:]
+        J[:, 3:] *= step.left
+        r, v = r + step.phi * v, step.left * v
+    cov = J @ now.P[:, _MOVING, _MOVING] @ J.swapaxes(1, 2)
+    if step is not None:
+        for i in (0, 1, 2):
+            cov[:, i, i] += step.pp
+            cov[:, i, 3 + i] += step.pv
+            cov[:, 3 + i, i] += step.pv
+            cov[:, 3 + i, 3 + i] += step.vv
+    return Cartesian(r, v, cov, np.sqrt(now.P[:, RANGE, RANGE]))

@@ -92,7 +92,7 @@ def widths(z: Array, size: Array, camera: PinholeCamera, team_from_camera: Array
         )
     edge = np.zeros_like(z)
     edge[:, 0], edge[:, 1] = 0.5 * level * math.cos(roll), -0.5 * level * math.sin(roll)
-    left, right = camera.bearing_undistorted(z - edge), camera.bearing_undistorted(z + edge)
+    left, right = np.split(camera.bearing_undistorted(np.concatenate([z - edge, z + edge])), 2)
     apart = 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(((right - left) ** 2).sum(axis=1)), 1.0))
     return np.asarray(np.where(whole & (apart > 0.0), apart, np.nan))
 

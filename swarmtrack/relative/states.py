@@ -416,18 +416,16 @@ class RelativeStates:
         now = self._now
         if now is None or not now.keys:
             return {}
-        found = cartesian(now.beliefs)
-        step = decay(max(t - now.t, 0.0), self._prior(now.keys))
-        r = found.r + step.phi * found.v - (own.camera - now.camera)
-        v = step.left * found.v - own.velocity
-        cov = _carried(found.cov, step.phi, step.left)
-        by_turn = np.concatenate([_hat(r), _hat(v)], axis=1)
-        cov += by_turn @ own.attitude_cov @ by_turn.swapaxes(1, 2)
+        later = t > now.t
+        found = cartesian(now.beliefs, decay(t - now.t, self._prior(now.keys)) if later else None)
+        r = found.r - (own.camera - now.camera)
+        v = found.v - own.velocity
+        by_turn = np.zeros((len(r), 6, 3))
+        _hat(r, by_turn[:, :3])
+        _hat(v, by_turn[:, 3:])
+        cov = found.cov + by_turn @ own.attitude_cov @ by_turn.swapaxes(1, 2)
         for i in (0, 1, 2):
-            cov[:, i, i] += step.pp + self._p.jitter_m**2
-            cov[:, i, 3 + i] += step.pv
-            cov[:, 3 + i, i] += step.pv
-            cov[:, 3 + i, 3 + i] += step.vv
+            cov[:, i, i] += self._p.jitter_m**2
         cov[:, 3:, 3:] += own.velocity_cov
         states = {}
         for i, (key, sigma) in enumerate(zip(now.keys, found.range_sigma_log.tolist(), strict=True)):
@@ -459,19 +457,7 @@ def _along(said: _SaidPlace, look: TeamLook, i: int, drift_speed: float) -> tupl
     return math.log(distance), spread / distance**2
 
 
-def _carried(cov: Array, phi: float, left: float) -> Array:
-    """(n, 6, 6), by position += φ velocity, velocity *= left."""
-    new = cov.copy()
-    rv, vv = cov[:, :3, 3:], cov[:, 3:, 3:]
-    new[:, :3, :3] += phi * (rv + rv.swapaxes(1, 2)) + phi * phi * vv
-    new[:, :3, 3:] = left * (rv + phi * vv)
-    new[:, 3:, :3] = new[:, :3, 3:].swapaxes(1, 2)
-    new[:, 3:, 3:] *= left * left
-    return new
-
-
-def _hat(v: Array) -> Array:
-    """(n, 3, 3): the matrices of the cross product with v (n, 3)."""
-    hat = np.zeros((len(v), 3, 3))
-    hat[:, 2, 1], hat[:, 0, 2], hat[:, 1, 0] = v[:, 0], v[:, 1], v[:, 2]
-    return hat - hat.swapaxes(1, 2)
+def _hat(v: Array, into: Array) -> None:
+    """Writes into (n, 3, 3) the matrices of the cross product with v (n, 3)."""
+    into[:, 2, 1], into[:, 0, 2], into[:, 1, 0] = v[:, 0], v[:, 1], v[:, 2]
+    into[:, 1, 2], into[:, 2, 0], into[:, 0, 1] = -v[:, 0], -v[:, 1], -v[:, 2]

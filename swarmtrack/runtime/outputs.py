@@ -16,7 +16,8 @@ import numpy as np
 
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, ScanReport
+from swarmtrack.messages import Array, IdentifiedTrack, ScanReport
+from swarmtrack.relative.record import relative_record
 
 log = logging.getLogger(__name__)
 
@@ -109,18 +110,6 @@ def _record(seen: SeenTrack) -> dict[str, Any]:
         "probability": round(track.probability, 6),
         **proved,
         "relative": None if seen.entry.relative is None else relative_record(seen.entry.relative),
-    }
-
-
-def relative_record(state: RelativeState) -> dict[str, Any]:
-    """As in DESIGN.md, contract 5: north, east, down; cov is the upper triangle of (position, velocity), row by row."""
-    upper = state.cov[np.triu_indices(6)]
-    return {
-        "position_m": [round(value, 4) for value in state.position.tolist()],
-        "velocity_m_s": [round(value, 4) for value in state.velocity.tolist()],
-        "cov": [float(f"{value:.6g}") for value in upper.tolist()],
-        "range_sigma_log": round(state.range_sigma_log, 5),
-        "sources": list(state.sources),
     }
 
 

@@ -204,6 +204,22 @@ def test_the_attitude_counts_in_what_is_said_and_nowhere_else():
     assert np.trace(more) == pytest.approx(2.0 * (0.02 * np.linalg.norm(PLACE)) ** 2, rel=1e-3)
 
 
+def test_between_scans_a_state_goes_on_as_the_filter_would_without_a_look():
+    states, unseen = RelativeStates(TOLD), RelativeStates(TOLD)
+    places = [PLACE + k * DT * np.array([0.0, 1.0, 0.0]) for k in range(20)]
+    for one in (states, unseen):
+        t = watched(one, places)
+    eye = np.array([0.3, -0.2, 0.1])
+    later = states.at(t + 0.1, STILL._replace(camera=eye))[7]
+    blind = look(t + 0.1, places[-1], camera=eye)
+    unseen.observe(replace(blind, ray=np.full((1, 3), np.nan), width=np.full(1, np.nan)))
+    want = unseen.at(t + 0.1, STILL._replace(camera=eye))[7]
+    assert later.position == pytest.approx(want.position, abs=1e-9)
+    assert later.velocity == pytest.approx(want.velocity, abs=1e-9)
+    # But for the own way's and the attitude's walk, and the lever of what it is not sure of.
+    assert np.diag(later.cov) == pytest.approx(np.diag(want.cov), rel=0.02)
+
+
 def test_a_state_ends_with_its_name_and_is_handed_on_to_nobody():
     states = RelativeStates(TOLD)
     t = watched(states, [PLACE] * 5)

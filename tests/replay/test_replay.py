@@ -110,6 +110,15 @@ def test_where_teammates_are_in_metres_comes_out_bit_for_bit_and_is_read_back_so
                 assert one.cov.tobytes() == other.cov.tobytes()
 
 
+def test_the_json_of_a_replay_says_where_teammates_are(flown, tmp_path):
+    out = tmp_path / "out.json"
+    assert replay(flown[0] / "drone-1", "--json", str(out)) == 0
+    (drone,) = json.loads(out.read_text())["drones"]
+    states = [track["relative"] for scan in drone["scans"] for track in scan["tracks"] if track["relative"]]
+    assert len(states) > 10
+    assert all(len(state["cov"]) == 21 and len(state["position_m"]) == 3 for state in states)
+
+
 def test_another_belief_of_airframes_changes_the_metres_and_nothing_else(flown, monkeypatch):
     monkeypatch.setattr(
         perception, "RelativeParameters", lambda airframe_span_m: RelativeParameters(airframe_span_m=0.8)
