@@ -5,7 +5,10 @@ off by 12 mrad, for some 15 s in the same way. Each drone tells 5 times a second
 by 30 ms, and boxes tell distances to 30 %. The estimator is the agent's (`identity/motion_evidence.py`), without its
 tracker: a track is a drone.
 
-A name is given where its probability over all matchings exceeds 0.999; a track is a stranger with 0.02 beforehand.
+A name is given where its probability over all matchings exceeds 0.999; a track is a stranger with 0.02 beforehand. A
+lie is found out where the liar's track is called a stranger, or by its right name. It is said already where motion
+alone speaks as surely against the name that the drone claims, which is what an agent tells; who did not lie and of whom
+that is said is accused.
 
     swarmtrack bench motion [--seeds 60] [--teams 3 5 10] --out DIR
 """
@@ -48,22 +51,26 @@ SAID_M, SAID_M_S = 0.02, 0.05
 CLOCK_S = 0.03
 P_STRANGER = 0.02
 STRANGER = -1
+SURELY = math.log(PROVED / (1.0 - PROVED))
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """How a team moves. sway [m]: RMS per axis of a hover, None: it flies at 1 m/s; lie: drone 0 tells another motion
-    ("spoof"), or 0 and 1 each other's ("swap"); clock [s]: by how much clocks are off, either way."""
+    ("spoof"), or 0 and 1 each other's ("swap"); clock [s]: by how much clocks are off, either way; say_s: between two
+    words of a drone."""
 
     name: str
     sway: float | None
     lie: str = ""
     clock: float = CLOCK_S
+    say_s: float = SAY_S
 
 
 ROWS = (
     Row("free flight", None),
     Row("hover, sways 15 cm", 0.15),
+    Row("hover, told 10 times a second", 0.15, say_s=0.1),
     Row("hover, sways 5 cm", 0.05),
     Row("hover, clocks 0.2 s off", 0.15, clock=0.2),
     Row("free flight, one is spoofed", None, "spoof"),
@@ -73,12 +80,15 @@ ROWS = (
 
 
 class Trial(NamedTuple):
-    """named [s]: when the last track had a name, inf: never; found [s]: when the lie was; names: by track, what it was
-    called first; scan_s: CPU time per scan [s]."""
+    """named [s]: when the last track had a name, inf: never; found [s]: when the lie was, and said: when an agent would
+    have told of it; names: by track, what it was called first; accused: drones that did not lie; scan_s: CPU time per
+    scan [s]."""
 
     named: float
     found: float
+    said: float
     names: dict[int, int]
+    accused: set[int]
     scan_s: float
 
 
@@ -135,7 +145,8 @@ class _Scene:
         self._attitude = ATTITUDE_SIGMA * rng.standard_normal(2)
         sign = rng.choice((-1.0, 1.0), n)
         self._late = row.clock * (rng.standard_normal(n) if row.clock == CLOCK_S else sign)
-        self._phase = rng.uniform(0.0, SAY_S, n)
+        self._say_s = row.say_s
+        self._phase = rng.uniform(0.0, row.say_s, n)
 
     def _told(self, row: Row) -> _Told:
         place, speed = self.truth.place.copy(), self.truth.speed.copy()
@@ -149,11 +160,10 @@ class _Scene:
     def say(self, found: MotionEvidence, t: float) -> None:
         """All that the drones said in the last scan's time."""
         for drone in range(self.n):
-            due = np.arange(
-                math.ceil((t - SCAN_S - self._phase[drone]) / SAY_S), 1 + (t - self._phase[drone]) // SAY_S
-            )
+            first = math.ceil((t - SCAN_S - self._phase[drone]) / self._say_s)
+            due = np.arange(first, 1 + (t - self._phase[drone]) // self._say_s)
             for k in due[due >= 0]:
-                said = self._phase[drone] + k * SAY_S
+                said = self._phase[drone] + k * self._say_s
                 step = min(round(said / STEP_S), self.told.place.shape[1] - 1)
                 place = self.told.place[drone, step] + SAID_M * self.rng.standard_normal(3)
                 speed = self.told.speed[drone, step] + SAID_M_S * self.rng.standard_normal(3)
@@ -194,7 +204,9 @@ def trial(row: Row, n: int, seed: int) -> Trial:
     """One flight of n drones; the same arguments give the same."""
     scene, found = _Scene(row, n, seed), MotionEvidence()
     names: dict[int, int] = {}
-    named, exposed, spent, scans = math.inf, math.inf, 0.0, 0
+    named, exposed, said, spent, scans = math.inf, math.inf, math.inf, 0.0, 0
+    accused: set[int] = set()
+    honest = range({"spoof": 1, "swap": 2}.get(row.lie, 0), n)
     liar = {"spoof": STRANGER, "swap": 1}.get(row.lie)
     for k in range(round(SECONDS / SCAN_S)):
         scene.say(found, k * SCAN_S)
@@ -207,11 +219,14 @@ def trial(row: Row, n: int, seed: int) -> Trial:
             names.setdefault(track, name)
         if called.get(0) == liar:
             exposed = min(exposed, k * SCAN_S)
+        if found.log_ratio(0, 0) < -SURELY:
+            said = min(said, k * SCAN_S)
+        accused |= {drone for drone in honest if found.log_ratio(drone, drone) < -SURELY}
         if len(names) == n:
             named = min(named, k * SCAN_S)
-            if liar is None or exposed < math.inf:
+            if liar is None or max(exposed, said) < math.inf:
                 break
-    return Trial(named, exposed, names, spent / scans)
+    return Trial(named, exposed, said, names, accused, spent / scans)
 
 
 def _called(found: MotionEvidence, n: int) -> dict[int, int]:
@@ -238,9 +253,12 @@ class Result:
     named_p95_s: float | None
     found_s: float | None
     found_p95_s: float | None
+    said_s: float | None
+    said_p95_s: float | None
     names: int
     wrong: int
     wrong_as_stranger: int
+    accused: int
     scan_ms: float
 
 
@@ -254,7 +272,7 @@ def summarise(row: Row, n: int, trials: Sequence[Trial]) -> Result:
         value = float(np.quantile(times, share, method="higher"))
         return round(value, 2) if value < math.inf else None
 
-    named, found = [t.named for t in trials], [t.found for t in trials]
+    named, found, said = ([getattr(t, what) for t in trials] for what in ("named", "found", "said"))
     return Result(
         row=row.name,
         drones=n,
@@ -263,9 +281,12 @@ def summarise(row: Row, n: int, trials: Sequence[Trial]) -> Result:
         named_p95_s=quantile(named, 0.95),
         found_s=quantile(found, 0.5) if row.lie else None,
         found_p95_s=quantile(found, 0.95) if row.lie else None,
+        said_s=quantile(said, 0.5) if row.lie else None,
+        said_p95_s=quantile(said, 0.95) if row.lie else None,
         names=sum(len(t.names) for t in trials),
         wrong=len(wrong),
         wrong_as_stranger=wrong.count(STRANGER),
+        accused=sum(len(t.accused) for t in trials),
         scan_ms=round(1e3 * float(np.mean([t.scan_s for t in trials])), 2),
     )
 
@@ -277,10 +298,13 @@ def page(results: Sequence[Result]) -> str:
         "flights",
         "all named, s: median",
         "p95",
+        "lie said, s: median",
+        "p95",
         "lie found, s: median",
         "p95",
         "wrong names",
         "of these as strangers",
+        "accused",
         "CPU per scan, ms",
     )
 
@@ -294,10 +318,13 @@ def page(results: Sequence[Result]) -> str:
             str(r.flights),
             text(r.named_s),
             text(r.named_p95_s),
+            text(r.said_s),
+            text(r.said_p95_s),
             text(r.found_s),
             text(r.found_p95_s),
             f"{r.wrong} of {r.names}",
             str(r.wrong_as_stranger),
+            str(r.accused),
             f"{r.scan_ms:.2f}",
         )
         for r in results

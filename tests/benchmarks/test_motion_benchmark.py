@@ -16,6 +16,8 @@ def test_who_tells_another_motion_is_a_stranger_and_who_tells_another_s_has_its_
     spoofed = trial(ROW["free flight, one is spoofed"], 3, seed=1)
     swapped = trial(ROW["hover, two IDs swapped"], 3, seed=1)
     assert spoofed.names == {0: STRANGER, 1: 1, 2: 2}
+    assert spoofed.said <= spoofed.found < 20.0
+    assert spoofed.accused == swapped.accused == set()
     assert swapped.names == {0: 1, 1: 0, 2: 2}
     result = summarise(ROW["hover, two IDs swapped"], 3, [swapped])
     assert (result.names, result.wrong) == (3, 0)
