@@ -69,6 +69,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.relative",
         "where teammates are in metres, and whether that is known",
     ),
+    "relative-flights": (
+        "swarmtrack.benchmarks.relative_flights",
+        "the same in whole flights, with trackers and names",
+    ),
     "rotation": (
         "swarmtrack.benchmarks.rotating_observer",
         "what the gyro is worth to an observer that turns",

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.benchmarks import relative
+from swarmtrack.benchmarks import relative, relative_flights
+from swarmtrack.messages import RelativeState
 
 
 def test_the_table_has_a_row_for_each_kind_and_range(tmp_path):
@@ -39,3 +40,24 @@ def test_the_simulated_teammates_wander_as_the_bound_and_the_filter_are_told():
     step = (speed[1:] + speed[:-1]) / 2.0 * relative.DT
     place = np.concatenate([truth.place for truth in truths], axis=1)
     assert np.abs(np.diff(place, axis=0) - step).max() < 0.1
+
+
+def test_a_state_is_compared_with_the_truth_along_and_across_the_ray():
+    truth = np.array([10.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    cov = np.diag([0.25, 0.01, 0.04, 1.0, 0.25, 0.25])
+    state = RelativeState(2, 0.0, np.array([11.0, 0.1, 0.0]), np.array([2.0, 1.0, 0.5]), cov, 0.05, ("size",))
+    found = relative_flights.compared(state, truth)
+    assert found.range_error == pytest.approx(0.1, abs=1e-3)
+    assert found.velocity_m_s == pytest.approx(math.hypot(2.0, 0.5))
+    assert found.parts == pytest.approx([4.0, 0.5, 4.0, 0.5])
+    assert found.nees == pytest.approx(4.0 + 1.0 + 4.0 + 1.0)
+
+
+def test_in_a_whole_flight_the_range_is_within_a_tenth_whatever_is_known(tmp_path):
+    kinds = [kind for kind in relative_flights.KINDS if kind.scenario == "crossing"][:1]
+    result = relative_flights.publish(tmp_path, 1, kinds, processes=1)
+    (row,) = result["rows"]
+    assert row["states"] > 500
+    assert row["range_error"]["p50"] < 0.1
+    assert row["nees6"]["median"] < 1.4
+    assert "crossing" in (tmp_path / "relative-flights.md").read_text(encoding="utf-8")

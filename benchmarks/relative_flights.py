@@ -1,0 +1,181 @@
+"""Where teammates are in metres, in whole flights: real `Onboard`s with trackers, names and all that teammates say.
+
+Scenarios in the virtual swarm. Every state that bears a name is compared with the truth at the exposure, whether the
+name is right or not.
+
+    swarmtrack bench relative-flights [--seeds 20] [--processes N] --out DIR
+
+* range error: |range / truth − 1|, median and 95 %.
+* NEES / 6: median and mean over all states, and the mean of its parts: along and across the ray, place and velocity.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
+from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.messages import Array, RelativeState
+from swarmtrack.relative.log_range import across
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.world import World
+
+NAME = "relative-flights"
+SEEDS, QUICK_SEEDS = 20, 2
+SECONDS = {"crossing": 25.0, "errand": 60.0, "occlusion": 25.0}
+DRONES = 3
+BEGIN_S = 1.0
+
+
+class Kind(NamedTuple):
+    """share_hz: of the velocities that all tell; 0: none do."""
+
+    scenario: str
+    words: str
+    span_known: bool = True
+    share_hz: float = 0.0
+
+
+KINDS = tuple(
+    kind
+    for scenario in SECONDS
+    for kind in (
+        Kind(scenario, "span unknown", span_known=False),
+        Kind(scenario, "span"),
+        Kind(scenario, "span, velocities at 5 Hz", share_hz=5.0),
+    )
+)
+
+
+class Compared(NamedTuple):
+    """A state and the truth: |range error| as a share, error of place [m] and velocity [m/s], NEES of six, and of its
+    parts (4,): place along and across the ray, velocity along and across."""
+
+    range_error: float
+    place_m: float
+    velocity_m_s: float
+    nees: float
+    parts: Array
+
+
+def fly(kind: Kind, seed: int) -> list[Compared]:
+    """One flight; the same arguments give the same."""
+    scenario = load_scenario(kind.scenario, seed=seed, drones=DRONES)
+    span = scenario.world.airframe(scenario.members[0]).span if kind.span_known else None
+    swarm = VirtualSwarm(
+        scenario, share_hz=kind.share_hz or None, relative=RelativeParameters(airframe_span_m=span)
+    )
+    found = []
+    for scan in swarm.fly(SECONDS[kind.scenario]):
+        states = [entry.relative for entry in scan.tracks.tracks if entry.relative is not None]
+        if scan.t >= BEGIN_S:
+            truth = partial(
+                true_state, scenario.world, scan.observer, scenario.body_from_camera, scan.exposed_t
+            )
+            found += [compared(state, truth(state.drone_id)) for state in states]
+    return found
+
+
+def true_state(world: World, observer: int, body_from_camera: Pose, t: float, drone_id: int) -> Array:
+    """(6,): where a drone is from the observer's camera, and its velocity less the observer's."""
+    own, other = world.flown(observer).motion(t), world.flown(drone_id).motion(t)
+    camera = own.position + own.attitude @ body_from_camera.position
+    return np.concatenate([other.position - camera, other.velocity - own.velocity])
+
+
+def compared(state: RelativeState, truth: Array) -> Compared:
+    """truth (6,)"""
+    error = np.concatenate([state.position, state.velocity]) - truth
+    rho = float(np.linalg.norm(truth[:3]))
+    along = truth[None, :3] / rho
+    axes = np.concatenate([along.T, across(along)[0]], axis=1)
+    parts = []
+    for of in (slice(0, 3), slice(3, 6)):
+        e, variance = axes.T @ error[of], np.diag(axes.T @ state.cov[of, of] @ axes)
+        squares = e * e / variance
+        parts += [squares[0], squares[1:].mean()]
+    return Compared(
+        abs(float(np.linalg.norm(state.position)) / rho - 1.0),
+        float(np.linalg.norm(error[:3])),
+        float(np.linalg.norm(error[3:])),
+        float(error @ np.linalg.solve(state.cov, error)),
+        np.array(parts),
+    )
+
+
+def summary(flights: Sequence[Sequence[Compared]]) -> dict[str, Any]:
+    """Of one row."""
+    states = [state for flight in flights for state in flight]
+    if not states:
+        return {"states": 0}
+    errors = np.array([state.range_error for state in states])
+    nees = np.array([state.nees for state in states]) / 6.0
+    return {
+        "states": len(states),
+        "range_error": {"p50": float(np.quantile(errors, 0.5)), "p95": float(np.quantile(errors, 0.95))},
+        "rmse_m": float(np.sqrt(np.mean([state.place_m**2 for state in states]))),
+        "velocity_rmse_m_s": float(np.sqrt(np.mean([state.velocity_m_s**2 for state in states]))),
+        "nees6": {"median": float(np.median(nees)), "mean": float(nees.mean())},
+        "nees_parts": np.mean([state.parts for state in states], axis=0).tolist(),
+    }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+    add_processes(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, args.seeds or (QUICK_SEEDS if args.quick else SEEDS), KINDS, processes=args.processes)
+
+
+def publish(out: Path, seeds: int, kinds: Sequence[Kind], *, processes: int | None) -> dict[str, Any]:
+    """Fly everything, write the JSON and the page into `out`, and return what is in the JSON."""
+    rows = []
+    with (
+        multiprocessing.get_context("spawn").Pool(processes) as pool,
+        report.progress(NAME, len(kinds) * seeds) as advance,
+    ):
+        for kind in kinds:
+            flights = []
+            for flight in pool.imap(partial(fly, kind), range(1, seeds + 1)):
+                flights.append(flight)
+                advance(f"{kind.scenario}, {kind.words}")
+            rows.append({"scenario": kind.scenario, "known": kind.words, **summary(flights)})
+    result = {"seeds": seeds, "drones": DRONES, "rows": rows}
+    report.write(out, NAME, result, _markdown(result))
+    return result
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    rows = [
+        [
+            row["scenario"],
+            row["known"],
+            str(row["states"]),
+            *(f"{100.0 * row['range_error'][of]:.1f}" for of in ("p50", "p95")),
+            report.number(row["rmse_m"]),
+            report.number(row["velocity_rmse_m_s"]),
+            *(report.number(row["nees6"][of]) for of in ("median", "mean")),
+            " ".join(report.number(part) for part in row["nees_parts"]),
+        ]
+        for row in result["rows"]
+        if row["states"]
+    ]
+    header = [
+        "scenario", "known", "states", "range error, %: median", "95 %", "RMSE, m", "velocity, m/s",
+        "NEES / 6: median", "mean", "of place along, across, velocity along, across",
+    ]  # fmt: skip
+    words = f"{result['seeds']} flights a row, {result['drones']} drones. Truth against every state that bears a name."
+    return "\n\n".join(["# Where teammates are, in whole flights", words, report.table(header, rows)])
