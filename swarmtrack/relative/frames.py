@@ -23,6 +23,8 @@ from swarmtrack.relative.parameters import RelativeParameters
 
 # s of own rays; how far from a report's time a ray may be; and between two sightings that are used.
 MEMORY_S, SIMULTANEOUS_S, APART_S = 2.0, 0.12, 0.4
+# s between two solutions of one teammate.
+SOLVE_S = 1.5
 # m: of two places that are compared, as clocks and scans are apart, and as nobody tells where its camera is.
 PLACE_M = 0.1
 # rad: of a ray, one sigma; the observer's attitude lasts, but not for the window.
@@ -46,6 +48,7 @@ class FrameNews(NamedTuple):
 class _Teammate:
     boot: str = ""
     sights: deque[FrameSight] = field(default_factory=deque)
+    solved_t: float = -math.inf
     found: FrameTransform | None = None
     contradicts: bool = False
     otherwise: int = 0
@@ -89,6 +92,9 @@ class Frames:
         mate.sights.append(sight)
         while mate.sights[0].t < sight.t - WINDOW_S:
             mate.sights.popleft()
+        if sight.t - mate.solved_t < SOLVE_S:
+            return None
+        mate.solved_t = sight.t
         found = align(mate.sights, sight.t, self._errors)
         if found is None:
             return None

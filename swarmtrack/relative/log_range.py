@@ -122,6 +122,17 @@ class Beliefs:
         """These rows only, in this order."""
         return Beliefs(*(getattr(self, name)[index] for name in self.__slots__))
 
+    def row(self, i: int) -> Beliefs:
+        """One row, as a batch of one."""
+        return self.rows(slice(i, i + 1))
+
+    def with_row(self, i: int, one: Beliefs) -> Beliefs:
+        """The same but for a row, which is that of another batch of one."""
+        columns = [getattr(self, name).copy() for name in self.__slots__]
+        for column, name in zip(columns, self.__slots__, strict=True):
+            column[i] = getattr(one, name)[0]
+        return Beliefs(*columns)
+
     def joined(self, other: Beliefs) -> Beliefs:
         """The rows of both."""
         return Beliefs(

@@ -376,7 +376,7 @@ class RelativeStates:
             self.late += 1
             return False
         then = chain[0]
-        mine = then.beliefs.rows([then.keys.index(key)])
+        mine = then.beliefs.row(then.keys.index(key))
         at = Carried.of(mine, decay(t - then.t, self._prior([key])))
         found = measure(at, then)
         shared = mine.P[0] @ found.H.T
@@ -386,10 +386,8 @@ class RelativeStates:
         if not float(found.nu @ np.linalg.solve(V, found.nu)) < GATE[len(found.nu)]:
             self.refused += 1
             return False
-        better = corrected_late(now.beliefs.rows([row]), shared, found.nu, V)
-        rest = [i for i in range(now.beliefs.n) if i != row]
-        now.keys = (*(now.keys[i] for i in rest), key)
-        now.beliefs = now.beliefs.rows(rest).joined(better)
+        better = corrected_late(now.beliefs.row(row), shared, found.nu, V)
+        now.beliefs = now.beliefs.with_row(row, better)
         self._exact_since[key] = now.t
         self._sources[key].add(source)
         return True
