@@ -37,7 +37,8 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
-from swarmtrack.wire.video import VideoMessage, lens_message
+from swarmtrack.wire.lens import lens_message
+from swarmtrack.wire.video import VideoMessage
 
 NAME = "monitor"
 FPS = 20.0

@@ -34,9 +34,10 @@ from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import announcement_message
 from swarmtrack.wire.health import HealthMessage, LatencyHealth, LinkHealth, RateHealth
+from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.sightings import sightings_message
 from swarmtrack.wire.tracks import tracks_message
-from swarmtrack.wire.video import VideoMessage, lens_message
+from swarmtrack.wire.video import VideoMessage
 
 CLOCK = SystemClock()
 FOCAL = 180.0  # px: 83 degrees, so that three on a circle see each other

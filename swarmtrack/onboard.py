@@ -43,6 +43,7 @@ from swarmtrack.messages import (
     PeerArrived,
     PeerDeparted,
     PoseWanted,
+    RelativeState,
     Scan,
     ScanReport,
     SightingReport,
@@ -201,7 +202,8 @@ class Onboard:
             return TrackList(now, now, ())
         if now - self._tracker.t > self.gyro.history_s + MAX_SILENCE:
             return TrackList(now, self._tracker.t, ())
-        return TrackList(now, self._tracker.t, self._identities.label(self.carried(now)))
+        labelled = self._identities.label(self.carried(now))
+        return TrackList(now, self._tracker.t, self._placed(labelled, now))
 
     def carried(self, t: float) -> tuple[Track, ...]:
         """The tracks of the last scan, carried on by the gyro to t; no scan that waits is looked at."""
@@ -220,6 +222,11 @@ class Onboard:
         """world_from_camera at t, in the team frame; None where the drone does not know."""
         ego = self._ego.at(t)
         return None if ego is None else ego.pose @ self._mounting.body_from_camera
+
+    @property
+    def body_from_camera(self) -> Pose:
+        """How the camera is mounted: body FRD."""
+        return self._mounting.body_from_camera
 
     @property
     def scan_t(self) -> float | None:
@@ -362,10 +369,29 @@ class Onboard:
         self._frames.see(look)
         self._relative.observe(look)
         own = OwnMotion(camera.position, velocity, velocity_cov, observer.attitude_cov)
-        states = self._relative.at(observer.t, own)
-        if not states:
+        return _with_places(tracks, self._relative.at(observer.t, own))
+
+    def _placed(self, tracks: tuple[IdentifiedTrack, ...], now: float) -> tuple[IdentifiedTrack, ...]:
+        """The same tracks, and where those are by now that are teammates: the own camera has flown on, too."""
+        observer = self._ego.at(now) if any(isinstance(entry.identity, int) for entry in tracks) else None
+        if observer is None:
             return tracks
-        return tuple(replace(entry, relative=states.get(entry.track.id)) for entry in tracks)
+        camera = observer.pose @ self._mounting.body_from_camera
+        way, velocity, velocity_cov = self._ego.flown_on(now)
+        own = OwnMotion(camera.position + way, velocity, velocity_cov, observer.attitude_cov)
+        return _with_places(tracks, self._relative.at(now, own))
+
+
+def _with_places(
+    tracks: tuple[IdentifiedTrack, ...], states: dict[int, RelativeState]
+) -> tuple[IdentifiedTrack, ...]:
+    """states: by track; a place ends with the name that it was found for."""
+    return tuple(
+        replace(entry, relative=state)
+        if (state := states.get(entry.track.id)) is not None and state.drone_id == entry.identity
+        else entry
+        for entry in tracks
+    )
 
 
 def _sizes(scan: Scan) -> Array:

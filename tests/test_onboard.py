@@ -399,3 +399,32 @@ def test_a_camera_without_a_gyro_is_taken_to_stand_still_and_one_whose_gyro_fell
     for k in range(11):
         drone.tell(ImuSample(k / 200.0, np.zeros(3), NO_ACCEL))
     assert PerceivedExpectation(drone).pixels_at(0.9, 1.0) is None
+
+
+def test_a_place_asked_for_later_has_moved_on_with_the_own_camera():
+    """This drone flies north at 2 m/s towards one that stands; its autopilot then says nothing for 0.3 s."""
+    drone = onboard()
+    drone.tell(announced(2, [20.0, -1.0, 0.0]))
+    for k in range(25):
+        t = k / 10
+        drone.tell(EgoPose(t, np.array([2.0 * t, 0.0, 0.0]), np.eye(3)))
+        drone.tell(seen(t, (320.0 - 430.0 / (20.0 - 2.0 * t), 240.0)))
+    then = metres(drone)[2]
+    (later,) = (entry.relative for entry in drone.tracks(2.7).tracks)
+    assert (later.drone_id, then.t, later.t) == (2, 2.4, 2.7)
+    # Against each other, as the last scan said; had the own camera stood still meanwhile, 0.6 m more.
+    assert later.position - then.position == pytest.approx(0.3 * then.velocity, abs=0.1)
+    assert np.linalg.eigvalsh(later.cov).min() > 0.0
+
+
+def test_a_place_asked_for_later_ends_with_the_name_too():
+    drone = onboard()
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
+    t = watch(drone, [(320 - 430 / 6, 240.0)])
+    assert drone.tracks(t).tracks[0].relative is not None
+    for k in range(8, 60):
+        drone.tell(seen(k / 15))  # it is not seen any more: its name goes before its track
+        last = drone.tracks(k / 15).tracks
+        if not last or last[0].identity is None:
+            break
+    assert [entry.relative for entry in last if entry.identity is None] == [None]

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TracksMessage, track_cov
-from swarmtrack.wire.video import VideoMessage, camera_from
+from swarmtrack.wire.video import VideoMessage
 
 AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
 SIGMAS = 3.0  # of an ellipse

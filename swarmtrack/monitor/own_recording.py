@@ -41,10 +41,11 @@ from swarmtrack.wire.announcement import announcement_message
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.fields import VERSION
 from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.records import from_record
 from swarmtrack.wire.sightings import sightings_message
 from swarmtrack.wire.tracks import TracksMessage, tracks_message
-from swarmtrack.wire.video import VideoMessage, lens_message
+from swarmtrack.wire.video import VideoMessage
 
 HEALTH_TOPIC = "/health"
 HEEDED_INPUTS = frozenset(

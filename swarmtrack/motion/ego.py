@@ -213,6 +213,13 @@ class EgoHistory:
         middle, _, velocity, cov = line
         return velocity, cov + (ACCELERATION_SIGMA * (t - middle)) ** 2 * np.eye(3)
 
+    def flown_on(self, t: float) -> tuple[Array, Array, Array]:
+        """What came after the newest pose: the way from there to t, straight on (3,) m; and `velocity` at t. No way
+        where t is within the history."""
+        ahead = max(0.0, t - self._poses[-1].t) if self._poses else 0.0
+        velocity, cov = self.velocity(t - ahead)
+        return ahead * velocity, velocity, cov + (ACCELERATION_SIGMA * ahead) ** 2 * np.eye(3)
+
     def _line(self, begin: float, end: float) -> tuple[float, Array, Array, Array] | None:
         """A straight line through the poses of that time: its middle [s] and place there, its slope (3,) m/s and the
         slope's covariance (3, 3). None of fewer than two."""

@@ -104,6 +104,7 @@ class Agent:
         warm = asyncio.get_running_loop().run_in_executor(self._worker, self._warm_up)
         try:
             self._begin_recording()
+            self._team.describe_camera()
             await self._transport.open()
             async with asyncio.TaskGroup() as tasks:
                 camera = tasks.create_task(self._feed_camera(warm), name="camera")

@@ -22,7 +22,8 @@ from swarmtrack.runtime import periods
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.fields import MAX_JPEG, VERSION
-from swarmtrack.wire.video import VideoMessage, lens_message
+from swarmtrack.wire.lens import lens_message
+from swarmtrack.wire.video import VideoMessage
 
 # How early a frame may come and still be on time. Without it 10 frames per second would give 5 pictures.
 JITTER_S = 0.01

@@ -42,6 +42,7 @@ from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.sensors.mavlink.notices import Severity
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
+from swarmtrack.wire.camera import camera_message
 from swarmtrack.wire.motion import motion_message
 from swarmtrack.wire.sightings import sightings_message
 
@@ -124,6 +125,16 @@ class Teamwork:
         when = f"{datetime.fromtimestamp(next_begin(t + utc), UTC):%H:%M:%S} UTC"
         self._note(self._drone_id, f"the pilot's switch: codes are flown from {when} on", logging.INFO)
         self._notices.add(Severity.INFO, f"codes from {when} on")
+
+    def describe_camera(self) -> None:
+        """For whoever makes directions of the pixels of our tracks; before the network opens."""
+        camera, mounting = self._perceived.camera, self._perceived.body_from_camera
+        try:
+            self._transport.describe(
+                codec.encode(camera_message(self._drone_id, self._boot, camera, mounting))
+            )
+        except ValueError:  # what no reader would accept is not sent, and must not end the flight
+            self._health.drops["unsendable_camera"] += 1
 
     async def listen(self) -> None:
         """Every event of the transport into Onboard, and a line of it into health and log; first what is filed."""

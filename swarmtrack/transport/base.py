@@ -14,6 +14,7 @@ class Kind(enum.StrEnum):
 
     POSE = "pose"
     ALIVE = "alive"
+    CAMERA = "camera"
     TRACKS = "tracks"
     IDENTITIES = "identities"
     MOTION = "motion"
@@ -51,6 +52,10 @@ class Transport(Protocol):
 
         It gets an `AnnouncementRequested`. Never blocks; both ends let pass one a second, the rest is counted.
         """
+        ...
+
+    def describe(self, camera: bytes) -> None:
+        """Our `camera/<id>`: said once when the network opens, and to whoever asks. To be called before that."""
         ...
 
     def publish(self, kind: Kind, payload: bytes) -> None:

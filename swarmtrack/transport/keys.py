@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 import secrets
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
@@ -23,6 +24,7 @@ ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
 
 ENCODINGS: dict[Kind, str] = {
     Kind.POSE: "application/msgpack;swarmtrack.Announcement/1",
+    Kind.CAMERA: "application/msgpack;swarmtrack.Camera/1",
     Kind.IDENTITIES: "application/msgpack;swarmtrack.Sightings/1",
     Kind.MOTION: "application/msgpack;swarmtrack.Motion/1",
     Kind.TRACKS: "application/msgpack;swarmtrack.Tracks/1",
@@ -30,8 +32,12 @@ ENCODINGS: dict[Kind, str] = {
     Kind.VIDEO: "application/msgpack;swarmtrack.Video/1",
 }
 
+ASKED: Final = (Kind.POSE, Kind.CAMERA)
+"""What is said once, and to whoever asks."""
+
 MESSAGES: dict[Kind, type[Message]] = {
     Kind.POSE: AnnouncementMessage,
+    Kind.CAMERA: CameraMessage,
     Kind.IDENTITIES: SightingsMessage,
     Kind.MOTION: MotionMessage,
     Kind.TRACKS: TracksMessage,
@@ -61,7 +67,7 @@ def key(team: str, kind: Kind | str, *rest: int | str) -> str:
 
 def all_but_video(team: str) -> list[str]:
     """For who wants to hear everything: video is only said while somebody listens to it, and then it costs."""
-    quiet = (Kind.POSE, Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH)
+    quiet = (Kind.POSE, Kind.CAMERA, Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH)
     return [key(team, Kind.ALIVE, "*", "*"), *(key(team, kind, "*") for kind in quiet)]
 
 

@@ -124,6 +124,8 @@ class MemoryTransport:
 
     async def open(self) -> None:
         self._hub._join(self)
+        if self._outgoing.camera is not None:
+            self._hub._send(self, self._outgoing.camera_key, self._outgoing.camera)
         self._reconciliation = asyncio.create_task(
             self._peers.ask_for_missing(lambda drone_id: self._hub._ask(self, drone_id, anew=False)),
             name="reconciliation",
@@ -138,6 +140,9 @@ class MemoryTransport:
     def request_announcement(self, drone_id: int) -> None:
         if self._peers.may_request(drone_id):
             self._hub._ask(self, drone_id, anew=True)
+
+    def describe(self, camera: bytes) -> None:
+        self._outgoing.camera = camera
 
     def publish(self, kind: Kind, payload: bytes) -> None:
         if kind not in PUBLISHED:

@@ -1,4 +1,4 @@
-"""Our own announcement, on its way out."""
+"""What we say once and to whoever asks, on its way out: our announcement, and our camera."""
 
 from __future__ import annotations
 
@@ -22,14 +22,33 @@ _FRESH_S: Final = 0.05  # s for which the same bytes are told again: a flood of 
 _ANSWERS_PER_S: Final = 256  # more than a hundred newcomers ask at once; whoever is refused asks again
 
 
+class _Budget:
+    """How many questions of one kind are answered; only under a lock."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._since = 0.0
+        self._answers = 0
+
+    def allows(self) -> bool:
+        now = self._clock.now()
+        if now - self._since >= 1.0:
+            self._since, self._answers = now, 0
+        self._answers += 1
+        return self._answers <= _ANSWERS_PER_S
+
+
 class Outgoing:
     """Checked, only ever replaced by a later one, and told each time with the age its pose has by then.
 
-    Any thread may call: Zenoh has questions answered in threads of its own.
+    camera: our `camera/<id>`, the same for as long as we live. Any thread may call: Zenoh has questions answered in
+    threads of its own.
     """
 
     def __init__(self, team: str, drone_id: int, boot: str, clock: Clock, sign: Sign | None) -> None:
         self.key = keys.key(team, Kind.POSE, drone_id)
+        self.camera_key = keys.key(team, Kind.CAMERA, drone_id)
+        self.camera: bytes | None = None
         self._drone_id = drone_id
         self._boot = boot
         self._clock = clock
@@ -38,8 +57,8 @@ class Outgoing:
         self._announcement: Announcement | None = None
         self._encoded = b""
         self._encoded_at = 0.0
-        self._answers_since = 0.0
-        self._answers = 0
+        self._answers = _Budget(clock)
+        self._camera_answers = _Budget(clock)
         self._requested_at: float | None = None
         self._counters: Counter[str] = Counter()
 
@@ -67,14 +86,18 @@ class Outgoing:
     def answer(self) -> bytes | None:
         """The same for whoever asks; None too where too many ask."""
         with self._lock:
-            now = self._clock.now()
-            if now - self._answers_since >= 1.0:
-                self._answers_since, self._answers = now, 0
-            self._answers += 1
-            if self._answers > _ANSWERS_PER_S:
+            if not self._answers.allows():
                 self._counters["answers_refused"] += 1
                 return None
             return self._tell()
+
+    def camera_answer(self) -> bytes | None:
+        """Our camera for whoever asks; None without one, and where too many ask."""
+        with self._lock:
+            if self.camera is not None and not self._camera_answers.allows():
+                self._counters["camera_answers_refused"] += 1
+                return None
+            return self.camera
 
     def accept_request(self) -> bool:
         """Whether to heed one who wants us to announce anew: once a second, and if there is anything to renew."""

@@ -18,7 +18,7 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
-    ask_for_announcement,
+    ask,
     bounded,
     close_session,
     open_session,
@@ -30,7 +30,7 @@ class ZenohListener:
     """Hears a team without being of it: for echo, monitor and recorder.
 
     key_expressions: full ones; `*` is one part of a key, `**` any number. `listen_to` and `leave` change them later,
-    which is for what is only said while somebody listens. Announcements made before we came are
+    which is for what is only said while somebody listens. Announcements and cameras that were told before we came are
     asked for, so each is heard, if now and then twice. clock: of when samples come.
     """
 
@@ -121,10 +121,15 @@ class ZenohListener:
         if self._hears(token.key):
             self._take(token)
         address = keys.parse(token.key)
-        if not token.alive or address is None or self._session is None or self._bridge is None:
-            return
-        if self._hears(keys.key(address.team, Kind.POSE, address.drone_id)):
-            ask_for_announcement(self._session, address.team, address.drone_id, self._bridge)
+        if token.alive and address is not None:
+            for kind in keys.ASKED:
+                self.ask(kind, address.drone_id)
+
+    def ask(self, kind: Kind, drone_id: int) -> None:
+        """Have a drone say again what it says once (`keys.ASKED`), if that is listened to. Returns at once."""
+        key = keys.key(self._network.team, kind, drone_id)
+        if self._session is not None and self._bridge is not None and self._hears(key):
+            ask(self._session, key, self._bridge)
 
     def _hears(self, key: str) -> bool:
         return any(expression.intersects(key) for expression in self._expressions)

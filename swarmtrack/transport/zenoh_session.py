@@ -80,14 +80,16 @@ def _joined(meeting_points: list[tuple[str, ...]]) -> tuple[str, ...]:
 def ask_for_announcement(
     session: zenoh.Session, team: str, drone_id: int, answers: Bridge, anew: bool = False
 ) -> None:
-    """Ask every process that speaks as `drone_id`: a clone must be heard too. Returns at once.
-
-    anew: have it announce itself again, beside the answer.
-    """
+    """`ask` for a pose. anew: have the drone announce itself again, beside the answer."""
     key = keys.key(team, Kind.POSE, drone_id)
+    ask(session, f"{key}?{keys.ANEW}" if anew else key, answers)
+
+
+def ask(session: zenoh.Session, selector: str, answers: Bridge) -> None:
+    """Ask every process that speaks as a drone: a clone must be heard too. Returns at once."""
     with contextlib.suppress(zenoh.ZError):  # the session is closing
         session.get(
-            f"{key}?{keys.ANEW}" if anew else key,
+            selector,
             answers.replies(),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,

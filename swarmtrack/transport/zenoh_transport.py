@@ -157,6 +157,9 @@ class ZenohTransport:
             session.declare_queryable(
                 self._outgoing.key, zenoh.handlers.Callback(self._answer, indirect=False)
             ),
+            session.declare_queryable(
+                self._outgoing.camera_key, zenoh.handlers.Callback(self._answer_camera, indirect=False)
+            ),
             *(
                 session.declare_subscriber(
                     keys.key(team, kind, "*"), messages.handler(), allowed_origin=zenoh.Locality.REMOTE
@@ -169,6 +172,13 @@ class ZenohTransport:
             session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
         ]
         self._messages = messages
+        if self._outgoing.camera is not None:
+            session.put(
+                self._outgoing.camera_key,
+                self._outgoing.camera,
+                encoding=keys.ENCODINGS[Kind.CAMERA],
+                congestion_control=zenoh.CongestionControl.DROP,  # who misses it asks
+            )
 
     async def announce(self, announcement: Announcement) -> None:
         self._outgoing.replace(announcement)
@@ -196,6 +206,9 @@ class ZenohTransport:
     def request_announcement(self, drone_id: int) -> None:
         if self._session is not None and self._peers.may_request(drone_id):
             ask_for_announcement(self._session, self._network.team, drone_id, self._messages, anew=True)
+
+    def describe(self, camera: bytes) -> None:
+        self._outgoing.camera = camera
 
     def publish(self, kind: Kind, payload: bytes) -> None:
         if kind not in PUBLISHED:
@@ -261,6 +274,12 @@ class ZenohTransport:
         if keys.ANEW in query.parameters and self._outgoing.accept_request():
             with contextlib.suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._peers.on_request)
+
+    def _answer_camera(self, query: zenoh.Query) -> None:
+        """In Zenoh's thread."""
+        payload = self._outgoing.camera_answer()
+        if payload is not None:
+            query.reply(self._outgoing.camera_key, payload, encoding=keys.ENCODINGS[Kind.CAMERA])
 
     def _ask(self, drone_id: int) -> None:
         if self._session is not None:

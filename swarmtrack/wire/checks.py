@@ -16,7 +16,7 @@ _NORM_TOLERANCE = 1e-6
 # Of the trace: the most negative eigenvalue that rounding may leave.
 _COVARIANCE_TOLERANCE = 1e-9
 # Rows and columns of an upper triangle, row by row.
-_UPPER = {n: np.triu_indices(n) for n in (3, 4)}
+_UPPER = {n: np.triu_indices(n) for n in (3, 4, 6)}
 
 
 class DecodeError(SwarmtrackError):

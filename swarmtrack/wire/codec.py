@@ -18,8 +18,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from swarmtrack.wire import announcement, motion, sightings, tracks, video
+from swarmtrack.wire import announcement, camera, motion, sightings, tracks, video
 from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.checks import DecodeError, is_finite
 from swarmtrack.wire.fields import MAX_BYTES, VERSION
 from swarmtrack.wire.health import HealthMessage
@@ -29,13 +30,20 @@ from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
 Message = (
-    AnnouncementMessage | SightingsMessage | MotionMessage | TracksMessage | HealthMessage | VideoMessage
+    AnnouncementMessage
+    | CameraMessage
+    | SightingsMessage
+    | MotionMessage
+    | TracksMessage
+    | HealthMessage
+    | VideoMessage
 )
 AnyMessage = TypeVar("AnyMessage", bound=Message)
 
 # What is checked of each kind beyond types and bounds.
 _CHECKS: dict[type[Any], Callable[[Any], None] | None] = {
     AnnouncementMessage: announcement.check,
+    CameraMessage: camera.check,
     SightingsMessage: sightings.check,
     MotionMessage: motion.check,
     TracksMessage: tracks.check,

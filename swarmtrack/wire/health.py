@@ -92,7 +92,7 @@ class ReadinessHealth(Record, frozen=True):
 class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
     """`health/<id>`: how the agent is doing. clock_offset_s: ours minus the autopilot's, null without one.
 
-    drops counts what was thrown away since the start, by place; events holds the last lines worth reading. It alone
+    drops counts what was thrown away since the start, by place; events holds the last lines worth reading. It
     may grow: what a reader misses at its end is null, and what it does not know there it leaves (decision 10).
     """
 

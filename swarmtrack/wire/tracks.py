@@ -8,21 +8,27 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from swarmtrack.messages import Array, IdentifiedTrack, TrackList
+from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, TrackList
 from swarmtrack.wire.checks import DecodeError, check_covariances, symmetric, upper_triangle
 from swarmtrack.wire.fields import (
+    MAX_BYTES,
     MAX_TRACKS,
     VERSION,
     DroneId,
     Length,
     Moment,
     Pixels,
+    Position,
     Probability,
     Record,
     Seconds,
     Sequence,
     UtcSeconds,
+    Velocity,
 )
+
+# Bytes at most: of everything but records, of a track, of a proof, of a relative state.
+_FRAME_BYTES, _TRACK_BYTES, _PROOF_BYTES, _RELATIVE_BYTES = 64, 200, 28, 320
 
 
 class TrackMessage(Record, frozen=True):
@@ -56,11 +62,28 @@ class ProofMessage(Record, frozen=True):
     proved_s: Seconds
 
 
-class TracksMessage(Record, frozen=True):
+class RelativeMessage(Record, frozen=True):
+    """Where the teammate of a track is, and how it moves, relative to this drone's camera, in team axes (NED).
+
+    cov: of (position_m, velocity_m_s), upper triangle, row by row. range_sigma_log: how well the distance is known, as
+    a share of it. sources: what told of it beside the direction.
+    """
+
+    what: ClassVar[str] = "relative"
+    track_id: Annotated[int, Meta(ge=0, le=2**53)]
+    position_m: Position
+    velocity_m_s: Velocity
+    cov: Annotated[tuple[Moment, ...], Meta(min_length=21, max_length=21)]
+    range_sigma_log: Annotated[float, Meta(ge=0.0, le=100.0)]
+    sources: Annotated[tuple[Annotated[str, Meta(max_length=16)], ...], Meta(max_length=16)]
+
+
+class TracksMessage(Record, frozen=True, forbid_unknown_fields=False):
     """`tracks/<id>`: all that one drone tracks at `t_utc_s`; its last scan was exposed `scan_age_s` earlier.
 
     sequence counts what this boot published, so a jump by more than one is a lost message. proofs: of the tracks whose
-    motion proves their name; without any, the field is not on the wire (`shortened`).
+    motion proves their name. relatives: of those whose teammate has a known place. Without any, these fields are not on
+    the wire (`shortened`). As a health message it may grow at its end.
     """
 
     what: ClassVar[str] = "tracks"
@@ -71,6 +94,7 @@ class TracksMessage(Record, frozen=True):
     scan_age_s: Seconds
     tracks: Annotated[tuple[TrackMessage, ...], Meta(max_length=MAX_TRACKS)]
     proofs: Annotated[tuple[ProofMessage, ...], Meta(max_length=MAX_TRACKS)] = ()
+    relatives: Annotated[tuple[RelativeMessage, ...], Meta(max_length=MAX_TRACKS)] = ()
 
 
 def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma: float) -> TracksMessage:
@@ -81,6 +105,12 @@ def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma:
     kept = tracks.tracks
     if len(kept) > MAX_TRACKS:
         kept = tuple(sorted(kept, key=lambda k: -k.track.probability)[:MAX_TRACKS])
+    proofs = tuple(
+        ProofMessage(int(k.track.id), float(k.proof.probability), max(0.0, float(tracks.t - k.proof.since)))
+        for k in kept
+        if k.proof is not None
+    )
+    room = MAX_BYTES - _FRAME_BYTES - _TRACK_BYTES * len(kept) - _PROOF_BYTES * len(proofs)
     return TracksMessage(
         version=VERSION,
         t_utc_s=float(tracks.t + utc_offset),
@@ -88,13 +118,8 @@ def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma:
         sequence=sequence,
         scan_age_s=max(0.0, float(tracks.t - tracks.scan_t)),
         tracks=tuple(_track_message(k, tracks.t) for k in kept),
-        proofs=tuple(
-            ProofMessage(
-                int(k.track.id), float(k.proof.probability), max(0.0, float(tracks.t - k.proof.since))
-            )
-            for k in kept
-            if k.proof is not None
-        ),
+        proofs=proofs,
+        relatives=_relative_messages(kept, room // _RELATIVE_BYTES),
     )
 
 
@@ -120,17 +145,38 @@ def _track_message(identified: IdentifiedTrack, now: float) -> TrackMessage:
     )
 
 
-# A message of seven fields whose last is an empty array; and the head of one of six.
-_ARRAY_OF_7, _ARRAY_OF_6, _EMPTY = b"\x97", b"\x96", b"\x90"
+def _relative_messages(tracks: tuple[IdentifiedTrack, ...], most: int) -> tuple[RelativeMessage, ...]:
+    """Of the nearest teammates, where there are more than fit."""
+    placed = [(int(k.track.id), k.relative) for k in tracks if k.relative is not None]
+    if len(placed) > most:
+        placed = sorted(placed, key=lambda one: float(np.linalg.norm(one[1].position)))[:most]
+    return tuple(_relative_message(track_id, state) for track_id, state in placed)
+
+
+def _relative_message(track_id: int, state: RelativeState) -> RelativeMessage:
+    return RelativeMessage(
+        track_id=track_id,
+        position_m=tuple(state.position.tolist()),
+        velocity_m_s=tuple(state.velocity.tolist()),
+        cov=upper_triangle(state.cov),
+        range_sigma_log=float(state.range_sigma_log),
+        sources=state.sources,
+    )
+
+
+# The head of a message of eight fields, without its length; and an empty array, as its last two may be.
+_ARRAY, _FIELDS, _EMPTY = 0x90, 8, 0x90
 
 
 def shortened(data: bytes, message: TracksMessage) -> bytes:
-    """The bytes of a message without its proofs where there are none: those that readers from before they came know."""
-    if message.proofs:
+    """The bytes of a message without the fields at its end that are empty: those that readers from before they came
+    know."""
+    assert data[0] == _ARRAY | _FIELDS, "as encode makes it"
+    empty = 0 if message.relatives else 1 if message.proofs else 2
+    if not empty:
         return data
-    assert data[:1] == _ARRAY_OF_7, "as encode makes it"
-    assert data[-1:] == _EMPTY, "as encode makes it"
-    return _ARRAY_OF_6 + data[1:-1]
+    assert data[-empty:] == bytes([_EMPTY] * empty), "as encode makes it"
+    return bytes([_ARRAY | (_FIELDS - empty)]) + data[1:-empty]
 
 
 def check(message: TracksMessage) -> None:
@@ -140,6 +186,18 @@ def check(message: TracksMessage) -> None:
         raise DecodeError(f"tracks: proofs: of tracks {proved}, expected each once and among the tracks")
     if message.tracks:
         check_covariances("tracks: cov_upper", [track.cov_upper for track in message.tracks], 4)
+    if message.relatives:
+        _check_relatives(message)
+
+
+def _check_relatives(message: TracksMessage) -> None:
+    placed = [relative.track_id for relative in message.relatives]
+    named = {track.id for track in message.tracks if isinstance(track.identity, int)}
+    if len(set(placed)) < len(placed) or not set(placed) <= named:
+        raise DecodeError(
+            f"tracks: relatives: of tracks {placed}, expected each once and of a track with a drone's ID"
+        )
+    check_covariances("tracks: relatives: cov", [relative.cov for relative in message.relatives], 6)
 
 
 def track_cov(track: TrackMessage) -> Array:

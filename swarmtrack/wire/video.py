@@ -1,4 +1,4 @@
-"""`video/<id>`: what a drone's camera sees, for people, and the lens it sees through."""
+"""`video/<id>`: what a drone's camera sees, for people."""
 
 from __future__ import annotations
 
@@ -6,33 +6,17 @@ from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
-from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
-from swarmtrack.wire.checks import DecodeError, check_unit
+from swarmtrack.wire.checks import check_unit
 from swarmtrack.wire.fields import (
     MAX_JPEG,
-    Pixels,
     Position,
-    Quantity,
     Quaternion,
     Record,
     Seconds,
     Side,
     UtcSeconds,
 )
-
-
-class LensMessage(Record, frozen=True):
-    """A calibrated lens, in pixels of the calibrated image; coefficients: of the distortion, empty without one."""
-
-    what: ClassVar[str] = "lens"
-    width: Side
-    height: Side
-    fx: Pixels
-    fy: Pixels
-    cx: Pixels
-    cy: Pixels
-    distortion: Literal["radtan", "equidistant"] | None
-    coefficients: Annotated[tuple[Quantity, ...], Meta(max_length=8)]
+from swarmtrack.wire.lens import LensMessage, check_lens
 
 
 class VideoMessage(Record, frozen=True):
@@ -56,32 +40,9 @@ class VideoMessage(Record, frozen=True):
     quaternion_wxyz: Quaternion | None
 
 
-def lens_message(camera: PinholeCamera) -> LensMessage:
-    """A lens as it goes on the wire."""
-    c, distortion = camera, camera.distortion
-    name: Literal["radtan", "equidistant"] | None = None
-    coefficients: tuple[float, ...] = ()
-    if distortion is not None:
-        name = "radtan" if isinstance(distortion, RadTan) else "equidistant"
-        coefficients = tuple(map(float, distortion.coefficients))
-    return LensMessage(c.width, c.height, c.fx, c.fy, c.cx, c.cy, name, coefficients)
-
-
-def camera_from(message: LensMessage) -> PinholeCamera:
-    """The camera a message tells of. Raises DecodeError where there is no such lens."""
-    m = message
-    kinds: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
-    try:
-        distortion = None if m.distortion is None else kinds[m.distortion](m.coefficients)
-        return PinholeCamera(m.fx, m.fy, m.cx, m.cy, m.width, m.height, distortion)
-    except ValueError as error:
-        raise DecodeError(f"video: lens: {error}") from None
-
-
 def check(message: VideoMessage) -> None:
     """Raises DecodeError."""
     m = message
     if m.quaternion_wxyz is not None:
         check_unit("video: quaternion_wxyz", m.quaternion_wxyz, "a unit quaternion")
-    if not (m.lens.fx > 0.0 and m.lens.fy > 0.0):
-        raise DecodeError(f"video: lens: focal lengths are {m.lens.fx:g} and {m.lens.fy:g}, expected above 0")
+    check_lens("video", m.lens)

@@ -13,6 +13,7 @@ from support.simulated_agent import BEGIN, SimulatedFlight
 from swarmtrack.agents.healthy import find_troubles
 from swarmtrack.messages import Announcement
 from swarmtrack.transport.base import Kind
+from swarmtrack.wire.camera import CameraMessage, mounting_from
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -72,6 +73,20 @@ def test_tracks_are_published_at_their_rate_and_at_once_after_each_scan(tmp_path
     assert np.diff(flight.times(Kind.TRACKS, 3.1, 6.0)) == pytest.approx(0.25)
     sequences = [message.sequence for _, message in flight.messages(TracksMessage, Kind.TRACKS)]
     assert sequences == list(range(1, len(sequences) + 1))
+
+
+def test_the_camera_is_told_once_before_the_first_tracks(tmp_path):
+    flight = SimulatedFlight(
+        tmp_path, "camera.body_from_camera = { rpy_deg = [0, 10, 0], position_m = [0.1, 0, 0] }\n"
+    )
+    flight.fly(1.0)
+    ((t, camera),) = flight.messages(CameraMessage, Kind.CAMERA)
+    assert t < flight.times(Kind.TRACKS)[0]
+    assert (camera.drone_id, camera.boot) == (1, flight.parts.boot)
+    assert (camera.lens.fx, camera.lens.cx, camera.lens.width) == (600.0, 31.5, 64)
+    assert camera.position_m == (0.1, 0.0, 0.0)
+    ahead = mounting_from(camera).rotation @ [0.0, 0.0, 1.0]
+    assert ahead == pytest.approx([np.cos(np.radians(10)), 0.0, -np.sin(np.radians(10))])
 
 
 def test_health_says_what_rates_were_asked_for_and_came(tmp_path):

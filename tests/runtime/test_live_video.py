@@ -25,7 +25,8 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
 from swarmtrack.wire.fields import MAX_BYTES
 from swarmtrack.wire.health import HealthMessage
-from swarmtrack.wire.video import VideoMessage, lens_message
+from swarmtrack.wire.lens import lens_message
+from swarmtrack.wire.video import VideoMessage
 
 LENS = PinholeCamera(600.0, 600.0, 320.0, 256.0, 640, 512)
 VIEW = VideoMessage(1, 1.7e9, 0.05, 1, 640, 512, b"", lens_message(LENS), None, None)

@@ -15,9 +15,10 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
 from swarmtrack.wire.fields import VERSION
+from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.sightings import sightings_message
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage
-from swarmtrack.wire.video import VideoMessage, lens_message
+from swarmtrack.wire.video import VideoMessage
 
 TEAM = "red"
 UTC = 1.8e9

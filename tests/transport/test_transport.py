@@ -480,6 +480,48 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
     assert heard(victim.told) == [(2, friend.boot, 0), (2, friend.boot, 1)]
 
 
+async def test_a_camera_is_told_to_whoever_comes_and_asks(team: str) -> None:
+    """By Zenoh; in memory nobody asks."""
+    pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    from swarmtrack.transport.zenoh_listener import ZenohListener  # noqa: PLC0415
+
+    drone = ZenohWorld().transport(team, 2, keys.new_boot(), ManualClock())
+    drone.describe(b"a lens")
+    await drone.open()
+    for _ in range(2):  # each newcomer anew
+        listener = ZenohListener(NetworkSettings(team=team), keys.key(team, Kind.CAMERA, "*"), ManualClock())
+        await listener.open()
+        async with asyncio.timeout(PATIENCE):
+            sample = await anext(listener.samples())
+        assert (sample.key, sample.payload) == (keys.key(team, Kind.CAMERA, 2), b"a lens")
+        await listener.close()
+    await drone.close()
+
+
+async def test_a_camera_is_told_once_when_the_network_opens() -> None:
+    hub, told = MemoryHub(), []
+    hub.listeners.append(lambda key, payload: told.append((key, payload)))
+    transport = MemoryTransport(hub, "red", 2, keys.new_boot(), ManualClock())
+    transport.describe(b"a lens")
+    await transport.open()
+    assert told == [("swarmtrack/red/v1/camera/2", b"a lens")]
+    await transport.close()
+
+
+def test_a_flood_of_questions_for_the_camera_gets_so_many_answers_and_costs_the_pose_none() -> None:
+    clock = ManualClock()
+    outgoing = Outgoing("red", 2, "0123abcd", clock, None)
+    outgoing.replace(announcement(2, "0123abcd"))
+    assert outgoing.camera_answer() is None
+    outgoing.camera = b"a lens"
+    answers = [outgoing.camera_answer() for _ in range(300)]
+    assert (answers.count(b"a lens"), answers.count(None)) == (256, 44)
+    assert outgoing.counters["camera_answers_refused"] == 44
+    assert outgoing.answer() is not None
+    clock.set(clock.now() + 1.0)
+    assert outgoing.camera_answer() == b"a lens"
+
+
 async def test_only_what_is_repeated_is_published(start: Start) -> None:
     agent = await start(1)
     agent.transport.publish(Kind.TRACKS, b"tracks")

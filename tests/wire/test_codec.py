@@ -15,12 +15,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import (
     Announcement,
     IdentifiedTrack,
     LinkStatus,
     MotionProof,
     MotionReport,
+    RelativeState,
     Sighting,
     SightingReport,
     Track,
@@ -35,6 +38,7 @@ from swarmtrack.wire.announcement import (
     sign_announcement,
     signed_part,
 )
+from swarmtrack.wire.camera import CameraMessage, camera_message, mounting_from
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.fields import MAX_BYTES, MAX_JPEG, MAX_KNOWN, MAX_SIGHTINGS
@@ -49,18 +53,20 @@ from swarmtrack.wire.health import (
     TimeOffsetHealth,
     link_health,
 )
+from swarmtrack.wire.lens import LensMessage, camera_from, lens_message
 from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
 from swarmtrack.wire.records import as_record, from_record
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message
 from swarmtrack.wire.tracks import (
     ProofMessage,
+    RelativeMessage,
     TrackMessage,
     TracksMessage,
     track_cov,
     tracks_message,
     tracks_sequence,
 )
-from swarmtrack.wire.video import LensMessage, VideoMessage, camera_from, lens_message
+from swarmtrack.wire.video import VideoMessage
 
 UTC_OFFSET = 1.7e9
 NOW = 14.0  # four seconds after the pose of the announcement held
@@ -68,6 +74,7 @@ DECODERS: list[Callable[[bytes], Message]] = [
     partial(codec.decode, kind)
     for kind in (
         AnnouncementMessage,
+        CameraMessage,
         SightingsMessage,
         MotionMessage,
         TracksMessage,
@@ -136,6 +143,18 @@ TRACKS = TracksMessage(
     ),
 )
 
+PLACED = RelativeMessage(
+    track_id=1,
+    position_m=(8.0, -1.5, 0.5),
+    velocity_m_s=(0.25, 0.0, -0.125),
+    cov=tuple(np.diag([0.25, 0.25, 0.5, 0.125, 0.125, 0.125])[np.triu_indices(6)].tolist()),
+    range_sigma_log=0.0625,
+    sources=("size", "announcement"),
+)
+
+CAMERA = PinholeCamera(600.0, 601.0, 320.0, 256.0, 640, 512, Equidistant((0.5, 0.25, 0.0, 0.0)))
+MOUNTING = Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.array([0.125, 0.0, -0.25]))
+
 HEALTH = HealthMessage(
     version=1,
     t_utc_s=1.7e9,
@@ -170,11 +189,30 @@ def moving() -> bytes:
     return codec.encode(motion_message(MOTION, UTC_OFFSET, NOW))
 
 
+def described() -> bytes:
+    return codec.encode(camera_message(7, "0123abcd", CAMERA, MOUNTING))
+
+
+def placed(**changes: Any) -> TracksMessage:
+    """Tracks of which the first is drone 2, with its place."""
+    track = msgspec.structs.replace(TRACKS.tracks[0], identity=2)
+    relative = msgspec.structs.replace(PLACED, **changes)
+    return msgspec.structs.replace(TRACKS, tracks=(track,), relatives=(relative,))
+
+
 def signed() -> bytes:
     return sign_announcement(announced(), "some/key", lambda text: bytes(64))
 
 
-MESSAGES = [announced(), signed(), reported(), codec.encode(TRACKS), codec.encode(HEALTH)]
+MESSAGES = [
+    announced(),
+    signed(),
+    described(),
+    reported(),
+    codec.encode(TRACKS),
+    codec.encode(placed()),
+    codec.encode(HEALTH),
+]
 
 
 # --- pinned -----------------------------------------------------------------------------
@@ -439,6 +477,132 @@ def test_a_record_names_every_field_with_its_unit() -> None:
     seen = as_record(codec.decode(SightingsMessage, reported()))["sightings"]
     assert seen == [{"drone_id": 2, "probability": 0.75, "direction": [0.0, 0.0, -1.0], "sigma_rad": 0.125}]
     assert as_record(codec.decode(AnnouncementMessage, announced()))["position_m"] == [1.0, 2.0, -3.0]
+
+
+# --- places in metres, and cameras ------------------------------------------------------
+
+
+def test_places_are_on_the_wire_only_where_there_are_some() -> None:
+    data = codec.encode(placed())
+    fields = msgpack.unpackb(data)
+    assert fields[6:] == [
+        [],
+        [
+            [1, [8.0, -1.5, 0.5], [0.25, 0.0, -0.125], list(PLACED.cov), 0.0625, ["size", "announcement"]],
+        ],
+    ]
+    assert codec.decode(TracksMessage, data) == placed()
+    assert len(msgpack.unpackb(codec.encode(TRACKS))) == 6
+    assert tracks_sequence(data) == TRACKS.sequence
+
+
+def test_tracks_may_grow_at_their_end() -> None:
+    fields = msgpack.unpackb(codec.encode(placed()))
+    assert codec.decode(TracksMessage, msgpack.packb([*fields, {"of": "tomorrow"}])) == placed()
+    assert codec.decode(TracksMessage, msgpack.packb(fields[:6])).relatives == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"track_id": 2}, r"of tracks \[2\], expected each once and of a track with a drone's ID"),
+        ({"position_m": (math.nan, 0.0, 0.0)}, "tracks"),
+        ({"position_m": (0.0, 0.0, 1e8)}, "tracks"),
+        ({"velocity_m_s": (0.0, 2e3, 0.0)}, "tracks"),
+        ({"velocity_m_s": (0.0, math.inf, 0.0)}, "tracks"),
+        ({"cov": (1.0,) * 20}, "tracks"),
+        ({"cov": (-1.0, *PLACED.cov[1:])}, "relatives: cov: has the eigenvalue -1"),
+        ({"cov": (math.nan, *PLACED.cov[1:])}, "tracks"),
+        ({"range_sigma_log": -0.1}, "tracks"),
+        ({"range_sigma_log": math.nan}, "tracks"),
+        ({"sources": ("x" * 17,)}, "tracks"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_place_that_cannot_be_is_refused(changes: dict[str, Any], why: str) -> None:
+    with pytest.raises(DecodeError, match=why):
+        codec.decode(TracksMessage, msgspec.msgpack.encode(placed(**changes)))
+
+
+def test_a_place_of_nobody_and_two_of_one_track_are_refused() -> None:
+    stranger = msgspec.structs.replace(placed(), tracks=TRACKS.tracks)
+    twice = msgspec.structs.replace(placed(), relatives=(PLACED, PLACED))
+    for message in (stranger, twice):
+        with pytest.raises(DecodeError, match="relatives"):
+            codec.decode(TracksMessage, msgspec.msgpack.encode(message))
+
+
+def identified(k: int) -> IdentifiedTrack:
+    """Drone k, so many metres ahead."""
+    track = Track(2**53 - k, 5.0, np.full(4, 0.1), np.eye(4), TrackStatus.CONFIRMED, 0.9, np.ones(2), 4.0)
+    away = np.array([k + 0.1, 0.1, 0.1])
+    sources = ("size", "announcement", "velocity", "range", "pose", "sighting")
+    state = RelativeState(k, 5.0, away, np.full(3, 0.1), np.eye(6) * 0.1 + 0.1, 0.1, sources)
+    return IdentifiedTrack(track, k, 0.99, MotionProof(0.999, 1.0), state)
+
+
+def test_of_more_places_than_fit_into_one_message_the_nearest_go() -> None:
+    order = np.random.default_rng(1).permutation(np.arange(1, 256))
+    message = tracks_message(
+        TrackList(5.0, 4.9, tuple(identified(int(k)) for k in order)), 0, UTC_OFFSET, 0.01
+    )
+    assert len(codec.encode(message)) <= MAX_BYTES
+    assert len(message.tracks) == 255
+    distances = sorted(relative.position_m[0] for relative in message.relatives)
+    assert distances == pytest.approx(np.arange(1, len(distances) + 1) + 0.1)
+    assert len(distances) >= 20
+    few = tracks_message(TrackList(5.0, 4.9, tuple(map(identified, range(1, 33)))), 0, UTC_OFFSET, 0.01)
+    assert len(few.relatives) == 32
+    assert codec.decode(TracksMessage, codec.encode(few)) == few
+
+
+def test_a_record_has_a_place_in_its_track() -> None:
+    (track,) = as_record(placed())["tracks"]
+    assert track["relative"]["position_m"] == [8.0, -1.5, 0.5]
+    assert len(track["relative"]["cov"]) == 21
+    assert "track_id" not in track["relative"]
+    assert "relatives" not in as_record(placed())
+    assert as_record(TRACKS)["tracks"][0]["relative"] is None
+
+
+def test_a_camera_comes_back_as_it_went() -> None:
+    message = codec.decode(CameraMessage, described())
+    assert (message.drone_id, message.boot) == (7, "0123abcd")
+    assert camera_from(message.lens) == CAMERA
+    mounting = mounting_from(message)
+    np.testing.assert_allclose(mounting.rotation, MOUNTING.rotation, atol=1e-12)
+    np.testing.assert_array_equal(mounting.position, MOUNTING.position)
+    assert msgpack.unpackb(described()) == [
+        *[1, 7, "0123abcd"],
+        [640, 512, 600.0, 601.0, 320.0, 256.0, "equidistant", [0.5, 0.25, 0.0, 0.0]],
+        *[[0.125, 0.0, -0.25], [0.5, 0.5, 0.5, 0.5]],
+    ]
+    longer = msgpack.packb([*msgpack.unpackb(described()), "of tomorrow"])
+    assert codec.decode(CameraMessage, longer) == message
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "why"),
+    [
+        (0, 2, "version 2"),
+        (1, 0, "drone_id"),
+        (2, "0123ABCD", "boot"),
+        (3, [640, 512, 0.0, 601.0, 320.0, 256.0, None, []], "lens: focal lengths"),
+        (3, [640, 512, math.nan, 601.0, 320.0, 256.0, None, []], "camera"),
+        (3, [0, 512, 600.0, 601.0, 320.0, 256.0, None, []], "lens"),
+        (3, [640, 512, 600.0, 601.0, 320.0, 256.0, "radtan", [0.0] * 9], "lens"),
+        (3, [640, 512, 600.0, 601.0, 320.0, 256.0, "radtan", [0.0] * 3], "coefficients"),
+        (4, [0.0, 0.0, math.inf], "camera"),
+        (4, [0.0, 0.0, 1e8], "position_m"),
+        (5, [0.0, 0.0, 0.0, 0.0], "unit quaternion"),
+        (5, [0.5, 0.5, 0.5, 0.6], "unit quaternion"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(place: int, value: Any, why: str) -> None:
+    fields = msgpack.unpackb(described())
+    fields[place] = value
+    with pytest.raises(DecodeError, match=why):
+        codec.decode(CameraMessage, msgpack.packb(fields))
 
 
 # --- refused ----------------------------------------------------------------------------

@@ -1,0 +1,55 @@
+"""The lens that a camera sees through, as a part of other messages."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from msgspec import Meta
+
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.fields import Pixels, Quantity, Record, Side
+
+
+class LensMessage(Record, frozen=True):
+    """A calibrated lens, in pixels of the calibrated image; coefficients: of the distortion, empty without one."""
+
+    what: ClassVar[str] = "lens"
+    width: Side
+    height: Side
+    fx: Pixels
+    fy: Pixels
+    cx: Pixels
+    cy: Pixels
+    distortion: Literal["radtan", "equidistant"] | None
+    coefficients: Annotated[tuple[Quantity, ...], Meta(max_length=8)]
+
+
+def lens_message(camera: PinholeCamera) -> LensMessage:
+    """A lens as it goes on the wire."""
+    c, distortion = camera, camera.distortion
+    name: Literal["radtan", "equidistant"] | None = None
+    coefficients: tuple[float, ...] = ()
+    if distortion is not None:
+        name = "radtan" if isinstance(distortion, RadTan) else "equidistant"
+        coefficients = tuple(map(float, distortion.coefficients))
+    return LensMessage(c.width, c.height, c.fx, c.fy, c.cx, c.cy, name, coefficients)
+
+
+def camera_from(message: LensMessage) -> PinholeCamera:
+    """The camera a message tells of. Raises DecodeError where there is no such lens."""
+    m = message
+    kinds: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
+    try:
+        distortion = None if m.distortion is None else kinds[m.distortion](m.coefficients)
+        return PinholeCamera(m.fx, m.fy, m.cx, m.cy, m.width, m.height, distortion)
+    except ValueError as error:
+        raise DecodeError(f"lens: {error}") from None
+
+
+def check_lens(where: str, message: LensMessage) -> None:
+    """Raises DecodeError."""
+    if not (message.fx > 0.0 and message.fy > 0.0):
+        raise DecodeError(
+            f"{where}: lens: focal lengths are {message.fx:g} and {message.fy:g}, expected above 0"
+        )
