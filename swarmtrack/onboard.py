@@ -171,6 +171,8 @@ class Onboard:
                     self.counters.announcements_refused += 1
             case PeerArrived() | PeerDeparted() | IdClash():
                 self._identities.on_membership(event)
+                if isinstance(event, IdClash):
+                    self._relative.forget(event.drone_id)
             case AutopilotRebooted():
                 self._ego.restart()
                 self._bias.restart()

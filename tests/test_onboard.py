@@ -13,7 +13,9 @@ from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,
     EgoPose,
+    IdClash,
     ImuSample,
+    PeerDeparted,
     PoseWanted,
     ScanReport,
     SightingReport,
@@ -258,6 +260,22 @@ def test_a_place_in_metres_ends_when_the_name_does():
     drone.tell(SightingReport(2, "0000000a", 1, t, 0.0, np.array([0.0, 6.0, 0.0]), 0.01, (1,), ()))
     watch(drone, [(320 - 430 / 6, 240.0)], start=8, scans=1)
     assert metres(drone) == {None: None}
+
+
+def test_where_two_say_that_they_are_one_drone_is_not_where_it_is():
+    """After a clash its place is what it says again, not what either said before."""
+    drone = onboard()
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
+    watch(drone, [(320 - 430 / 6, 240.0)])
+    assert metres(drone)[2] is not None
+    drone.tell(IdClash(2, ("0000000a", "0000000b"), ours=False))
+    watch(drone, [(320 - 430 / 6, 240.0)], start=8, scans=2)
+    assert metres(drone) == {None: None}
+    drone.tell(PeerDeparted(2, "0000000b"))
+    drone.tell(announced(2, [5.0, -5.0 / 6, 0.0], t=0.7, sequence=1))
+    watch(drone, [(320 - 430 / 6, 240.0)], start=10, scans=8)
+    found = metres(drone)
+    assert np.linalg.norm(found[2].position) == pytest.approx(5.07, abs=0.3)
 
 
 def test_scans_disagreements_and_wishes_leave_by_one_way_and_once():
