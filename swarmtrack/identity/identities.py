@@ -218,10 +218,14 @@ class Identities:
         p_none = np.maximum(own.turned - probability.sum(axis=1), 0.0).tolist()
         nameless = [pair for pair in zip(tracks, p_none, strict=True) if pair[0].id in self._names.unassigned]
         self._weighing.learn(view, nameless, predicted, p_drone, self._names.stated)
+        # Of a team that nobody has heard of, anybody may be.
+        foreign = bool(self._teammates.announced) and not self._self_doubt.said
+        foreign &= not self._weighing.misses_somebody(predicted, p_drone)
         for i, track in enumerate(tracks):
             matches = self._weighing.matches(track, predicted, p_drone[i], p_drone.sum(axis=0), ratios[i])
-            seen = self._weighing.seen_in(i) >= self._parameters.scans
-            self._judge(track, matches, p_none[i], t, seen_enough=seen)
+            self._judge(track, matches, t, seen_in=self._weighing.seen_in(i))
+            if self._names.of(track.id) is None and track.status is TrackStatus.CONFIRMED:
+                self._judgement.leave_unassigned(track, matches, p_none[i], t, may_be_foreign=foreign)
 
     def _watch(self, view: ObserverCamera) -> None:
         """What all tracks tell, named or not: how they move, and whether this drone is where it thinks it is."""
@@ -240,18 +244,11 @@ class Identities:
         for name in [name for name in self._names if self._self_doubt.forbids(name, self._weighing)]:
             self._names.fire(name, Event.OVERRULED)
 
-    def _judge(
-        self, track: Track, matches: Mapping[int, Match], p_none: float, t: float, *, seen_enough: bool
-    ) -> None:
-        """One track, by what it may be: its name is judged, or it gets one, or stays without."""
+    def _judge(self, track: Track, matches: Mapping[int, Match], t: float, *, seen_in: int) -> None:
+        """One track, by what it may be: its name is judged, or it gets one."""
         held = self._names.of(track.id)
         if held is not None and track.coasting_since is None:
             self._judgement.judge(held, matches, t)
-        if track.status is TrackStatus.LOST:
-            return
-        if self._names.of(track.id) is None and seen_enough:
+        is_new = self._names.of(track.id) is None and track.status is not TrackStatus.LOST
+        if is_new and seen_in >= self._parameters.scans:
             self._judgement.assign_likeliest(track, matches, t)
-        if self._names.of(track.id) is None and track.status is not TrackStatus.TENTATIVE:
-            # Of a team that nobody has heard of, anybody may be.
-            heard = bool(self._teammates.announced) and not self._self_doubt.said
-            self._judgement.leave_unassigned(track, matches, p_none, t, may_be_foreign=heard)

@@ -309,10 +309,9 @@ class Weighing:
         """What the scene is like, by what the posterior made of a scan. What is in doubt teaches nothing: else every
         doubt would make itself larger. nameless: tracks, and the probability of each
         that it is a stranger; p_drone (n, k); named: the drones whose ID is stated."""
-        u, v = predicted.pixel.T
-        inside = (u > 0.0) & (u < self._camera.width) & (v > 0.0) & (v < self._camera.height)
+        inside = self._is_inside(predicted).tolist()
         self._named = list(named)
-        found = zip(predicted.drone_id, p_drone.sum(axis=0).tolist(), inside.tolist(), strict=True)
+        found = zip(predicted.drone_id, p_drone.sum(axis=0).tolist(), inside, strict=True)
         sure = {drone: float(round(p)) for drone, p, shown in found if shown and min(p, 1.0 - p) < DOUBT}
         seen = dict.fromkeys(self._named, 1.0) | sure
         weak, strong = [], []
@@ -325,6 +324,15 @@ class Weighing:
             else:
                 strong.append((elevation, p_stranger))
         self._scene.learn(view.observer.t, strong, weak, seen)
+
+    def misses_somebody(self, predicted: Predictions, p_drone: Array) -> bool:
+        """Whether one of them should be in the image and is none of its tracks, by p_drone (n, k). Then a stranger may
+        be that teammate, whose start or whose idea of it here is wrong."""
+        return bool(np.any(self._is_inside(predicted) & (p_drone.sum(axis=0) < 0.5)))
+
+    def _is_inside(self, predicted: Predictions) -> NDArray[np.bool_]:
+        u, v = predicted.pixel.T
+        return np.asarray((u > 0.0) & (u < self._camera.width) & (v > 0.0) & (v < self._camera.height))
 
     def recognise(self, drone_id: int, track: Track, distance: float, probability: float) -> None:
         """The posterior is sure that the track is the drone, which is `distance` m away now."""
