@@ -171,6 +171,7 @@ class VirtualSwarm:
             ego=EgoHistory(origin=start.position_m),
             identity=self._identity,
             relative=self._relative,
+            start_sigma_m=start.position_sigma_m,
         )
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
         ego = Ego(scenario.world, drone_id)

@@ -107,9 +107,11 @@ class Onboard:
         ego: EgoHistory,
         identity: IdentityParameters,
         relative: RelativeParameters | None = None,
+        start_sigma_m: float = 0.0,
         estimate_gyro_bias: bool = True,
     ) -> None:
-        """estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
+        """start_sigma_m: how well the drone knows where it starts, m per axis, beside what its autopilot says.
+        estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
         self.counters = Counters()
         self.gyro = gyro
         self.camera_clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
@@ -121,7 +123,11 @@ class Onboard:
         self._tracker = tracker
         self._ego = ego
         self._identities = Identities(
-            drone_id, camera=camera, body_from_camera=mounting.body_from_camera, parameters=identity
+            drone_id,
+            camera=camera,
+            body_from_camera=mounting.body_from_camera,
+            parameters=identity,
+            start_sigma_m=start_sigma_m,
         )
         self._relative = RelativeStates(relative)
         self._frames = Frames(drone_id, relative)

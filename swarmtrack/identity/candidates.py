@@ -36,7 +36,7 @@ UNSEEN = (Standing.HIDDEN, Standing.DOUBTED)
 SOON = 0.5
 
 
-class Candidates:
+class CandidateDrones:
     """Looks at names and teammates; remembers only who was expected in view, to ask those who are about to enter."""
 
     def __init__(

@@ -23,7 +23,7 @@ import numpy as np
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.assignment import HELD_LOG_ODDS, Assignment
-from swarmtrack.identity.candidates import Candidates
+from swarmtrack.identity.candidates import CandidateDrones
 from swarmtrack.identity.disputes import Disputes
 from swarmtrack.identity.judgement import Judgement
 from swarmtrack.identity.names import Names
@@ -36,7 +36,7 @@ from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, is_vague,
 from swarmtrack.identity.self_doubt import SelfDoubt
 from swarmtrack.identity.standing import Event
 from swarmtrack.identity.teammates import Teammates
-from swarmtrack.identity.weighing import Match, Weighing
+from swarmtrack.identity.weighing import PLACE_ALONE, Match, Weighing
 from swarmtrack.messages import (
     AgreedMotion,
     Announcement,
@@ -54,8 +54,15 @@ class Identities:
     """Announced poses, and the IDs assigned to tracks."""
 
     def __init__(
-        self, drone_id: int, *, camera: PinholeCamera, body_from_camera: Pose, parameters: IdentityParameters
+        self,
+        drone_id: int,
+        *,
+        camera: PinholeCamera,
+        body_from_camera: Pose,
+        parameters: IdentityParameters,
+        start_sigma_m: float = 0.0,
     ) -> None:
+        """start_sigma_m: how well this drone knows where it starts, m per axis, beside its autopilot's sigma."""
         self._camera = camera
         self._body_from_camera = body_from_camera
         self._parameters = parameters
@@ -64,9 +71,14 @@ class Identities:
         self._disputes = Disputes()
         self._pose_requests = PoseRequests()
         self._weighing = Weighing(camera, parameters.window_s)
-        self._self_doubt = SelfDoubt(drift_speed=parameters.drift_speed, stay_s=parameters.stay_s)
+        self._self_doubt = SelfDoubt(
+            drone_id,
+            start_sigma_m=start_sigma_m,
+            drift_speed=parameters.drift_speed,
+            stay_s=parameters.stay_s,
+        )
         self._occlusion = OcclusionWatch(self._names, self._weighing, self._pose_requests)
-        self._candidates = Candidates(parameters, self._teammates, self._names, self._weighing)
+        self._candidates = CandidateDrones(parameters, self._teammates, self._names, self._weighing)
         self._judgement = Judgement(
             parameters,
             teammates=self._teammates,
@@ -120,6 +132,7 @@ class Identities:
         """A teammate says with what it sees where it is: nobody has to ask it."""
         if self._teammates.is_heard(report.observer):
             self._teammates.whereabouts.report(report)
+            self._self_doubt.hear(report)
 
     def on_motion(self, report: MotionReport) -> None:
         """A teammate says how it moves."""
@@ -215,8 +228,10 @@ class Identities:
         every = self._weighing.weigh(tracks, predicted, view, own)
         probability, ratios = own.mixed(every, self._judgement.with_history(every, tracks, predicted))
         p_drone = probability[:, : len(predicted.drone_id)]
-        p_none = np.maximum(own.turned - probability.sum(axis=1), 0.0).tolist()
-        nameless = [pair for pair in zip(tracks, p_none, strict=True) if pair[0].id in self._names.unassigned]
+        p_none = np.maximum(own.turned - probability.sum(axis=1), 0.0)
+        nameless = [
+            pair for pair in zip(tracks, p_none.tolist(), strict=True) if pair[0].id in self._names.unassigned
+        ]
         self._weighing.learn(view, nameless, predicted, p_drone, self._names.stated)
         # Of a team that nobody has heard of, anybody may be.
         foreign = bool(self._teammates.announced) and not self._self_doubt.said
@@ -225,7 +240,9 @@ class Identities:
             matches = self._weighing.matches(track, predicted, p_drone[i], p_drone.sum(axis=0), ratios[i])
             self._judge(track, matches, t, seen_in=self._weighing.seen_in(i))
             if self._names.of(track.id) is None and track.status is TrackStatus.CONFIRMED:
-                self._judgement.leave_unassigned(track, matches, p_none[i], t, may_be_foreign=foreign)
+                self._judgement.leave_unassigned(
+                    track, matches, min(p_none[i], PLACE_ALONE), t, may_be_foreign=foreign
+                )
 
     def _watch(self, view: ObserverCamera) -> None:
         """What all tracks tell, named or not: how they move, and whether this drone is where it thinks it is."""

@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.onlookers import Onlookers
 from swarmtrack.identity.posterior import (
     GATE_PROBABILITY,
     IN_VIEW,
@@ -42,8 +43,8 @@ from swarmtrack.tracking.gaussian import LOG_TWO_PI
 from swarmtrack.tracking.marginals_of_each import matched_of_each
 
 # The middle of each component and its own sigma: denser where headings usually are.
-AZIMUTHS_DEG = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
-WIDTHS_DEG = (1.2, 1.2, 1.2, 1.2, 1.2, 1.2, 1.5, 1.8, 1.8)
+AZIMUTHS_DEG = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0, 22.0, 26.0, 30.0)
+WIDTHS_DEG = (1.2, 1.2, 1.2, 1.2, 1.2, 1.2, 1.5, 1.8, 1.8, 2.2, 2.2, 2.2)
 # Of compasses and mountings: those that are off by more than the autopilot says, and by how much (one sigma, rad).
 ASKEW, ASKEW_SIGMA = 0.05, math.radians(8.0)
 # Of starts: those that are a teammate's, and those that are off by metres.
@@ -52,6 +53,11 @@ ON_ANOTHERS_PAD, MISPLACED = 0.03, 0.03
 MISPLACED_M, DIRECTIONS, MISPLACED_SIGMA = (1.0, 1.7, 2.9, 4.9), 8, 0.35
 # Of drones: those that know neither.
 LOST = 0.03
+# Of teammates: those that are elsewhere than they say, by whatever is wrong with them; and the log odds by motion from
+# which on that is thought of.
+ASTRAY, MOVES_AS = 0.05, math.log(20.0)
+# m: as far from where it thinks is a drone that is lost.
+LOST_M = 5.0
 # Nats below the best: a component that is no likelier is not worth a thought.
 NEGLIGIBLE = math.log(1e3)
 # rad: no heading is known better.
@@ -88,14 +94,22 @@ class Elsewhere(NamedTuple):
 
 
 class OwnPose(NamedTuple):
-    """What is known of it: of a heading with that sigma [rad] the components and their weights (c,); elsewhere and
-    lost: the probabilities of these. All sum to one."""
+    """What is known of it: of a heading with that sigma [rad] the components and their weights (c,); of h other places,
+    each by shift (h, 3) ± shift_sigma (h,) m from where it thinks, the weights other_weight (h,); lost: the probability
+    that it knows neither. All weights sum to one."""
 
     heading_sigma: float
     components: Components
     weight: Array
-    elsewhere: float
     lost: float
+    shift: Array
+    shift_sigma: Array
+    other_weight: Array
+
+    @property
+    def elsewhere(self) -> float:
+        """The probability that it is in another place."""
+        return float(self.other_weight.sum())
 
     @property
     def likely(self) -> list[int]:
@@ -119,10 +133,26 @@ class OwnPose(NamedTuple):
         mean = np.logaddexp.reduce(ratios + np.log(weight)[:, None, None], axis=0, initial=-np.inf)
         return np.asarray(probability), np.asarray(mean)
 
-    def off_by(self, azimuth: float) -> float:
-        """The probability that it is elsewhere, lost, or turned by more than so much [rad]."""
-        far = np.asarray(np.abs(self.components.azimuth) > azimuth)
-        return float(self.weight[far].sum()) + self.elsewhere + self.lost
+    def off_by(self, azimuth: float, metres: float) -> float:
+        """The probability that it is lost, turned by more than so much [rad], or elsewhere by more than so much."""
+        turned = np.abs(self.components.azimuth) > azimuth
+        moved = np.linalg.norm(self.shift, axis=1) > metres
+        return float(self.weight[turned].sum() + self.other_weight[moved].sum()) + self.lost
+
+    def seen_by(self, onlookers: Onlookers) -> OwnPose:
+        """The same with what teammates say of where they see this drone, which no heading of its own changes."""
+        nowhere = np.zeros((2, 3))
+        here, lost = onlookers.log_likelihood(nowhere, np.array([0.0, LOST_M])).tolist()
+        there = onlookers.log_likelihood(self.shift, self.shift_sigma)
+        most = max(here, lost, *there.tolist())
+        weight, other_weight = self.weight * math.exp(here - most), self.other_weight * np.exp(there - most)
+        p_lost = self.lost * math.exp(lost - most)
+        total = float(weight.sum() + other_weight.sum()) + p_lost
+        return self._replace(weight=weight / total, other_weight=other_weight / total, lost=p_lost / total)
+
+
+# Other places, while nobody thinks of any: shift, its sigma and weight.
+NOWHERE_ELSE = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
 
 
 @lru_cache(maxsize=16)
@@ -151,7 +181,8 @@ def components(heading_sigma: float) -> Components:
 def unknown(heading_sigma: float) -> OwnPose:
     """What is known before anybody was looked at."""
     of = components(heading_sigma)
-    return OwnPose(heading_sigma, of, np.exp(of.log_prior), ON_ANOTHERS_PAD + MISPLACED, LOST)
+    weight = np.exp(of.log_prior)
+    return OwnPose(heading_sigma, of, weight / weight.sum() * (1.0 - LOST), LOST, *NOWHERE_ELSE)
 
 
 def elsewhere(
@@ -189,17 +220,19 @@ def shifted(
 
 
 class ScanEvidence(NamedTuple):
-    """What one scan shows: n confirmed tracks at z (n, 2) ± variance (n,) px, and where all k teammates ahead should
-    be, without the heading's variance. announced: how many teammates there are in all; p_seen (k,): that one in view
-    has a track; strangers (n,): expected in the image."""
+    """What one scan shows: n confirmed tracks at z (n, 2) ± variance (n,) px, and where k teammates ahead should be,
+    without the heading's variance, of all m whose place is known: column (k,) among these. p_seen (k,): that one in
+    view has a track; strangers (n,): expected in the image; motion (n, m): the log ratio that a track moves as a
+    teammate says, zero where nobody says anything."""
 
     z: Array
     variance: Array
     found: ReprojectionResiduals
     predicted: Predictions
-    announced: int
+    column: list[int]
     p_seen: Array
     strangers: Array
+    motion: Array
 
 
 def weigh(look: ScanEvidence, view: ObserverCamera, others: Elsewhere | None = None) -> OwnPose:
@@ -211,19 +244,24 @@ def weigh(look: ScanEvidence, view: ObserverCamera, others: Elsewhere | None = N
     log_seen = np.log(look.p_seen) - np.log(look.strangers)[:, None]
     turned = log_ratios_of_each(here, view.camera) - PRIOR.log_ratio + log_seen - missed[:, None]
     anywhere = math.log1p(-PRIOR.p_seen * IN_VIEW)
-    lost = math.log(PRIOR.p_seen * IN_VIEW) - anywhere - np.log(look.strangers)[:, None]
-    log_weight, best = _log_weights(of.log_prior + missed.sum(axis=1), turned)
-    lost_weight, best = _log_weights(
-        np.array([math.log(LOST) + look.announced * anywhere]),
-        np.repeat(lost, look.announced, axis=1)[None],
-        best,
-    )
-    others_weight = np.zeros(0)
+    lost = math.log(PRIOR.p_seen * IN_VIEW) - anywhere - np.log(look.strangers)[:, None] + look.motion
+    # Who moves as a track does is that track, wherever it should be.
+    astray = np.where(look.motion > MOVES_AS, lost + math.log(ASTRAY), -np.inf)
+    every = np.repeat(astray[None], len(turned), axis=0)
+    every[:, :, look.column] = np.logaddexp(every[:, :, look.column], turned + look.motion[:, look.column])
+    announced = look.motion.shape[1]
+    log_weight, best = _log_weights(of.log_prior + missed.sum(axis=1), every)
+    lost_weight, best = _log_weights(np.array([math.log(LOST) + announced * anywhere]), lost[None], best)
+    shift, shift_sigma, others_weight = NOWHERE_ELSE
     if others is not None:
-        others_weight, best = _log_weights(*_of_others(look, view, others), best)
+        shift, shift_sigma = others.shift, others.sigma
+        log_known, of_others = _of_others(look, view, others)
+        others_weight, best = _log_weights(log_known, np.logaddexp(of_others + look.motion, astray), best)
     parts = [np.exp(part - best) for part in (log_weight, lost_weight, others_weight)]
     total = sum(float(part.sum()) for part in parts)
-    return OwnPose(sigma, of, parts[0] / total, float(parts[2].sum()) / total, float(parts[1].sum()) / total)
+    return OwnPose(
+        sigma, of, parts[0] / total, float(parts[1].sum()) / total, shift, shift_sigma, parts[2] / total
+    )
 
 
 def _of_others(look: ScanEvidence, view: ObserverCamera, others: Elsewhere) -> tuple[Array, Array]:

@@ -14,18 +14,22 @@ import numpy as np
 
 from swarmtrack.identity import own_pose
 from swarmtrack.identity.assignment import Assignment
+from swarmtrack.identity.onlookers import Onlookers
 from swarmtrack.identity.own_pose import Elsewhere
 from swarmtrack.identity.reprojection import STAY_IN_FLIGHT, ObserverCamera, is_vague, reproject
 from swarmtrack.identity.weighing import RIVAL, Weighing
 from swarmtrack.identity.whereabouts import Whereabouts
-from swarmtrack.messages import Announcement, Array, Track, TrackStatus
+from swarmtrack.messages import Announcement, Array, SightingReport, Track, TrackStatus
+from swarmtrack.motion.ego import TeamPose
 
 # The probability that it is wrong: from which on it is said, and below which no more.
-SAID, GONE = 0.8, 0.4
+SAID, GONE = 0.75, 0.4
 # s that it must last.
 SAID_S, GONE_S = 0.5, 3.0
 # rad: by so many sigmas, and by so much at least, a heading must be off to be worth a word.
 SIGMAS, LEAST = 2.0, math.radians(6.0)
+# m: and a start.
+LEAST_M = 0.5
 # s: a longer pause between two looks breaks a doubt off.
 LONGEST_S = 1.0
 # s between two looks while the last one found nothing wrong, and while it did or there are new tracks without a name.
@@ -34,13 +38,17 @@ CALM_S, PUZZLED_S = 0.5, 0.1
 PUZZLING = 0.1
 # s that a place is older than the sight of its drone: beyond, the drone may have moved since it said where it is.
 SUPERSEDED_S = 0.9
+# s: who said less long ago where it is will say it again. Reports come once a second.
+SOON_S = 1.5
 
 
 class SelfDoubt:
     """Told of every scan."""
 
-    def __init__(self, *, drift_speed: float, stay_s: float) -> None:
-        """As in `reproject`."""
+    def __init__(self, drone_id: int, *, start_sigma_m: float, drift_speed: float, stay_s: float) -> None:
+        """start_sigma_m: how well this drone knows where it starts, m per axis; the others as in `reproject`."""
+        self._onlookers = Onlookers(drone_id)
+        self._start_sigma = start_sigma_m
         self.said = False
         self.own = own_pose.unknown(0.0)
         """What is known of the own pose."""
@@ -53,6 +61,10 @@ class SelfDoubt:
         self._since = math.nan
         self._t = -math.inf
         self._own_pad: Array | None = None
+
+    def hear(self, report: SightingReport) -> None:
+        """A teammate reports whom it sees: this drone, perhaps."""
+        self._onlookers.tell(report)
 
     def look(
         self,
@@ -76,11 +88,12 @@ class SelfDoubt:
             if track.status is TrackStatus.CONFIRMED and track.id not in named
         }
         t = view.observer.t
+        self._onlookers.follow(t, view.observer.position, view.observer.position_sigma, in_doubt=self.said)
         if t - self._t < (PUZZLED_S if self._p > PUZZLING or nameless - self._nameless else CALM_S):
             return
         self._nameless = nameless
         sight = {name.drone_id: name.seen.t for name in (*lost, *held.values()) if name.seen is not None}
-        known = (whereabouts.latest(drone) for drone in whereabouts.announced)
+        known = (whereabouts.said(drone) for drone in whereabouts.announced)
         latest = [place for place in known if not is_vague(place)]
         places = [place for place in latest if place.t > sight.get(place.drone_id, -math.inf) - SUPERSEDED_S]
         moved = {place.drone_id for place in latest} - {place.drone_id for place in places}
@@ -93,12 +106,18 @@ class SelfDoubt:
         ]
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
-        others = (
-            self._elsewhere(places, view, whereabouts, weighing)
-            if nameless & {track.id for track in tracks} and places
-            else None
-        )
-        self.own = own_pose.weigh(weighing.look(tracks, view, ahead, len(places)), view, others)
+        if self.said and not places and any(t - place.t < SOON_S for place in latest):
+            # They will say in a moment where they are now.
+            self._t, self._since = t, math.nan
+            return
+        evidence = weighing.look(tracks, view, ahead, [place.drone_id for place in places])
+        unexplained = nameless & {track.id for track in tracks} or self._p > PUZZLING or self.said
+        if places and (unexplained or self._onlookers.are_puzzled):
+            others = self._elsewhere(places, view, whereabouts, weighing)
+            self.own = own_pose.weigh(evidence, view, others)
+        else:
+            self.own = own_pose.weigh(evidence, view)
+        self._p = self._wrong(view.observer)
         # While nobody is left to compare with, a doubt neither grows nor goes.
         if latest and alive:
             self._judge(t)
@@ -133,11 +152,17 @@ class SelfDoubt:
             own_pad=self._own_pad,
         )
 
+    def _wrong(self, observer: TeamPose) -> float:
+        """The probability that it is, by more than is expected of such a heading and start."""
+        start_sigma = math.hypot(self._start_sigma, observer.position_sigma)
+        return self.own.seen_by(self._onlookers).off_by(
+            max(SIGMAS * self.own.heading_sigma, LEAST), max(SIGMAS * start_sigma, LEAST_M)
+        )
+
     def _judge(self, t: float) -> None:
         if t - self._t > LONGEST_S:
             self._since = math.nan
         self._t = t
-        self._p = self.own.off_by(max(SIGMAS * self.own.heading_sigma, LEAST))
         turns = self._p < GONE if self.said else self._p > SAID
         if not turns:
             self._since = math.nan

@@ -47,6 +47,8 @@ RIVAL = 0.5
 LEAST_EXISTENCE = 1e-6
 # However well a place fits: as often is a start not what was said, or another drone's. Only motion proves a name.
 PLACE_ALONE = 0.97
+# Of the image's size: as far as metres carry a teammate that is not far away.
+BESIDE = 0.5
 # Of a probability, from zero or one: what is further from both is not known yet.
 DOUBT = 0.05
 
@@ -109,10 +111,10 @@ class Weighing:
         self._agreed.agree(motion)
 
     def look(
-        self, tracks: Sequence[Track], view: ObserverCamera, predicted: Predictions, announced: int
+        self, tracks: Sequence[Track], view: ObserverCamera, predicted: Predictions, drones: Sequence[int]
     ) -> ScanEvidence:
-        """What a scan tells of the observer's own pose. tracks: those that are confirmed; predicted: of all `announced`
-        teammates whose place is known those ahead, whatever has their names."""
+        """What a scan tells of the observer's own pose. tracks: those that are confirmed; predicted: of all `drones`
+        whose place is known those ahead, whatever has their names."""
         mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
         cov = _of_bodies(tracks)
         predicted = predicted.without_heading(view)
@@ -121,10 +123,16 @@ class Weighing:
             0.5 * (cov[:, 0, 0] + cov[:, 2, 2]),
             residuals(mean, cov, predicted),
             predicted,
-            announced,
+            [drones.index(drone) for drone in predicted.drone_id],
             self.seen(predicted.drone_id),
             np.array([self._scene.strangers(angle) for angle in _elevations(tracks, view)]),
+            self.told_motion(tracks, drones),
         )
+
+    def told_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
+        """(n, m): the log ratios by motion, of those that tell how they move."""
+        told = [[self.tells_motion(d) and self.motion(track.id, d) for d in drones] for track in tracks]
+        return np.array(told, dtype=float).reshape(len(tracks), len(drones))
 
     def seen(self, drones: Iterable[int]) -> Array:
         """(k,) that each has a track while it is in view."""
@@ -175,7 +183,12 @@ class Weighing:
             ]
         )
         places[-1][:, np.any(predicted.turn, axis=1)] = -np.inf
-        every = np.logaddexp(places, self._astray(tracks, predicted.drone_id))
+        moves = self._moves_as(tracks, predicted.drone_id)
+        # A drone that may be anywhere is no likelier than others that tell how they move, and have no place either.
+        told = np.array([self.tells_motion(drone) for drone in predicted.drone_id], dtype=bool)
+        rivals = told & (moves.any(axis=1, keepdims=True) | moves.any(axis=0))
+        places[-1] = np.where(rivals, LOG_ANYWHERE, places[-1])
+        every = np.logaddexp(places, np.where(moves, LOG_ASTRAY, -np.inf))
         by_place = every.max(axis=0)
         allowed = np.isfinite(by_place)
         ratios = np.where(allowed, 0.0, -np.inf)
@@ -218,22 +231,14 @@ class Weighing:
         return drone_id in self._motion.exact and self.motion(track_id, drone_id) < surely
 
     def astray(self, tracks: Sequence[Track], drones: Iterable[int]) -> Predictions:
-        """Of drones that should not be in the image, those that a track moves as: they may be anywhere in it."""
+        """Of drones that should not be in the image, those that tell how they move, where a track moves as any of
+        them: they may be anywhere in it."""
         known = [drone for drone in drones if self.tells_motion(drone)]
-        if not known:
-            return NOBODY
-        moving = np.flatnonzero(np.isfinite(self._astray(tracks, known)).any(axis=0))
-        return anywhere([known[j] for j in moving.tolist()])
+        return anywhere(known) if self._moves_as(tracks, known).any() else NOBODY
 
-    def _astray(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
-        """(n, k): the log ratio of a drone whose start is not what it says, where motion speaks for it; else −inf."""
-        ratios = np.full((len(tracks), len(drones)), -np.inf)
-        exact = self._motion.exact
-        for j in [j for j, drone in enumerate(drones) if drone in exact]:
-            for i, track in enumerate(tracks):
-                if self.motion(track.id, drones[j]) > MOVES_AS:
-                    ratios[i, j] = LOG_ASTRAY
-        return ratios
+    def _moves_as(self, tracks: Sequence[Track], drones: Sequence[int]) -> NDArray[np.bool_]:
+        """(n, k): whether its motion speaks for the drone, so that the drone's place may be wrong."""
+        return np.array(self.told_motion(tracks, drones) > MOVES_AS)
 
     def _in_view(self, predicted: Predictions) -> list[float]:
         """(k,) that each is in the image if it has not left its place. Of one that has, hardly anything is known, and a
@@ -326,13 +331,14 @@ class Weighing:
         self._scene.learn(view.observer.t, strong, weak, seen)
 
     def misses_somebody(self, predicted: Predictions, p_drone: Array) -> bool:
-        """Whether one of them should be in the image and is none of its tracks, by p_drone (n, k). Then a stranger may
-        be that teammate, whose start or whose idea of it here is wrong."""
-        return bool(np.any(self._is_inside(predicted) & (p_drone.sum(axis=0) < 0.5)))
+        """Whether one of them should be in the image or beside it, and is none of its tracks, by p_drone (n, k). Then a
+        stranger may be that teammate, whose start or whose idea of it here is wrong by metres."""
+        return bool(np.any(self._is_inside(predicted, BESIDE) & (p_drone.sum(axis=0) < 0.5)))
 
-    def _is_inside(self, predicted: Predictions) -> NDArray[np.bool_]:
-        u, v = predicted.pixel.T
-        return np.asarray((u > 0.0) & (u < self._camera.width) & (v > 0.0) & (v < self._camera.height))
+    def _is_inside(self, predicted: Predictions, beside: float = 0.0) -> NDArray[np.bool_]:
+        """(k,); beside: how far out counts as well, of the image's size."""
+        away = np.abs(predicted.pixel / (self._camera.width, self._camera.height) - 0.5)
+        return np.asarray((away < 0.5 + beside).all(axis=1))
 
     def recognise(self, drone_id: int, track: Track, distance: float, probability: float) -> None:
         """The posterior is sure that the track is the drone, which is `distance` m away now."""

@@ -96,9 +96,13 @@ class Whereabouts:
 
     def latest(self, drone_id: int) -> Announcement:
         """The newest that is known of the place of a drone that has announced itself."""
-        place = self._reported.get(drone_id) or self.announced[drone_id]
+        place = self.said(drone_id)
         off = self._off.get(drone_id)
         return place if off is None else replace(place, position_cov=place.position_cov + off**2 * np.eye(3))
+
+    def said(self, drone_id: int) -> Announcement:
+        """The same by its own word alone, wherever it was found."""
+        return self._reported.get(drone_id) or self.announced[drone_id]
 
     def doubt(self, drone_id: int, off_m: float) -> None:
         """It was found that far from where it says that it is; whatever it says of its place is wrong by as much."""

@@ -47,6 +47,7 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
         ego=make_ego_history(config, start, history_s=motion.history_s),
         identity=IdentityParameters(**config.identity.parameters),
         relative=RelativeParameters(airframe_span_m=config.team.airframe_span_m),
+        start_sigma_m=config.drone.start.frame_sigma_m,
         estimate_gyro_bias=motion.estimate_gyro_bias,
     )
 

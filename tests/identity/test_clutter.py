@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
+from support.observer import CAMERA, LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
 from swarmtrack.identity import spans
 from swarmtrack.identity.posterior import PRIOR
+from swarmtrack.identity.reprojection import anywhere
 from swarmtrack.identity.scene import PRIOR_S, Scene
 from swarmtrack.identity.spans import SPAN, Spans
-from swarmtrack.identity.weighing import PLACE_ALONE
+from swarmtrack.identity.weighing import PLACE_ALONE, Weighing
 from swarmtrack.identity.whereabouts import Whereabouts
 from swarmtrack.messages import Announcement, SightingReport
 
@@ -314,3 +315,12 @@ def test_a_nameless_ghost_asks_nobody_while_all_who_are_in_view_are_settled(obse
     observer.sees(10.0, a=LEFT, b=RIGHT)
     observer.sees(10.0, a=LEFT, b=RIGHT, c=(320.0, 40.0))
     assert observer.wanted == []
+
+
+@pytest.mark.parametrize(
+    ("u", "p", "missed"), [(600.0, 0.1, True), (800.0, 0.1, True), (1200.0, 0.1, False), (600.0, 0.9, False)]
+)
+def test_a_teammate_is_missed_that_should_be_in_the_image_or_beside_it_and_is_no_track(u, p, missed):
+    weighing = Weighing(CAMERA, 0.5)
+    predicted = anywhere([2])._replace(pixel=np.array([[u, 240.0]]))
+    assert weighing.misses_somebody(predicted, np.array([[p]])) == missed

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at
+from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
 from swarmtrack.identity.proof import PROVED
 from swarmtrack.messages import MotionReport, SightingReport
 
@@ -130,3 +130,20 @@ def test_a_stranger_that_sways_by_itself_is_nobody_although_it_is_where_a_drone_
     names = flight.flies(12.0)
     assert names["a"] == 2
     assert names["c"] != 3
+
+
+def test_where_all_teammates_move_elsewhere_than_they_say_this_drone_doubts_itself_and_goes_on():
+    """Its compass is off by 20°: no place fits, and motion names them all the same."""
+    flight = Sway(
+        {"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: shifted(LEFT, -150.0), 3: shifted(RIGHT, -150.0)}
+    )
+    assert flight.flies(4.0) == {"a": 2, "b": 3}
+    for _ in range(8):
+        assert flight.observer.identities.self_doubt
+        assert flight.flies(1.0) == {"a": 2, "b": 3}
+
+
+def test_one_that_moves_elsewhere_than_it_says_is_no_reason_to_doubt_oneself():
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: shifted(RIGHT, -150.0)})
+    assert flight.flies(12.0) == {"a": 2, "b": 3}
+    assert not flight.observer.identities.self_doubt

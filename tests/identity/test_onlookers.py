@@ -1,0 +1,79 @@
+"""What teammates say of where they see this drone: which of it speaks for a wrong start, and which proves nothing."""
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmtrack.identity.onlookers import COUNTS_IN_DOUBT_S, COUNTS_S, Onlookers
+from swarmtrack.messages import Sighting, SightingReport
+
+HERE, THERE = np.zeros((1, 3)), np.array([[0.0, 2.0, 0.0]])
+EXACT = np.zeros(1)
+
+
+def report(observer, position, sees, *, t=1.0, drone_id=1, sigma=0.03, position_sigma=0.1):
+    """From a drone at `position` (3,) m that sees `drone_id` at `sees` (3,) m."""
+    ray = np.asarray(sees, float) - position
+    sighting = Sighting(drone_id, 0.97, ray / np.linalg.norm(ray), sigma)
+    return SightingReport(
+        observer, "0000000a", 1, t, 0.0, np.asarray(position, float), position_sigma, (), (sighting,)
+    )
+
+
+@pytest.fixture
+def onlookers():
+    """Of drone 1, which thinks that it hovers at the origin."""
+    watched = Onlookers(1)
+    watched.follow(1.0, np.zeros(3), 0.05, in_doubt=False)
+    return watched
+
+
+def gain(onlookers):
+    """By how much what is said speaks for two metres further east, in nats."""
+    return float(onlookers.log_likelihood(THERE, EXACT)[0] - onlookers.log_likelihood(HERE, EXACT)[0])
+
+
+def test_one_that_sees_it_elsewhere_may_be_wrong_itself_and_two_are_hardly(onlookers):
+    onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0]))
+    one = gain(onlookers)
+    onlookers.tell(report(3, (-8.0, 0.0, 0.0), THERE[0]))
+    assert 0.0 < one < math.log(100.0)
+    assert gain(onlookers) == pytest.approx(2.0 * one, rel=0.01)
+
+
+def test_who_sees_it_where_it_says_proves_nothing(onlookers):
+    onlookers.tell(report(2, (8.0, 0.0, 0.0), HERE[0]))
+    assert gain(onlookers) == 0.0
+    assert not onlookers.are_puzzled
+
+
+def test_two_that_see_it_in_different_places_do_not_agree_on_either(onlookers):
+    onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0]))
+    one = gain(onlookers)
+    onlookers.tell(report(3, (-8.0, 0.0, 0.0), -THERE[0]))
+    assert gain(onlookers) < one
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        report(2, (8.0, 0.0, 0.0), THERE[0], drone_id=3),
+        report(2, (8.0, 0.0, 0.0), THERE[0], sigma=0.5),
+        report(2, (8.0, 0.0, 0.0), THERE[0], position_sigma=1000.0),
+        report(2, (8.0, 0.0, 0.0), THERE[0], t=2.0),
+    ],
+    ids=["of another drone", "a vague ray", "from nowhere", "of a time that is not remembered"],
+)
+def test_what_tells_nothing_of_it_does_not_count(onlookers, said):
+    onlookers.tell(said)
+    assert not onlookers.are_puzzled
+
+
+@pytest.mark.parametrize(("in_doubt", "counts_s"), [(False, COUNTS_S), (True, COUNTS_IN_DOUBT_S)])
+def test_a_report_counts_for_longer_while_nobody_can_say_it_again(onlookers, in_doubt, counts_s):
+    onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0]))
+    onlookers.follow(1.0 + counts_s - 0.1, np.zeros(3), 0.05, in_doubt=in_doubt)
+    assert onlookers.are_puzzled
+    onlookers.follow(1.0 + counts_s + 0.1, np.zeros(3), 0.05, in_doubt=in_doubt)
+    assert not onlookers.are_puzzled
