@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from swarmtrack.diagnosis.findings import Finding, Level
+from swarmtrack.diagnosis.findings import Finding, Level, fault
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, check_autopilot, check_camera
 from swarmtrack.messages import LinkStatus
 
@@ -15,7 +15,7 @@ SELF_DOUBT = "what we see of our teammates says that our own start or heading is
 
 
 class Readiness(NamedTuple):
-    """reasons: why not, one sentence each; none where ready."""
+    """reasons: why not, one sentence each; where ready, what should be known beside that."""
 
     ready: bool
     reasons: tuple[str, ...]
@@ -29,9 +29,13 @@ def judge(
     network: LinkStatus,
     clones: tuple[str, ...] = (),
     doubts_itself: bool = False,
+    unmeasured_m: float | None = None,
 ) -> Readiness:
-    """Failures count, warnings do not. clones: boots of other agents that speak as this drone. doubts_itself: what it
-    sees does not fit its own pose."""
+    """Failures count, warnings do not; that of a start which nobody measured is told.
+
+    clones: boots of other agents that speak as this drone. doubts_itself: what it sees does not fit its own pose.
+    unmeasured_m: the sigma [m] that the start is taken to have; None where it was written.
+    """
     findings: list[Finding] = check_camera(camera)
     if autopilot.wanted:
         findings += check_autopilot(autopilot)
@@ -45,4 +49,7 @@ def judge(
         reasons.append(f"another agent speaks as this drone (boots {', '.join(clones)})")
     if doubts_itself:
         reasons.append(f"{SELF_DOUBT}: check drone.start, the compass and camera.body_from_camera")
-    return Readiness(not reasons, tuple(reason[:LONGEST_REASON] for reason in reasons[:MOST_REASONS]))
+    ready = not reasons
+    if unmeasured_m is not None:
+        reasons.append(fault("pose.unmeasured", sigma_m=unmeasured_m).found)
+    return Readiness(ready, tuple(reason[:LONGEST_REASON] for reason in reasons[:MOST_REASONS]))

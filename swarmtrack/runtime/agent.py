@@ -342,6 +342,7 @@ def make_health(parts: Parts) -> Health:
             config.autopilot.imu_rate_hz if autopilot else None,
             config.output.tracks_hz,
             config.camera.max_age_s,
+            config.drone.start.position_sigma_m if config.drone.start.has_unknown_sigma else None,
         ),
         clock=parts.clock,
         wall=parts.wall,

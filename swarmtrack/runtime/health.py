@@ -58,11 +58,13 @@ class Connections:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What the config asks for. imu_hz None: of no autopilot."""
+    """What the config asks for. imu_hz None: of no autopilot. unmeasured_m: the sigma that a start is taken to have of
+    which nobody wrote any; else None."""
 
     imu_hz: float | None
     tracks_hz: float
     frame_age_s: float
+    unmeasured_m: float | None = None
 
 
 class Health:
@@ -149,6 +151,7 @@ class Health:
             network=links.network.status(),
             clones=tuple(sorted(self._clones)),
             doubts_itself=self._perceived.self_doubt,
+            unmeasured_m=self._expected.unmeasured_m,
         )
 
     def message(self) -> HealthMessage:

@@ -136,7 +136,8 @@ class HealthPublisher:
         self._write(message)
         self._console.line(self._footnotes())
         assert message.readiness is not None
-        self._supervisor.status("; ".join(message.readiness.reasons) or "ready")
+        readiness = message.readiness
+        self._supervisor.status("ready" if readiness.ready else "; ".join(readiness.reasons))
 
     def _note_trouble_of_the_disk(self) -> None:
         news = self._recorder.take_news() if self._recorder is not None else None

@@ -355,13 +355,14 @@ FINE = LinkStatus("x", True, "fine", (("fps", 30.0), ("frames", 100.0), ("age_p5
 CUT_OFF = LinkStatus("zenoh", False, "no router answers")
 
 
-def readiness(camera=FINE, autopilot=FINE, network=FINE, clones=()):
+def readiness(camera=FINE, autopilot=FINE, network=FINE, clones=(), unmeasured_m=None):
     return judge(
         camera=CameraFacts(3.0, 0.5, camera, frames=100),
         autopilot=AutopilotFacts(3.0, status=autopilot),
         detector=None,
         network=network,
         clones=clones,
+        unmeasured_m=unmeasured_m,
     )
 
 
@@ -369,6 +370,15 @@ def test_a_drone_is_ready_where_nothing_fails():
     assert readiness() == (True, ())
     late = LinkStatus("x", True, "fine", (("fps", 30.0), ("frames", 100.0), ("age_p50_ms", 300.0)))
     assert readiness(camera=late).ready  # a warning keeps nobody on the ground
+
+
+def test_a_start_that_nobody_measured_is_said_and_keeps_nobody_on_the_ground():
+    told = readiness(unmeasured_m=1.0)
+    assert told.ready
+    assert told.reasons == (
+        "drone.start.position_sigma_m is not written: the start is taken as known to ± 1 m",
+    )
+    assert not readiness(network=CUT_OFF, unmeasured_m=1.0).ready
 
 
 def test_each_failure_is_a_reason_not_to_fly():
@@ -399,9 +409,10 @@ def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
     assert sent.reasons[0].startswith("the camera is open but sent no frame")
     for event in (IdClash(1, (parts.boot, "aaaaaaaa"), True), IdClash(2, ("bbbbbbbb", "cccccccc"), False)):
         health.on_membership(event)
-    assert health.readiness().reasons[-1] == "another agent speaks as this drone (boots aaaaaaaa)"
+    assert "another agent speaks as this drone (boots aaaaaaaa)" in health.readiness().reasons
     health.on_membership(PeerDeparted(1, "aaaaaaaa"))
-    assert "another agent" not in health.readiness().reasons[-1]
+    assert "another agent" not in " ".join(health.readiness().reasons)
+    assert "drone.start.position_sigma_m is not written" in health.readiness().reasons[-1]
 
 
 @pytest.mark.parametrize(
