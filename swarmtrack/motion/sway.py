@@ -26,6 +26,8 @@ EASE_S = 1.5
 BEGINS_EVERY_S = 10.0
 # s: by how much two drones may differ in when a switch was thrown, by their clocks and radios.
 SWITCH_S = 1.0
+# Drones of a team in which neighbours come less than three quarters of a swing apart while a code lasts.
+LARGE = 5
 
 
 def next_begin(utc: float) -> float:
@@ -45,10 +47,8 @@ def frequency(drone_id: int, team: Collection[int]) -> float:
 
 
 def direction(drone_id: int, team: Collection[int]) -> float:
-    """1.0: upwards first; -1.0: downwards, as every second drone of a team whose neighbours come less than one swing
-    apart while a code lasts."""
-    swings = (FASTEST_HZ - SLOWEST_HZ) * LASTS_S
-    return -1.0 if len(team) - 1 > swings and sorted(team).index(drone_id) % 2 else 1.0
+    """1.0: upwards first; -1.0: downwards, as every second drone of a large team."""
+    return -1.0 if len(team) >= LARGE and sorted(team).index(drone_id) % 2 else 1.0
 
 
 def sway(drone_id: int, team: Collection[int], t: float) -> Array:

@@ -31,7 +31,7 @@ def test_the_frequencies_are_spread_evenly_in_the_order_of_the_ids():
     assert found == pytest.approx(np.linspace(SLOWEST_HZ, FASTEST_HZ, 4))
 
 
-@pytest.mark.parametrize(("team", "first"), [(TEAM[:3], [1, 1, 1]), (TEAM, [1, -1, 1, -1])])
+@pytest.mark.parametrize(("team", "first"), [(TEAM, [1, 1, 1, 1]), ((*TEAM, 50), [1, -1, 1, -1, 1])])
 def test_it_sways_up_first_and_in_a_large_team_every_second_one_down(team, first):
     found = [heights(drone_id, team) for drone_id in team]
     assert [np.sign(height[np.flatnonzero(np.abs(height) > 0.02)[0]]) for height in found] == first
