@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_list
-from swarmtrack.clock import SystemClock
-from swarmtrack.config import NetworkSection, load_team_config
-from swarmtrack.errors import KeysError, TransportError
-from swarmtrack.security.credentials import Credentials
-from swarmtrack.security.names import Role
-from swarmtrack.transport import topology
+from swarmtrack.config import NetworkSection
+from swarmtrack.transport.listening import network_of_listener
 from swarmtrack.transport.settings import NetworkSettings
 
 
@@ -31,26 +26,6 @@ def add_network_arguments(parser: argparse.ArgumentParser) -> None:
 
 def network_of_monitor(args: argparse.Namespace) -> NetworkSettings:
     """Raises ConfigError, TransportError or KeysError."""
-    section = NetworkSection() if args.config is None else load_team_config(args.config).network
-    credentials = None if args.keys is None else credentials_in(args.keys, Role.MONITOR)
-    if credentials is None and section.keys is not None:
-        raise TransportError(f"{args.config}: this team has keys, expected --keys with those of a monitor")
-    team = section.team if credentials is None else credentials.roster.team
-    changes = {
-        "team": args.team or (team if args.config is None else section.team),
-        "connect": (*section.connect, *args.connect),
-        "insecure": section.insecure or args.insecure,
-        "listen": (),
-    }
-    if args.connect:  # just these
-        changes |= {"topology": "mesh", "peers": {}, "connect": tuple(args.connect)}
-    return topology.of_monitor(section.model_copy(update=changes), credentials)
-
-
-def credentials_in(folder: Path, role: Role) -> Credentials:
-    """The credentials of whatever process of a role a folder is for. Raises KeysError."""
-    from swarmtrack.security.loading import find_name, load_credentials
-
-    if not folder.is_dir():
-        raise KeysError(f"--keys {folder}: is no folder, expected one that `swarmtrack keys issue` made")
-    return load_credentials(folder, find_name(folder, role), SystemClock().utc())
+    return network_of_listener(
+        team=args.team, config=args.config, connect=args.connect, keys=args.keys, insecure=args.insecure
+    )

@@ -14,13 +14,13 @@ import sys
 
 import zenoh
 
-from swarmtrack.agents.network_arguments import credentials_in
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds
 from swarmtrack.config import load_team_config
 from swarmtrack.errors import TransportError
 from swarmtrack.security.names import Role
 from swarmtrack.transport import settings, topology
 from swarmtrack.transport.link_watch import LinkWatch, links_up
+from swarmtrack.transport.listening import credentials_in
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
 

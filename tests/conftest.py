@@ -43,6 +43,7 @@ TEAM = (
 ALONE = (
     "benchmarks/test_benchmarks.py::test_an_agent",
     "benchmarks/test_flood.py",
+    "client/test_swarm.py",
     "calibration/test_calibrate.py::test_the_command_measures_a_live_drone",
     "live/",
     "monitor/test_monitor_recording.py",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import zenoh
 
@@ -24,6 +24,8 @@ from swarmtrack.transport.zenoh_session import (
     open_session,
     plain,
 )
+
+TEAMS_S: Final = 1.0  # for answers to who lives
 
 
 class ZenohListener:
@@ -91,6 +93,20 @@ class ZenohListener:
         """Until closed."""
         while (sample := await self._samples.get()) is not None:
             yield sample
+
+    async def teams(self) -> set[str]:
+        """Whose drones live within our reach, of any team; with keys we see our own only. Raises TransportError."""
+        session = self._session
+        if session is None:
+            return set()
+        anyone = f"{keys.ROOT}/*/{keys.VERSION}/{Kind.ALIVE}/*/*"
+
+        def look() -> list[str]:
+            replies = session.liveliness().get(anyone, timeout=TEAMS_S)
+            return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+        found = map(keys.parse, await bounded(look, OPEN_S, "ask who lives"))
+        return {address.team for address in found if address is not None}
 
     def links(self) -> LinksUp:
         """To whom we are linked."""

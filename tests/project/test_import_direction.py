@@ -26,7 +26,7 @@ LAYERS: list[set[str]] = [
     {"training", "runtime"},
     {"localswarm", "doctor", "setup"},
     {"replay"},
-    {"monitor"},
+    {"monitor", "client"},
     {"benchmarks"},
     {"agents"},
 ]

@@ -276,7 +276,7 @@ async def test_echo_hears_a_team_with_keys_by_the_certificate_of_a_monitor(
 
     code, _, complaint = await ended(program(*hear))
     assert code == 2
-    assert "this team has keys, expected --keys with those of a monitor" in complaint
+    assert "this team has keys, expected the folder with those of a monitor (--keys, keys=)" in complaint
     code, _, complaint = await ended(program(*hear, "--keys", str(team.folder / "drone-1")))
     assert code == 2
     assert "holds keys of drone-1, expected those of one monitor" in complaint

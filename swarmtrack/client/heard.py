@@ -1,0 +1,108 @@
+"""A team as a planner hears it: who lives, through which camera each looks, and what counts of what is said."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TypeVar
+
+from swarmtrack.client.axes import Axes
+from swarmtrack.client.sight import DroneCamera, DroneHealth, Sight, camera_of, sight_of
+from swarmtrack.messages import PeerDeparted
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.membership import Membership
+from swarmtrack.wire import codec
+from swarmtrack.wire.camera import CameraMessage
+from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.tracks import TracksMessage
+
+M = TypeVar("M", CameraMessage, HealthMessage, TracksMessage)
+
+# An ID that no drone has: we are of no team.
+NOBODY = 0
+
+
+class HeardTeam:
+    """Told of samples; answers with what they say. Nothing counts of who is not alive; what does not is counted."""
+
+    def __init__(self, team: str, axes: Axes) -> None:
+        self._team = team
+        self._axes = axes
+        self._membership = Membership(NOBODY, "")
+        self._cameras: dict[tuple[int, str], DroneCamera] = {}
+        self._counters: Counter[str] = Counter()
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        """The IDs of all that live."""
+        return tuple(sorted(self._membership.peers))
+
+    @property
+    def without_camera(self) -> tuple[int, ...]:
+        """Whose camera is to be asked for."""
+        return tuple(
+            i for i in self.drones if any((i, b) not in self._cameras for b in self._membership.alive(i))
+        )
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What was refused, by reason."""
+        return self._counters + self._membership.counters
+
+    def camera(self, drone_id: int) -> DroneCamera | None:
+        """None while it is not known, or two processes speak as this drone."""
+        boots = self._membership.alive(drone_id)
+        return self._cameras.get((drone_id, boots[0])) if len(boots) == 1 else None
+
+    def on_token(self, key: str, alive: bool) -> None:
+        address = keys.parse(key)
+        if (
+            address is None
+            or address.team != self._team
+            or len(address.rest) != 1
+            or not keys.is_boot(address.rest[0])
+        ):
+            self._counters["tokens_malformed"] += 1
+            return
+        drone_id, boot = address.drone_id, address.rest[0]
+        events = (self._membership.arrived if alive else self._membership.departed)(drone_id, boot)
+        if any(isinstance(event, PeerDeparted) for event in events):
+            self._cameras.pop((drone_id, boot), None)
+
+    def on_camera(self, sample: Sample) -> None:
+        drone_id, message = self._read(CameraMessage, Kind.CAMERA, sample)
+        if message is None:
+            return
+        if message.drone_id != drone_id:
+            self._counters["camera_on_wrong_key"] += 1
+        elif message.boot not in self._membership.alive(drone_id):
+            self._counters["camera_before_token"] += 1
+        else:
+            # The first one stays: it is the same for the whole life of a process.
+            self._cameras.setdefault((drone_id, message.boot), camera_of(message))
+
+    def on_tracks(self, sample: Sample) -> Sight | None:
+        drone_id, message = self._read(TracksMessage, Kind.TRACKS, sample)
+        if message is None:
+            return None
+        return sight_of(drone_id, message, self.camera(drone_id), sample.arrived, self._axes)
+
+    def on_health(self, sample: Sample) -> DroneHealth | None:
+        drone_id, message = self._read(HealthMessage, Kind.HEALTH, sample)
+        return None if message is None else DroneHealth(drone_id, message)
+
+    def _read(self, message: type[M], kind: Kind, sample: Sample) -> tuple[int, M | None]:
+        """Whose it is, by its key; and what it says, if it counts."""
+        address = keys.parse(sample.key)
+        if address is None or address.team != self._team or address.kind is not kind or address.rest:
+            self._counters["messages_on_no_key"] += 1
+            return NOBODY, None
+        if not self._membership.alive(address.drone_id):
+            self._counters[f"{kind}_before_token"] += 1
+            return NOBODY, None
+        try:
+            return address.drone_id, codec.decode(message, sample.payload)
+        except DecodeError:
+            self._counters[f"{kind}_malformed"] += 1
+            return NOBODY, None

@@ -1,0 +1,204 @@
+"""What a planner gets: tracks with directions, names and places; decoded, checked, in the axes that were asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swarmtrack.client.axes import Axes
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.messages import Array, Identity, TrackStatus
+from swarmtrack.wire.camera import CameraMessage, mounting_from
+from swarmtrack.wire.checks import symmetric
+from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.lens import camera_from
+from swarmtrack.wire.tracks import RelativeMessage, TrackMessage, TracksMessage, track_cov
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DroneCamera:
+    """A drone's lens, and how it is mounted: body_from_camera, body FRD, camera x right, y down, z forward [m]."""
+
+    lens: PinholeCamera
+    body_from_camera: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where a teammate is and how it moves, against the observer's camera, along the world's axes.
+
+    position (3,) m; velocity (3,) m/s; cov (6, 6) of both. range_sigma_log: how well the distance is known, as a share
+    of it. sources: what told of it ("size", "announcement", "velocity", "range", "pose", "sighting").
+    """
+
+    position: Array
+    velocity: Array
+    cov: Array
+    range_sigma_log: float
+    sources: tuple[str, ...]
+
+    @property
+    def distance(self) -> float:
+        """m."""
+        return float(np.linalg.norm(self.position))
+
+    @property
+    def distance_sigma(self) -> float:
+        """m."""
+        return self.range_sigma_log * self.distance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """One track. `id` is local to its observer and never reused.
+
+    identity: a drone's ID, "foreign" (not of the team) or None (unknown), with its probability. probability: that there
+    is anything. coasting_s: since when it was not detected, None while it is. pixel (4,) [u, vu, v, vv] px, px/s of
+    undistorted pixels, pixel_cov (4, 4), size (2,) px.
+
+    direction_camera, direction_body (3,): unit vectors from the camera, along its own axes and the body's; None while
+    the drone's camera is not known. direction_sigma [rad]: their standard deviation along the worst axis.
+    direction_world (3,): from the place, or by `Sight.turned`; None without either. place: None while nothing tells the
+    distance, and for all that have no drone's name.
+    """
+
+    id: int
+    identity: Identity
+    identity_probability: float
+    status: TrackStatus
+    probability: float
+    coasting_s: float | None
+    pixel: Array
+    pixel_cov: Array
+    size: Array
+    direction_camera: Array | None
+    direction_body: Array | None
+    direction_sigma: float | None
+    direction_world: Array | None
+    place: Place | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """All that one drone tracks at one instant.
+
+    t_utc_s [s]: the instant, on the drone's wall clock, known to t_sigma_s. arrived [s]: when it was heard, on our
+    monotonic clock. scan_age_s: how old the last image is. sequence: a jump by more than one is a lost message.
+    """
+
+    drone_id: int
+    t_utc_s: float
+    t_sigma_s: float
+    arrived: float
+    scan_age_s: float
+    sequence: int
+    axes: Axes
+    targets: tuple[Target, ...]
+
+    def of(self, drone_id: int) -> Target | None:
+        """The track that bears this teammate's name; the surest where there are several."""
+        named = [target for target in self.targets if target.identity == drone_id]
+        return max(named, key=lambda target: target.identity_probability, default=None)
+
+    def turned(self, world_from_body: Array) -> Sight:
+        """The same with the direction of every target along the world's axes, those without a name, too.
+
+        world_from_body (3, 3): the observer's attitude at `t_utc_s`, in the axes of this sight.
+        """
+        return replace(self, targets=tuple(_turned(target, world_from_body) for target in self.targets))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DroneHealth:
+    """How an agent is doing. message: all of it, fields as in docs/wire.md."""
+
+    drone_id: int
+    message: HealthMessage
+
+    @property
+    def ready(self) -> bool:
+        """Whether it could fly now."""
+        return self.message.readiness is not None and self.message.readiness.ready
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why it is not ready, for people."""
+        return () if self.message.readiness is None else self.message.readiness.reasons
+
+
+def camera_of(message: CameraMessage) -> DroneCamera:
+    """Raises DecodeError."""
+    return DroneCamera(camera_from(message.lens), mounting_from(message))
+
+
+def sight_of(
+    drone_id: int, message: TracksMessage, camera: DroneCamera | None, arrived: float, axes: Axes
+) -> Sight:
+    """A message as its reader wants it. camera: of that drone, None while it is not known. arrived [s]."""
+    places = {relative.track_id: _place(relative, axes) for relative in message.relatives}
+    pixels = np.array([(track.u_px, track.v_px) for track in message.tracks]).reshape(-1, 2)
+    rays = [None] * len(pixels) if camera is None else list(camera.lens.bearing_undistorted(pixels))
+    return Sight(
+        drone_id=drone_id,
+        t_utc_s=message.t_utc_s,
+        t_sigma_s=message.t_sigma_s,
+        arrived=arrived,
+        scan_age_s=message.scan_age_s,
+        sequence=message.sequence,
+        axes=axes,
+        targets=tuple(
+            _target(track, places.get(track.id), camera, ray, axes)
+            for track, ray in zip(message.tracks, rays, strict=True)
+        ),
+    )
+
+
+def _target(
+    track: TrackMessage, place: Place | None, camera: DroneCamera | None, ray: Array | None, axes: Axes
+) -> Target:
+    cov = track_cov(track)
+    body = sigma = None
+    if camera is not None and ray is not None:
+        body = axes.body_from_frd @ camera.body_from_camera.rotation @ ray
+        # Off the axis a pixel is a smaller angle: on the safe side.
+        spread = float(np.linalg.eigvalsh(cov[::2, ::2])[-1])
+        sigma = max(spread, 0.0) ** 0.5 / min(camera.lens.fx, camera.lens.fy)
+    world = None
+    if place is not None and place.distance > 0.0:
+        world = place.position / place.distance
+    return Target(
+        id=track.id,
+        identity=track.identity,
+        identity_probability=track.identity_probability,
+        status=TrackStatus(track.status),
+        probability=track.probability,
+        coasting_s=track.coasting_s,
+        pixel=np.array([track.u_px, track.vu_px_s, track.v_px, track.vv_px_s]),
+        pixel_cov=cov,
+        size=np.array([track.w_px, track.h_px]),
+        direction_camera=ray,
+        direction_body=body,
+        direction_sigma=sigma,
+        direction_world=world,
+        place=place,
+    )
+
+
+def _place(relative: RelativeMessage, axes: Axes) -> Place:
+    turn = axes.world_from_ned
+    both = np.kron(np.eye(2), turn)
+    return Place(
+        turn @ np.array(relative.position_m),
+        turn @ np.array(relative.velocity_m_s),
+        both @ symmetric(np.array([relative.cov]), 6)[0] @ both.T,
+        relative.range_sigma_log,
+        relative.sources,
+    )
+
+
+def _turned(target: Target, world_from_body: Array) -> Target:
+    if target.direction_body is None:
+        return target
+    return replace(target, direction_world=world_from_body @ target.direction_body)

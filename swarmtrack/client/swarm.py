@@ -1,0 +1,239 @@
+"""A team of drones, as a planner in Python reads it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Generic, Self, TypeVar
+
+from swarmtrack.client.axes import Axes
+from swarmtrack.client.heard import HeardTeam
+from swarmtrack.client.sight import DroneCamera, DroneHealth, Sight
+from swarmtrack.clock import SystemClock
+from swarmtrack.errors import TransportError
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.listening import network_of_listener
+from swarmtrack.transport.zenoh_listener import ZenohListener
+
+T = TypeVar("T")
+
+ASK_S: Final = 0.5  # s between two questions for a camera that is missing
+KEPT: Final = 64  # messages that wait for a reader who is busy: more than a second of one drone's tracks
+PATIENCE_S: Final = 10.0
+QUIET: Final = (Kind.CAMERA, Kind.TRACKS, Kind.HEALTH)
+
+
+class Swarm:
+    """Hears a team without being of it. It costs the drones one more subscriber, and nobody learns of it.
+
+        async with Swarm(team="red") as swarm:
+            async for sight in swarm.tracks(1):
+                ...
+
+    team: its name; None: as the keys or the file say, else "swarm". config: the team's file, for its `[network]`.
+    connect: where agents listen ("10.0.0.1:7447"), if not on this machine. keys: the folder of a monitor, which
+    `swarmtrack keys issue` made. insecure: beyond this machine without keys. axes: "ned" (world NED, body FRD) or "enu"
+    (world ENU, body FLU).
+
+    Raises ConfigError, KeysError or TransportError where these contradict each other, TransportError on entering where
+    no router answers. Only one event loop may use it.
+    """
+
+    def __init__(
+        self,
+        team: str | None = None,
+        *,
+        config: str | Path | None = None,
+        connect: Sequence[str] = (),
+        keys: str | Path | None = None,
+        insecure: bool = False,
+        axes: str | Axes = Axes.NED,
+    ) -> None:
+        self._network = network_of_listener(
+            team=team,
+            config=None if config is None else Path(config),
+            connect=connect,
+            keys=None if keys is None else Path(keys),
+            insecure=insecure,
+        )
+        self._heard = HeardTeam(self._network.team, Axes(axes))
+        self._listener = ZenohListener(self._network, _expressions(self._network.team), SystemClock())
+        self._sights = _Outlets[Sight]()
+        self._healths = _Outlets[DroneHealth]()
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def __aenter__(self) -> Self:
+        await self._listener.open()
+        self._tasks = [
+            asyncio.create_task(self._hear(), name="hear"),
+            asyncio.create_task(self._ask_for_cameras(), name="cameras"),
+        ]
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for task in self._tasks:
+            task.cancel()
+        for task in self._tasks:
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+        await self._listener.close()
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        """The IDs of all that live, in order."""
+        return self._heard.drones
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What was refused, by reason; `dropped`: what came faster than it was read."""
+        dropped = self._listener.dropped + self._sights.dropped + self._healths.dropped
+        return self._heard.counters + Counter(dropped=dropped)
+
+    def camera(self, drone_id: int) -> DroneCamera | None:
+        """A drone's lens and mounting; None while it is not known, or two processes speak as this drone."""
+        return self._heard.camera(drone_id)
+
+    def tracks(
+        self, drone_id: int | None = None, *, keep: int = KEPT, patience_s: float | None = PATIENCE_S
+    ) -> AsyncIterator[Sight]:
+        """What a drone tracks, 50 times a second by default; drone_id None: of all drones.
+
+        keep: so many wait while the reader is busy, the oldest go; 1 for a controller that wants the newest only.
+        patience_s: raises TransportError with what to check where the drone is not heard within so long; None: waits.
+        Ends when the swarm is left.
+        """
+        return self._read(self._sights, drone_id, keep, patience_s)
+
+    def health(
+        self, drone_id: int | None = None, *, keep: int = KEPT, patience_s: float | None = PATIENCE_S
+    ) -> AsyncIterator[DroneHealth]:
+        """How a drone's agent is doing, once a second; arguments as of `tracks`."""
+        return self._read(self._healths, drone_id, keep, patience_s)
+
+    async def _read(
+        self, outlets: _Outlets[T], drone_id: int | None, keep: int, patience_s: float | None
+    ) -> AsyncIterator[T]:
+        if keep < 1:
+            raise ValueError(f"keep: found {keep}, expected 1 or more")
+        outlet = outlets.open(drone_id, keep)
+        try:
+            try:
+                async with asyncio.timeout(patience_s):
+                    first = await outlet.take()
+            except TimeoutError:
+                raise TransportError(await self._silence(drone_id, patience_s)) from None
+            while first is not None:
+                yield first
+                first = await outlet.take()
+        finally:
+            outlets.remove(outlet)
+
+    async def _hear(self) -> None:
+        try:
+            async for sample in self._listener.samples():
+                self._on_sample(sample)
+        finally:
+            self._sights.close()
+            self._healths.close()
+
+    def _on_sample(self, sample: Sample) -> None:
+        address = keys.parse(sample.key)
+        if address is None:
+            return
+        match address.kind:
+            case Kind.ALIVE:
+                self._heard.on_token(sample.key, sample.alive)
+            case Kind.CAMERA:
+                self._heard.on_camera(sample)
+            case Kind.TRACKS if self._sights.wanted(address.drone_id):
+                self._sights.put(address.drone_id, self._heard.on_tracks(sample))
+            case Kind.HEALTH if self._healths.wanted(address.drone_id):
+                self._healths.put(address.drone_id, self._heard.on_health(sample))
+
+    async def _ask_for_cameras(self) -> None:
+        """A question may overtake the links, and what was put before them is lost."""
+        while True:
+            await asyncio.sleep(ASK_S)
+            for drone_id in self._heard.without_camera:
+                self._listener.ask(Kind.CAMERA, drone_id)
+
+    async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
+        """Why nothing is heard, as far as one can tell."""
+        team, here = self._network.team, self.drones
+        who = "no drone" if drone_id is None else f"drone {drone_id}"
+        said = f"{who} of team {team!r} was {'' if drone_id is None else 'not '}heard within {patience_s:g} s"
+        if drone_id in here:
+            return f"{said}, though it lives: has its agent found its camera?"
+        if here:
+            alive = ", ".join(map(str, here))
+            return f"{said}; alive are {alive}"
+        others = sorted(await self._listener.teams() - {team})
+        if others:
+            names = ", ".join(map(repr, others))
+            return f"{said}, but drones of {names}: is that the team's name?"
+        if self._listener.links().count:
+            return f"{said}: something answers there, but no agent of this team; expected team= as in its [network]"
+        where = ", ".join(self._network.connect) or "this machine"
+        return f"{said}: nothing answers at {where}; does an agent run there, or is connect= missing?"
+
+
+class _Outlet(Generic[T]):
+    """What waits for one reader."""
+
+    def __init__(self, drone_id: int | None, keep: int) -> None:
+        self.drone_id = drone_id
+        self.waiting: deque[T] = deque(maxlen=keep)
+        self.news = asyncio.Event()
+        self.closed = False
+
+    async def take(self) -> T | None:
+        """None where nothing will come any more."""
+        while not self.waiting:
+            if self.closed:
+                return None
+            self.news.clear()
+            await self.news.wait()
+        return self.waiting.popleft()
+
+
+class _Outlets(Generic[T]):
+    """All readers of one kind of message; the oldest message goes where a reader is too slow."""
+
+    def __init__(self) -> None:
+        self._all: list[_Outlet[T]] = []
+        self.dropped = 0
+
+    def open(self, drone_id: int | None, keep: int) -> _Outlet[T]:
+        self._all.append(_Outlet[T](drone_id, keep))
+        return self._all[-1]
+
+    def remove(self, outlet: _Outlet[T]) -> None:
+        self._all.remove(outlet)
+
+    def wanted(self, drone_id: int) -> bool:
+        return any(outlet.drone_id in (None, drone_id) for outlet in self._all)
+
+    def put(self, drone_id: int, what: T | None) -> None:
+        if what is None:
+            return
+        for outlet in self._all:
+            if outlet.drone_id in (None, drone_id):
+                self.dropped += len(outlet.waiting) == outlet.waiting.maxlen
+                outlet.waiting.append(what)
+                outlet.news.set()
+
+    def close(self) -> None:
+        for outlet in self._all:
+            outlet.closed = True
+            outlet.news.set()
+
+
+def _expressions(team: str) -> list[str]:
+    return [keys.key(team, Kind.ALIVE, "*", "*"), *(keys.key(team, kind, "*") for kind in QUIET)]

@@ -1,0 +1,158 @@
+"""What a planner is told of a team, and what is refused: without a network."""
+
+import math
+
+import msgpack
+import numpy as np
+import pytest
+
+from support.seen_swarm import COV, FORWARD, LENS, healthy, seen
+from swarmtrack.client.axes import Axes
+from swarmtrack.client.heard import HeardTeam
+from swarmtrack.geometry.rotation import from_euler
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.membership import MAX_PEERS
+from swarmtrack.wire import codec
+from swarmtrack.wire.camera import camera_message
+
+BOOT, OTHER = "0123abcd", "89abcdef"
+
+
+def token(boot=BOOT, drone_id=1):
+    return keys.key("red", Kind.ALIVE, drone_id, boot)
+
+
+def sample(kind, message, key_id=1):
+    payload = message if isinstance(message, bytes) else codec.encode(message)
+    return Sample(keys.key("red", kind, key_id), payload, True, 12.5)
+
+
+def described(boot=BOOT, drone_id=1, key_id=1):
+    return sample(Kind.CAMERA, camera_message(drone_id, boot, LENS, FORWARD), key_id)
+
+
+@pytest.fixture
+def team():
+    team = HeardTeam("red", Axes.NED)
+    team.on_token(token(), True)
+    return team
+
+
+def test_pixels_become_directions_of_the_camera_the_body_and_the_world(team):
+    team.on_camera(described())
+    sight = team.on_tracks(sample(Kind.TRACKS, seen()))
+    two, stranger = sight.targets
+    ray = np.array([300.0 / 400.0, -62.5 / 500.0, 1.0])
+    ray /= np.linalg.norm(ray)
+    np.testing.assert_allclose(two.direction_camera, ray)
+    np.testing.assert_allclose(two.direction_body, [ray[2], ray[0], ray[1]])  # forward, right, down
+    np.testing.assert_allclose(two.direction_world, np.array([8.0, 6.0, -1.0]) / math.sqrt(101.0))
+    np.testing.assert_allclose(two.direction_world, two.direction_body, atol=1e-12)  # it looks north
+    assert two.direction_sigma == pytest.approx(2.0 / 400.0)
+    np.testing.assert_allclose(stranger.direction_body, [1.0, 0.0, 0.0])
+    assert (stranger.direction_world, stranger.place) == (None, None)
+    assert (sight.drone_id, sight.arrived, sight.sequence, sight.scan_age_s) == (1, 12.5, 1, 0.05)
+
+
+def test_names_and_places_come_with_their_certainty(team):
+    sight = team.on_tracks(sample(Kind.TRACKS, seen()))
+    two = sight.of(2)
+    assert (two.id, two.identity_probability, two.status, two.coasting_s) == (5, 0.99, "confirmed", None)
+    assert two.place.distance == pytest.approx(math.sqrt(101.0))
+    assert two.place.distance_sigma == pytest.approx(0.05 * math.sqrt(101.0))
+    np.testing.assert_allclose(two.place.velocity, [0.5, 0.0, -0.25])
+    np.testing.assert_allclose(two.place.cov, COV)
+    assert two.place.sources == ("size", "pose")
+    assert sight.of(3) is None
+
+
+def test_in_enu_the_world_is_east_north_up_and_the_body_forward_left_up():
+    team = HeardTeam("red", Axes.ENU)
+    team.on_token(token(), True)
+    team.on_camera(described())
+    two = team.on_tracks(sample(Kind.TRACKS, seen())).of(2)
+    np.testing.assert_allclose(two.place.position, [6.0, 8.0, 1.0])
+    np.testing.assert_allclose(two.place.velocity, [0.0, 0.5, 0.25])
+    np.testing.assert_allclose(np.diag(two.place.cov), [0.09, 0.04, 0.01, 0.2, 0.1, 0.3])
+    forward, left, up = two.direction_body
+    assert forward > 0.0 > left
+    assert up > 0.0
+    assert two.direction_camera[2] > 0.0  # the camera's axes are as before
+
+
+def test_with_the_attitude_of_the_observer_strangers_have_a_direction_in_the_world_too(team):
+    team.on_camera(described())
+    sight = team.on_tracks(sample(Kind.TRACKS, seen())).turned(from_euler(0.0, 0.0, math.pi / 2))
+    _, stranger = sight.targets
+    np.testing.assert_allclose(stranger.direction_world, [0.0, 1.0, 0.0], atol=1e-12)  # it looks east
+
+
+def test_without_a_camera_there_are_names_and_places_but_no_directions(team):
+    assert team.without_camera == (1,)
+    two, stranger = team.on_tracks(sample(Kind.TRACKS, seen())).targets
+    assert (two.direction_camera, two.direction_body, two.direction_sigma) == (None, None, None)
+    assert two.direction_world is not None
+    assert stranger.direction_world is None
+    team.on_camera(described())
+    assert team.without_camera == ()
+    assert team.camera(1).lens == LENS
+
+
+def test_a_camera_counts_only_of_its_own_drone_and_while_its_boot_lives(team):
+    team.on_camera(described(drone_id=2, key_id=1))
+    team.on_camera(described(boot=OTHER))
+    team.on_camera(sample(Kind.CAMERA, b"garbage"))
+    assert team.camera(1) is None
+    assert team.counters == {"camera_on_wrong_key": 1, "camera_before_token": 1, "camera_malformed": 1}
+    team.on_camera(described())
+    team.on_token(token(), False)
+    team.on_token(token(), True)
+    assert team.camera(1) is None  # a healed partition: it is asked for again
+    assert team.without_camera == (1,)
+
+
+def test_while_two_processes_speak_as_one_drone_nobody_knows_through_which_lens(team):
+    team.on_camera(described())
+    team.on_token(token(OTHER), True)
+    team.on_camera(described(boot=OTHER))
+    assert team.camera(1) is None
+    team.on_token(token(), False)
+    assert team.camera(1) is not None
+
+
+def test_nothing_counts_of_who_does_not_live_nor_what_cannot_be_read(team):
+    assert team.on_tracks(sample(Kind.TRACKS, seen(), key_id=2)) is None
+    assert team.on_health(sample(Kind.HEALTH, b"\xff")) is None
+    assert team.on_tracks(sample(Kind.TRACKS, seen())._replace(key="swarmtrack/blue/v1/tracks/1")) is None
+    fields = msgpack.unpackb(codec.encode(seen()))
+    fields[7][0][1][0] = math.nan
+    assert team.on_tracks(sample(Kind.TRACKS, msgpack.packb(fields))) is None
+    assert team.counters == {
+        "tracks_before_token": 1, "health_malformed": 1, "messages_on_no_key": 1, "tracks_malformed": 1
+    }  # fmt: skip
+
+
+def test_tokens_that_cannot_be_and_more_than_a_team_has_are_refused(team):
+    for key in ("swarmtrack/blue/v1/alive/3/0123abcd", "swarmtrack/red/v1/alive/3", "nonsense", token("XYZ")):
+        team.on_token(key, True)
+    assert team.counters["tokens_malformed"] == 4
+    for k in range(2, MAX_PEERS + 10):
+        team.on_token(token(drone_id=k), True)
+    assert len(team.drones) == MAX_PEERS
+    assert team.counters["tokens_beyond_limit"] == 9
+
+
+def test_health_says_whether_a_drone_could_fly_and_why_not(team):
+    health = team.on_health(sample(Kind.HEALTH, healthy(BOOT)))
+    assert (health.drone_id, health.ready, health.reasons) == (1, False, ("no gyro",))
+    assert health.message.uptime_s == 60.0
+
+
+def test_no_tracks_are_a_sight_too(team):
+    team.on_camera(described())
+    message = codec.encode(seen())
+    fields = msgpack.unpackb(message)[:6]
+    fields[5] = []
+    sight = team.on_tracks(sample(Kind.TRACKS, msgpack.packb(fields)))
+    assert sight.targets == ()
