@@ -122,7 +122,7 @@ class RelativeStates:
         self._said: dict[int, _SaidPlace] = {}
         self._sources: dict[tuple[int, int], set[RelativeSource]] = {}
         self._exact_since: dict[tuple[int, int], float] = {}
-        """s: scans before say nothing any more of how errors moved, as something late was folded in."""
+        """s: scans before say nothing any more of how errors moved: the row began since, or something late was folded in."""
         self._pace: dict[tuple[int, int], float] = {}
         """m²/s² per axis: how fast each flies."""
         self._odd_since: dict[tuple[int, int], float] = {}
@@ -160,6 +160,8 @@ class RelativeStates:
         beliefs = kept
         for row in begun:
             beliefs = beliefs.joined(row)
+        # A name that comes back begins anew: what is older is of another row.
+        self._exact_since |= {look.keys[i]: look.t for i in fresh}
         keys = known + tuple(look.keys[i] for i in fresh)
         self._now = _Moment(look.t, look.camera, look.velocity, keys, beliefs, np.empty((0, STATES, STATES)))
 

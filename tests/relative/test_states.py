@@ -191,6 +191,21 @@ def test_words_that_overtake_each_other_count_once():
     assert np.trace(only(states, t).cov) < np.trace(after)
 
 
+@pytest.mark.parametrize("gap", [1, 2])
+def test_a_name_that_came_back_knows_nothing_of_what_was_said_before(gap):
+    states = RelativeStates(TOLD)
+    watched(states, [PLACE] * 3)
+    for k in range(gap):
+        states.observe(look((3 + k) * DT, [9.0, -2.0, 0.0], track=8))
+    t = watched(states, [PLACE] * 2, begin=(3 + gap) * DT)
+    before = only(states, t)
+    states.hear_motion(moves([1.0, 0.0, 0.0], t=2.5 * DT))
+    assert states.late == 1
+    assert (only(states, t).cov == before.cov).all()
+    states.hear_motion(moves([0.0, 0.0, 0.0], t=t))
+    assert states.late == 1
+
+
 def test_the_attitude_counts_in_what_is_said_and_nowhere_else():
     states = RelativeStates(TOLD)
     t = watched(states, [PLACE] * 5)
