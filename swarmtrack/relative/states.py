@@ -122,7 +122,7 @@ class RelativeStates:
         self._said: dict[int, _SaidPlace] = {}
         self._sources: dict[tuple[int, int], set[RelativeSource]] = {}
         self._exact_since: dict[tuple[int, int], float] = {}
-        """s: scans before say nothing any more of how errors moved: the row began since, or something late was folded in."""
+        """s: scans before say nothing any more of how errors moved: something late was folded in, or it had ended."""
         self._pace: dict[tuple[int, int], float] = {}
         """m²/s² per axis: how fast each flies."""
         self._odd_since: dict[tuple[int, int], float] = {}

@@ -193,16 +193,16 @@ def test_words_that_overtake_each_other_count_once():
 
 @pytest.mark.parametrize("gap", [1, 2])
 def test_a_name_that_came_back_knows_nothing_of_what_was_said_before(gap):
-    states = RelativeStates(TOLD)
-    watched(states, [PLACE] * 3)
-    for k in range(gap):
-        states.observe(look((3 + k) * DT, [9.0, -2.0, 0.0], track=8))
-    t = watched(states, [PLACE] * 2, begin=(3 + gap) * DT)
-    before = only(states, t)
-    states.hear_motion(moves([1.0, 0.0, 0.0], t=2.5 * DT))
+    states, other = RelativeStates(TOLD), np.array([9.0, -2.0, 0.0])
+    for k in range(5 + gap):
+        lost = 3 <= k < 3 + gap
+        states.observe(look(k * DT, *([PLACE] if lost else [PLACE, other])))
+    t = (4 + gap) * DT
+    before = states.at(t, STILL)[7]
+    states.hear_motion(moves([1.0, 0.0, 0.0], t=2.5 * DT, drone=3))
     assert states.late == 1
-    assert (only(states, t).cov == before.cov).all()
-    states.hear_motion(moves([0.0, 0.0, 0.0], t=t))
+    assert (states.at(t, STILL)[7].cov == before.cov).all()
+    states.hear_motion(moves([0.0, 0.0, 0.0], t=t, drone=3))
     assert states.late == 1
 
 
