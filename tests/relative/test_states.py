@@ -199,7 +199,7 @@ def test_a_name_that_came_back_knows_nothing_of_what_was_said_before(gap):
         states.observe(look(k * DT, *([PLACE] if lost else [PLACE, other])))
     t = (4 + gap) * DT
     before = states.at(t, STILL)[7]
-    states.hear_motion(moves([1.0, 0.0, 0.0], t=2.5 * DT, drone=3))
+    states.hear_motion(moves([1.0, 0.0, 0.0], t=1.5 * DT, drone=3))
     assert states.late == 1
     assert (states.at(t, STILL)[7].cov == before.cov).all()
     states.hear_motion(moves([0.0, 0.0, 0.0], t=t, drone=3))
