@@ -23,19 +23,19 @@ LONGEST = 5.0
 def set_point(sight: Sight, follow: int, distance: float) -> dict[str, Any]:
     """How to move so as to be `distance` m from the teammate, on the line between the two."""
     target = sight.of(follow)
-    place = None if target is None else target.place
-    if target is None or place is None:
+    relative = None if target is None else target.relative
+    if target is None or relative is None:
         return {"hold": f"drone {follow} is not identified, or its distance is not known"}
-    if place.range_sigma_log > VAGUE:
-        return {"hold": f"distance known to {100 * place.range_sigma_log:.0f} % only"}
+    if relative.range_sigma_log > VAGUE:
+        return {"hold": f"distance known to {100 * relative.range_sigma_log:.0f} % only"}
     if (target.coasting_s or 0.0) > STALE_S:
         return {"hold": f"not seen for {target.coasting_s:.1f} s"}
-    move = place.position * (1.0 - distance / place.distance)
+    move = relative.position * (1.0 - distance / relative.distance)
     move *= min(1.0, LONGEST / max(float(np.linalg.norm(move)), 1e-9))
     return {
         "move_m": [round(float(value), 3) for value in move],
-        "teammate_velocity_m_s": [round(float(value), 3) for value in place.velocity],
-        "sigma_m": round(place.distance_sigma, 3),
+        "teammate_velocity_m_s": [round(float(value), 3) for value in relative.velocity],
+        "sigma_m": round(relative.distance_sigma, 3),
     }
 
 

@@ -15,9 +15,9 @@ def words(sight: Sight) -> str:
     told = []
     for target in sight.targets:
         name = "unknown" if target.identity is None else str(target.identity)
-        if target.place is not None:
-            north, east, down = target.place.position
-            name += f" at [{north:.1f} {east:.1f} {down:.1f}] m ± {target.place.distance_sigma:.1f}"
+        if target.relative is not None:
+            north, east, down = target.relative.position
+            name += f" at [{north:.1f} {east:.1f} {down:.1f}] m ± {target.relative.distance_sigma:.1f}"
         elif target.direction_body is not None:
             forward, right, down = target.direction_body
             name += f" towards [{forward:.2f} {right:.2f} {down:.2f}] (body)"

@@ -25,8 +25,8 @@ def rows(sight: Sight) -> list[list[float]]:
     found = []
     for target in sight.targets:
         identity = -1 if target.identity == "foreign" else target.identity or 0
-        place, body = target.place, target.direction_body
-        metres = NOTHING if place is None else [*place.position.tolist(), place.distance_sigma]
+        relative, body = target.relative, target.direction_body
+        metres = NOTHING if relative is None else [*relative.position.tolist(), relative.distance_sigma]
         ray = NOTHING if body is None else [*body.tolist(), target.direction_sigma or 0.0]
         found.append(
             [sight.t_utc_s, sight.drone_id, target.id, identity, target.identity_probability, *metres, *ray]

@@ -1,4 +1,4 @@
-"""What a planner gets: tracks with directions, names and places; decoded, checked, in the axes that were asked for."""
+"""What a planner gets: tracks with directions, names and relative states, in the axes that were asked for."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class DroneCamera:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class Relative:
     """Where a teammate is and how it moves, against the observer's camera, along the world's axes.
 
     position (3,) m; velocity (3,) m/s; cov (6, 6) of both. range_sigma_log: how well the distance is known, as a share
@@ -60,8 +60,8 @@ class Target:
 
     direction_camera, direction_body (3,): unit vectors from the camera, along its own axes and the body's; None while
     the drone's camera is not known. direction_sigma [rad]: their standard deviation along the worst axis.
-    direction_world (3,): from the place, or by `Sight.turned`; None without either. place: None while nothing tells the
-    distance, and for all that have no drone's name.
+    direction_world (3,): from `relative`, or by `Sight.turned`; None without either. relative: None while nothing tells
+    the distance, and for all that have no drone's name.
     """
 
     id: int
@@ -77,7 +77,7 @@ class Target:
     direction_body: Array | None
     direction_sigma: float | None
     direction_world: Array | None
-    place: Place | None
+    relative: Relative | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +137,7 @@ def sight_of(
     drone_id: int, message: TracksMessage, camera: DroneCamera | None, arrived: float, axes: Axes
 ) -> Sight:
     """A message as its reader wants it. camera: of that drone, None while it is not known. arrived [s]."""
-    places = {relative.track_id: _place(relative, axes) for relative in message.relatives}
+    relatives = {said.track_id: _relative(said, axes) for said in message.relatives}
     pixels = np.array([(track.u_px, track.v_px) for track in message.tracks]).reshape(-1, 2)
     rays = [None] * len(pixels) if camera is None else list(camera.lens.bearing_undistorted(pixels))
     return Sight(
@@ -149,14 +149,14 @@ def sight_of(
         sequence=message.sequence,
         axes=axes,
         targets=tuple(
-            _target(track, places.get(track.id), camera, ray, axes)
+            _target(track, relatives.get(track.id), camera, ray, axes)
             for track, ray in zip(message.tracks, rays, strict=True)
         ),
     )
 
 
 def _target(
-    track: TrackMessage, place: Place | None, camera: DroneCamera | None, ray: Array | None, axes: Axes
+    track: TrackMessage, relative: Relative | None, camera: DroneCamera | None, ray: Array | None, axes: Axes
 ) -> Target:
     cov = track_cov(track)
     body = sigma = None
@@ -166,8 +166,8 @@ def _target(
         spread = float(np.linalg.eigvalsh(cov[::2, ::2])[-1])
         sigma = max(spread, 0.0) ** 0.5 / min(camera.lens.fx, camera.lens.fy)
     world = None
-    if place is not None and place.distance > 0.0:
-        world = place.position / place.distance
+    if relative is not None and relative.distance > 0.0:
+        world = relative.position / relative.distance
     return Target(
         id=track.id,
         identity=track.identity,
@@ -182,19 +182,19 @@ def _target(
         direction_body=body,
         direction_sigma=sigma,
         direction_world=world,
-        place=place,
+        relative=relative,
     )
 
 
-def _place(relative: RelativeMessage, axes: Axes) -> Place:
+def _relative(said: RelativeMessage, axes: Axes) -> Relative:
     turn = axes.world_from_ned
     both = np.kron(np.eye(2), turn)
-    return Place(
-        turn @ np.array(relative.position_m),
-        turn @ np.array(relative.velocity_m_s),
-        both @ symmetric(np.array([relative.cov]), 6)[0] @ both.T,
-        relative.range_sigma_log,
-        relative.sources,
+    return Relative(
+        turn @ np.array(said.position_m),
+        turn @ np.array(said.velocity_m_s),
+        both @ symmetric(np.array([said.cov]), 6)[0] @ both.T,
+        said.range_sigma_log,
+        said.sources,
     )
 
 

@@ -51,7 +51,7 @@ def test_pixels_become_directions_of_the_camera_the_body_and_the_world(team):
     np.testing.assert_allclose(two.direction_world, two.direction_body, atol=1e-12)  # it looks north
     assert two.direction_sigma == pytest.approx(2.0 / 400.0)
     np.testing.assert_allclose(stranger.direction_body, [1.0, 0.0, 0.0])
-    assert (stranger.direction_world, stranger.place) == (None, None)
+    assert (stranger.direction_world, stranger.relative) == (None, None)
     assert (sight.drone_id, sight.arrived, sight.sequence, sight.scan_age_s) == (1, 12.5, 1, 0.05)
 
 
@@ -59,11 +59,11 @@ def test_names_and_places_come_with_their_certainty(team):
     sight = team.on_tracks(sample(Kind.TRACKS, seen()))
     two = sight.of(2)
     assert (two.id, two.identity_probability, two.status, two.coasting_s) == (5, 0.99, "confirmed", None)
-    assert two.place.distance == pytest.approx(math.sqrt(101.0))
-    assert two.place.distance_sigma == pytest.approx(0.05 * math.sqrt(101.0))
-    np.testing.assert_allclose(two.place.velocity, [0.5, 0.0, -0.25])
-    np.testing.assert_allclose(two.place.cov, COV)
-    assert two.place.sources == ("size", "pose")
+    assert two.relative.distance == pytest.approx(math.sqrt(101.0))
+    assert two.relative.distance_sigma == pytest.approx(0.05 * math.sqrt(101.0))
+    np.testing.assert_allclose(two.relative.velocity, [0.5, 0.0, -0.25])
+    np.testing.assert_allclose(two.relative.cov, COV)
+    assert two.relative.sources == ("size", "pose")
     assert sight.of(3) is None
 
 
@@ -72,9 +72,9 @@ def test_in_enu_the_world_is_east_north_up_and_the_body_forward_left_up():
     team.on_token(token(), True)
     team.on_camera(described())
     two = team.on_tracks(sample(Kind.TRACKS, seen())).of(2)
-    np.testing.assert_allclose(two.place.position, [6.0, 8.0, 1.0])
-    np.testing.assert_allclose(two.place.velocity, [0.0, 0.5, 0.25])
-    np.testing.assert_allclose(np.diag(two.place.cov), [0.09, 0.04, 0.01, 0.2, 0.1, 0.3])
+    np.testing.assert_allclose(two.relative.position, [6.0, 8.0, 1.0])
+    np.testing.assert_allclose(two.relative.velocity, [0.0, 0.5, 0.25])
+    np.testing.assert_allclose(np.diag(two.relative.cov), [0.09, 0.04, 0.01, 0.2, 0.1, 0.3])
     forward, left, up = two.direction_body
     assert forward > 0.0 > left
     assert up > 0.0

@@ -56,7 +56,7 @@ async def test_a_planner_reads_tracks_directions_places_and_health(team):
         sight = await with_directions(swarm)
         two, stranger = sight.targets
         assert (sight.drone_id, two.identity, stranger.identity) == (1, 2, None)
-        np.testing.assert_allclose(two.place.position, [8.0, 6.0, -1.0])
+        np.testing.assert_allclose(two.relative.position, [8.0, 6.0, -1.0])
         np.testing.assert_allclose(stranger.direction_body, [1.0, 0.0, 0.0])
         health = await first(swarm.health(1))
         assert (health.ready, health.reasons) == (False, ("no gyro",))
@@ -72,7 +72,7 @@ async def test_a_camera_that_was_told_long_before_is_asked_for_and_known_in_enu_
     ):
         for swarm in (first_swarm, second):
             sight = await with_directions(swarm)
-            np.testing.assert_allclose(sight.of(2).place.position, [6.0, 8.0, 1.0])
+            np.testing.assert_allclose(sight.of(2).relative.position, [6.0, 8.0, 1.0])
 
 
 async def test_all_drones_are_read_unless_one_is_asked_for_and_who_leaves_is_gone(team):
