@@ -15,6 +15,8 @@ from swarmtrack.simulation.world import World
 
 # Between two knots the others fly straight on: at 10 m/s² that is 3 mm off at most, of drones metres away.
 KNOTS_HZ = 20.0
+# s before and after, from whose difference a velocity is taken: no later than a judge has the truth.
+STEP_S = 0.5 / KNOTS_HZ
 
 
 class TrueView(NamedTuple):
@@ -54,6 +56,17 @@ class SwarmTruth:
         in_view = shown(boxes, camera)
         hidden = {drone_id: box for drone_id, box in boxes.items() if drone_id not in in_view}
         return TrueView(self._undistorted(in_view), self._undistorted(hidden))
+
+    def relative(self, observer: int, drone_id: int, t: float) -> Array:
+        """(6,): a drone's position less that of the observer's camera [m], and its velocity less the observer's [m/s],
+        world frame."""
+        camera = self._world.pose(observer, t) @ self._body_from_camera
+        before, after = (
+            self._world.pose(drone_id, at).position - self._world.pose(observer, at).position
+            for at in (t - STEP_S, t + STEP_S)
+        )
+        away = self._world.pose(drone_id, t).position - camera.position
+        return np.concatenate([away, (after - before) / (2.0 * STEP_S)])
 
     def _points(self, t: float) -> Array:
         """Outlines of all drones at t, (n, points, 3) m, world frame."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from swarmtrack.evaluation.relative_score import NO_PLACES, RelativeScore
 from swarmtrack.evaluation.swarm_score import SwarmScore
 
 REFERENCE_WIDTH = 640  # px: RMSE limits are for images of this width
@@ -76,6 +77,7 @@ class SwarmReport:
     asked_imu_hz: float
     image_width: int
     limits: Limits
+    relative: RelativeScore = NO_PLACES
 
     @property
     def shortfalls(self) -> list[str]:
@@ -167,6 +169,18 @@ class SwarmReport:
                 "recall": _rounded(score.recall),
                 "false_tracks_per_s": _rounded(score.false_tracks_per_s),
                 "switches": score.switches,
+            },
+            "relative": {
+                "rmse_m": _rounded(self.relative.rmse_m),
+                "range_error": {
+                    "p50": _rounded(self.relative.range_p50),
+                    "p95": _rounded(self.relative.range_p95),
+                },
+                "nees6": {
+                    "median": _rounded(self.relative.nees6_median),
+                    "mean": _rounded(self.relative.nees6_mean),
+                },
+                "samples": self.relative.samples,
             },
             "agents": [
                 {

@@ -233,6 +233,12 @@ def team_table(report: SwarmReport) -> Table:
     table.add_row("recall", share(score.recall), "")
     table.add_row("false tracks a second", number(score.false_tracks_per_s, 3), "")
     table.add_row("switches", str(score.switches), "")
+    if report.relative.samples:
+        places = report.relative
+        table.add_row(
+            "error of ranges, half and 95 % below", f"{places.range_p50:.1%}, {places.range_p95:.1%}", ""
+        )
+        table.add_row("NEES / 6 of places, median", number(places.nees6_median, 2), "")
     return table
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.clock import Clock
+from swarmtrack.evaluation.relative_score import RelativeScorer, StatedPlace
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, JudgedTrack, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import KNOTS_HZ, SwarmTruth
 from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
@@ -26,7 +27,7 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage
-from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.checks import DecodeError, symmetric
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.sightings import SightingsMessage
@@ -48,6 +49,7 @@ class Statement:
     index: int
     t: float
     tracks: tuple[NamedTrack, ...] | None
+    places: tuple[StatedPlace, ...] = ()
 
 
 @dataclass(slots=True)
@@ -96,6 +98,7 @@ class Watch:
         """Judged is from world time 0 on, for so many seconds, unless `count_from` says otherwise."""
         self.agents = {drone_id: AgentView() for drone_id in scenario.members}
         self.scorer = SwarmScorer(scenario.members, start=0.0, end=seconds)
+        self.places = RelativeScorer()
         self.unreadable = 0
         self.unjudged = 0
         """Of what was said: the truth of that time was not told."""
@@ -246,7 +249,7 @@ class Watch:
             for track in message.tracks
             if track.status == "confirmed"
         )
-        self._say(drone_id, agent, index, t, tracks)
+        self._say(drone_id, agent, index, t, tracks, places=_places(message))
 
     def _world_time(self, drone_id: int, t_utc: float) -> float:
         """Of a time on the drone's own wall clock, whose error the scenario knows."""
@@ -260,11 +263,18 @@ class Watch:
                 self._say(drone_id, agent, missed, (missed + 0.5) / RATE_HZ, None)
 
     def _say(
-        self, drone_id: int, agent: AgentView, index: int, t: float, tracks: tuple[NamedTrack, ...] | None
+        self,
+        drone_id: int,
+        agent: AgentView,
+        index: int,
+        t: float,
+        tracks: tuple[NamedTrack, ...] | None,
+        *,
+        places: tuple[StatedPlace, ...] = (),
     ) -> None:
         assert agent.boot is not None
         agent.last_index = index
-        self._waiting.append(Statement(drone_id, agent.boot, index, t, tracks))
+        self._waiting.append(Statement(drone_id, agent.boot, index, t, tracks, places))
         self._news.set()
 
     # --- judging ------------------------------------------------------------------------
@@ -297,6 +307,7 @@ class Watch:
         statement = self._waiting.popleft()
         try:
             view = self._truth.view(statement.observer, statement.t)
+            self._judge_places(statement)
         except NotTold:
             self.unjudged += 1
             return
@@ -313,6 +324,15 @@ class Watch:
                 statement.tracks,
             )
         )
+
+    def _judge_places(self, statement: Statement) -> None:
+        """Of the team; where somebody is who only says that he is of it, nobody knows."""
+        if not self._start <= statement.t < self._end:
+            return
+        for place in statement.places:
+            if place.drone_id in self.agents:
+                truth = self._truth.relative(statement.observer, place.drone_id, statement.t)
+                self.places.add(place, truth)
 
     # --- figures ------------------------------------------------------------------------
 
@@ -344,6 +364,7 @@ class Watch:
             asked_imu_hz=scenario.imu_rate_hz,
             image_width=scenario.camera.width,
             limits=limits,
+            relative=self.places.score(),
         )
 
     def figures(self) -> tuple[AgentFigures, ...]:
@@ -373,6 +394,20 @@ class Watch:
             announcement_bytes=agent.announcement_bytes,
             announcements_sent=_announcements_sent(agent.health),
         )
+
+
+def _places(message: TracksMessage) -> tuple[StatedPlace, ...]:
+    """Of the named confirmed tracks."""
+    names = {track.id: track.identity for track in message.tracks if track.status == "confirmed"}
+    return tuple(
+        StatedPlace(
+            name,
+            np.array([*relative.position_m, *relative.velocity_m_s]),
+            symmetric(np.array([relative.cov]), 6)[0],
+        )
+        for relative in message.relatives
+        if isinstance(name := names.get(relative.track_id), int)
+    )
 
 
 def _announcements_sent(health: list[tuple[float, HealthMessage]]) -> int:

@@ -128,7 +128,8 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
         "announcement_bytes",
     }  # fmt: skip
     assert list(result) == [
-        "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "agents", "passed",
+        "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "relative", "agents",
+        "passed",
     ]  # fmt: skip
     assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, float(seconds))
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
@@ -138,6 +139,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     assert set(result["identity"]["time_to_identify_s"]) <= {"1", "2"}
     assert list(result["tracking"]) == ["rmse_px", "recall", "false_tracks_per_s", "switches"]
     assert set(result["tracking"]["rmse_px"]) <= {"1", "2"}
+    assert list(result["relative"]) == ["rmse_m", "range_error", "nees6", "samples"]
     assert [agent["id"] for agent in result["agents"]] == [1, 2]
     for agent in result["agents"]:
         assert set(agent) == agent_keys
