@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.arguments import add_file, add_seconds
-from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, first_of
+from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, ungrouped
 
 if TYPE_CHECKING:
     from swarmtrack.clock import Clock
@@ -118,7 +118,7 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
             f"scenario by plan; swarmtrack sim judges guided ones"
         )
     watch = Watch(scenario, clock, clock, epoch=flown.epoch, seconds=0.0)
-    try:
+    with ungrouped():
         async with _heard(network, watch, clock):
             spectator.note(f"{scenario.name}: waiting for drones {', '.join(map(str, scenario.members))} …")
             await _everybody(watch, deadline - clock.now())
@@ -127,8 +127,6 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
             while watch.t < start + args.seconds:
                 spectator.show(watch)
                 await asyncio.sleep(1.0 / SHOW_HZ)
-    except* SwarmtrackError as group:
-        raise first_of(group) from None
     await watch.judge_the_rest()
     return watch.report(
         seconds=args.seconds,

@@ -17,7 +17,7 @@ from pathlib import Path
 from swarmtrack import __version__
 from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.arguments import add_file, add_flag, add_seconds
-from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, first_of
+from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, ungrouped
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 # s, for the interpreter's own end: together with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
@@ -122,11 +122,8 @@ def _fly(arguments: argparse.Namespace) -> int:
         agent.summarise()
         _end_soon()
 
-    try:
+    with ungrouped():  # a source that can never work says so only when it is opened
         asyncio.run(fly())
-    except* SwarmtrackError as group:
-        # A source that can never work says so only when it is opened; the rest of the group are its cancelled siblings.
-        raise first_of(group) from None
     return DONE
 
 

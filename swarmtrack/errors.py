@@ -1,5 +1,10 @@
 """What can go wrong where a user can mend it. Bugs raise ordinary exceptions; these carry a sentence for people."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class SwarmtrackError(Exception):
     """Base of all errors whose text is meant for the person at the keyboard."""
@@ -37,10 +42,17 @@ class RecordingError(SwarmtrackError):
     """A recording that cannot be read, is none of ours, or cannot be written."""
 
 
-def first_of(group: BaseExceptionGroup[SwarmtrackError]) -> SwarmtrackError:
-    """The first error of what `except*` caught, however deep: groups of tasks lie in groups of tasks."""
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, SwarmtrackError)
-    return error
+@contextmanager
+def ungrouped(kind: type[SwarmtrackError] = SwarmtrackError) -> Iterator[None]:
+    """Raise the first error of a kind by itself, where tasks raise nothing else, however deep: groups of tasks lie in
+    groups of tasks. Not by `except*`: before Python 3.11.4 whatever that raises is in a group again."""
+    try:
+        yield
+    except BaseExceptionGroup as group:
+        found, others = group.split(kind)
+        if found is None or others is not None:
+            raise
+        error: BaseException = found
+        while isinstance(error, BaseExceptionGroup):
+            error = error.exceptions[0]
+        raise error from None

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from swarmtrack.clock import SystemClock
-from swarmtrack.errors import first_of
+from swarmtrack.errors import ungrouped
 from swarmtrack.evaluation.swarm_verdict import Limits, SwarmReport
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
 from swarmtrack.localswarm.outside import NoTruth
@@ -187,7 +187,7 @@ class _SwarmFlight:
             tracker=plan.tracker,
             detector=plan.detector,
         )
-        try:
+        with ungrouped(ProcessDied):
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(watch.hear(self._recording.heard(listener.samples())), name="hear")
                 background = [
@@ -203,8 +203,6 @@ class _SwarmFlight:
                     for task in background:
                         task.cancel()
                     await listener.close()
-        except* ProcessDied as group:
-            raise first_of(group) from None
         if listener.dropped:
             self._spectator.note(
                 f"{listener.dropped} messages came too fast to be judged: this machine is too busy"

@@ -14,7 +14,7 @@ from contextlib import AsyncExitStack
 from typing import Any
 
 from swarmtrack.clock import Clock
-from swarmtrack.errors import SwarmtrackError, first_of
+from swarmtrack.errors import SwarmtrackError, ungrouped
 from swarmtrack.localswarm.hardware import (
     CameraHardware,
     CameraRenderer,
@@ -178,8 +178,6 @@ async def simulate_outside(
         }
         on_ready(epoch, addresses, f"http://{authority(http)}/truth")
 
-    try:
+    with ungrouped(NoTruth):
         async with AsyncExitStack() as stack, asyncio.TaskGroup() as tasks:
             await follow(stack, tasks)
-    except* NoTruth as group:
-        raise first_of(group) from None

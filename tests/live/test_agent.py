@@ -128,7 +128,7 @@ def test_a_real_clip_becomes_a_line_and_a_picture_for_every_frame(tmp_path, clip
     track = next(t for line in lines for t in line["tracks"] if t["status"] == "confirmed")
     assert set(track) == {
         *("id", "identity", "u_px", "v_px", "vu_px_s", "vv_px_s", "var_u_px2", "var_v_px2"),
-        *("w_px", "h_px", "status", "probability"),
+        *("w_px", "h_px", "status", "probability", "relative"),
     }  # fmt: skip
     video = cv2.VideoCapture(str(tmp_path / "annotated.mp4"))
     assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == FRAMES
@@ -266,7 +266,7 @@ def test_a_terminal_without_our_signs_is_no_reason_to_stop(tmp_path):
         ROOT / "configs" / "sim.toml", "--seconds", "2.5", env={**os.environ, "PYTHONIOENCODING": "ascii"}
     )
     assert result.returncode == 0, result.stderr
-    assert "drone 2 at" in result.stdout
+    assert "sees drone 2: " in result.stdout
 
 
 @pytest.mark.parametrize(
