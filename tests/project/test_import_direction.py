@@ -49,7 +49,7 @@ TOUCHES_THE_WORLD = {
 }
 # Of the standard library: no I/O, no clock, no concurrency.
 PURE = {
-    "__future__", "abc", "bisect", "collections", "copy", "dataclasses", "difflib", "enum", "fractions", "functools",
+    "__future__", "abc", "bisect", "collections", "contextlib", "copy", "dataclasses", "difflib", "enum", "fractions", "functools",
     "heapq", "itertools", "math", "operator", "random", "re", "statistics", "string", "struct", "types", "typing",
     "zlib",
 }  # fmt: skip
