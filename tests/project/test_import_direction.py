@@ -49,9 +49,9 @@ TOUCHES_THE_WORLD = {
 }
 # Of the standard library: no I/O, no clock, no concurrency.
 PURE = {
-    "__future__", "abc", "bisect", "collections", "contextlib", "copy", "dataclasses", "difflib", "enum", "fractions", "functools",
-    "heapq", "itertools", "math", "operator", "random", "re", "statistics", "string", "struct", "types", "typing",
-    "zlib",
+    "__future__", "abc", "bisect", "collections", "contextlib", "copy", "dataclasses", "difflib", "enum", "fractions",
+    "functools", "heapq", "itertools", "math", "operator", "random", "re", "statistics", "string", "struct", "types",
+    "typing", "zlib",
 }  # fmt: skip
 STOPWATCHES = {"perf_counter", "process_time", "thread_time"}
 CLOCKS = STOPWATCHES | {"time", "monotonic", "time_ns", "monotonic_ns", "clock_gettime"}
