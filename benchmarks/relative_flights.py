@@ -23,6 +23,7 @@ import numpy as np
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
+from swarmtrack.evaluation.relative_score import PlaceError, error_of, relative_score
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, RelativeState
 from swarmtrack.relative.log_range import across
@@ -58,13 +59,11 @@ KINDS = tuple(
 
 
 class Compared(NamedTuple):
-    """A state and the truth: |range error| as a share, error of place [m] and velocity [m/s], NEES of six, and of its
-    parts (4,): place along and across the ray, velocity along and across."""
+    """A state and the truth: error of place, |velocity error| [m/s], and NEES of its parts (4,): place along and across
+    the ray, velocity along and across."""
 
-    range_error: float
-    place_m: float
+    place: PlaceError
     velocity_m_s: float
-    nees: float
     parts: Array
 
 
@@ -95,22 +94,16 @@ def true_state(world: World, observer: int, body_from_camera: Pose, t: float, dr
 
 def compared(state: RelativeState, truth: Array) -> Compared:
     """truth (6,)"""
-    error = np.concatenate([state.position, state.velocity]) - truth
-    rho = float(np.linalg.norm(truth[:3]))
-    along = truth[None, :3] / rho
+    stated = np.concatenate([state.position, state.velocity])
+    error = stated - truth
+    along = truth[None, :3] / np.linalg.norm(truth[:3])
     axes = np.concatenate([along.T, across(along)[0]], axis=1)
     parts = []
     for of in (slice(0, 3), slice(3, 6)):
         e, variance = axes.T @ error[of], np.diag(axes.T @ state.cov[of, of] @ axes)
         squares = e * e / variance
         parts += [squares[0], squares[1:].mean()]
-    return Compared(
-        abs(float(np.linalg.norm(state.position)) / rho - 1.0),
-        float(np.linalg.norm(error[:3])),
-        float(np.linalg.norm(error[3:])),
-        float(error @ np.linalg.solve(state.cov, error)),
-        np.array(parts),
-    )
+    return Compared(error_of(stated, state.cov, truth), float(np.linalg.norm(error[3:])), np.array(parts))
 
 
 def summary(flights: Sequence[Sequence[Compared]]) -> dict[str, Any]:
@@ -118,14 +111,13 @@ def summary(flights: Sequence[Sequence[Compared]]) -> dict[str, Any]:
     states = [state for flight in flights for state in flight]
     if not states:
         return {"states": 0}
-    errors = np.array([state.range_error for state in states])
-    nees = np.array([state.nees for state in states]) / 6.0
+    score = relative_score([state.place for state in states])
     return {
-        "states": len(states),
-        "range_error": {"p50": float(np.quantile(errors, 0.5)), "p95": float(np.quantile(errors, 0.95))},
-        "rmse_m": float(np.sqrt(np.mean([state.place_m**2 for state in states]))),
+        "states": score.samples,
+        "range_error": {"p50": score.range_p50, "p95": score.range_p95},
+        "rmse_m": score.rmse_m,
         "velocity_rmse_m_s": float(np.sqrt(np.mean([state.velocity_m_s**2 for state in states]))),
-        "nees6": {"median": float(np.median(nees)), "mean": float(nees.mean())},
+        "nees6": {"median": score.nees6_median, "mean": score.nees6_mean},
         "nees_parts": np.mean([state.parts for state in states], axis=0).tolist(),
     }
 

@@ -6,6 +6,7 @@ Every stated place counts, also one whose name is wrong: it is compared with the
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,35 +38,35 @@ class RelativeScore:
     nees6_mean: float
 
 
-class RelativeScorer:
-    """Takes stated places as they come."""
+class PlaceError(NamedTuple):
+    """Of one stated place: range as a share of it, squared distance of the position [m²], and NEES of all six."""
 
-    def __init__(self) -> None:
-        self._range_errors: list[float] = []
-        self._squares: list[float] = []
-        self._nees6: list[float] = []
+    range: float
+    squared: float
+    nees: float
 
-    def add(self, stated: StatedPlace, truth: Array) -> None:
-        """truth (6,): as in `StatedPlace`."""
-        error = stated.state - truth
-        far = float(np.linalg.norm(truth[:3]))
-        self._range_errors.append(abs(float(np.linalg.norm(stated.state[:3])) / far - 1.0))
-        self._squares.append(float(error[:3] @ error[:3]))
-        self._nees6.append(float(error @ np.linalg.solve(stated.cov, error)) / 6.0)
 
-    def score(self) -> RelativeScore:
-        """Of everything so far."""
-        if not self._nees6:
-            return NO_PLACES
-        p50, p95 = np.quantile(self._range_errors, [0.5, 0.95]).tolist()
-        return RelativeScore(
-            len(self._nees6),
-            math.sqrt(float(np.mean(self._squares))),
-            p50,
-            p95,
-            float(np.median(self._nees6)),
-            float(np.mean(self._nees6)),
-        )
+def error_of(state: Array, cov: Array, truth: Array) -> PlaceError:
+    """state, truth (6,) and cov (6, 6): as in `StatedPlace`."""
+    error = state - truth
+    far = float(np.linalg.norm(truth[:3]))
+    return PlaceError(
+        abs(float(np.linalg.norm(state[:3])) / far - 1.0),
+        float(error[:3] @ error[:3]),
+        float(error @ np.linalg.solve(cov, error)),
+    )
+
+
+def relative_score(errors: Sequence[PlaceError]) -> RelativeScore:
+    """Of all places that were stated."""
+    if not errors:
+        return NO_PLACES
+    ranges, squares, nees = np.array(errors).T
+    p50, p95 = np.quantile(ranges, [0.5, 0.95]).tolist()
+    nees6 = nees / 6.0
+    return RelativeScore(
+        len(errors), math.sqrt(float(squares.mean())), p50, p95, float(np.median(nees6)), float(nees6.mean())
+    )
 
 
 NO_PLACES = RelativeScore(0, math.nan, math.nan, math.nan, math.nan, math.nan)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.evaluation.relative_score import RelativeScorer, StatedPlace
+from swarmtrack.evaluation.relative_score import PlaceError, StatedPlace, error_of, relative_score
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, JudgedTrack, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import KNOTS_HZ, SwarmTruth
 from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
@@ -98,7 +98,7 @@ class Watch:
         """Judged is from world time 0 on, for so many seconds, unless `count_from` says otherwise."""
         self.agents = {drone_id: AgentView() for drone_id in scenario.members}
         self.scorer = SwarmScorer(scenario.members, start=0.0, end=seconds)
-        self.places = RelativeScorer()
+        self._place_errors: list[PlaceError] = []
         self.unreadable = 0
         self.unjudged = 0
         """Of what was said: the truth of that time was not told."""
@@ -332,7 +332,7 @@ class Watch:
         for place in statement.places:
             if place.drone_id in self.agents:
                 truth = self._truth.relative(statement.observer, place.drone_id, statement.t)
-                self.places.add(place, truth)
+                self._place_errors.append(error_of(place.state, place.cov, truth))
 
     # --- figures ------------------------------------------------------------------------
 
@@ -364,7 +364,7 @@ class Watch:
             asked_imu_hz=scenario.imu_rate_hz,
             image_width=scenario.camera.width,
             limits=limits,
-            relative=self.places.score(),
+            relative=relative_score(self._place_errors),
         )
 
     def figures(self) -> tuple[AgentFigures, ...]:

@@ -47,10 +47,10 @@ def test_a_state_is_compared_with_the_truth_along_and_across_the_ray():
     cov = np.diag([0.25, 0.01, 0.04, 1.0, 0.25, 0.25])
     state = RelativeState(2, 0.0, np.array([11.0, 0.1, 0.0]), np.array([2.0, 1.0, 0.5]), cov, 0.05, ("size",))
     found = relative_flights.compared(state, truth)
-    assert found.range_error == pytest.approx(0.1, abs=1e-3)
+    assert found.place.range == pytest.approx(0.1, abs=1e-3)
     assert found.velocity_m_s == pytest.approx(math.hypot(2.0, 0.5))
     assert found.parts == pytest.approx([4.0, 0.5, 4.0, 0.5])
-    assert found.nees == pytest.approx(4.0 + 1.0 + 4.0 + 1.0)
+    assert found.place.nees == pytest.approx(4.0 + 1.0 + 4.0 + 1.0)
 
 
 def test_in_a_whole_flight_the_range_is_within_a_tenth_whatever_is_known(tmp_path):

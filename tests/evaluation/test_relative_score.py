@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.evaluation.relative_score import RelativeScorer, StatedPlace
+from swarmtrack.evaluation.relative_score import error_of, relative_score
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.scenario_file import load_scenario
 
@@ -13,17 +13,15 @@ TRUTH = np.array([8.0, -2.0, 1.0, 0.5, 0.0, -0.1])
 
 
 def test_without_places_nothing_is_said():
-    score = RelativeScorer().score()
+    score = relative_score([])
     assert score.samples == 0
     assert math.isnan(score.rmse_m)
     assert math.isnan(score.nees6_median)
 
 
 def test_one_place_by_hand():
-    scorer = RelativeScorer()
     longer = TRUTH * np.array([1.1, 1.1, 1.1, 1.0, 1.0, 1.0])
-    scorer.add(StatedPlace(2, longer, 0.04 * np.eye(6)), TRUTH)
-    score = scorer.score()
+    score = relative_score([error_of(longer, 0.04 * np.eye(6), TRUTH)])
     assert score.range_p50 == score.range_p95 == pytest.approx(0.1)
     assert score.rmse_m == pytest.approx(0.1 * math.sqrt(69.0))
     assert score.nees6_mean == pytest.approx(0.69 / 0.04 / 6.0)
@@ -33,11 +31,10 @@ def test_one_place_by_hand():
 def test_honest_covariances_have_a_mean_of_one(too_small):
     rng = np.random.default_rng(1)
     root = rng.normal(size=(6, 6))
-    cov, scorer = root @ root.T + 0.1 * np.eye(6), RelativeScorer()
+    cov = root @ root.T + 0.1 * np.eye(6)
     errors = rng.multivariate_normal(np.zeros(6), cov, size=2000)
-    for error in errors:
-        scorer.add(StatedPlace(2, TRUTH + error, cov / too_small), TRUTH)
-    assert scorer.score().nees6_mean == pytest.approx(too_small, rel=0.06)
+    score = relative_score([error_of(TRUTH + error, cov / too_small, TRUTH) for error in errors])
+    assert score.nees6_mean == pytest.approx(too_small, rel=0.06)
 
 
 def test_the_truth_is_what_the_drones_fly():
