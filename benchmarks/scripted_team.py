@@ -21,6 +21,7 @@ from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import (
     Announcement,
     IdentifiedTrack,
+    RelativeState,
     Sighting,
     SightingReport,
     Track,
@@ -178,9 +179,19 @@ class ScriptedDrone:
                 1.0,
                 size,
             )
-            tracks.append(IdentifiedTrack(track, self.calls.get(who, who), 0.99))
+            called = self.calls.get(who, who)
+            tracks.append(IdentifiedTrack(track, called, 0.99, relative=self._relative(who, called, now)))
         message = tracks_message(TrackList(now, now - 0.02, tuple(tracks)), self._sequence, offset, 0.05)
         self._say(Kind.TRACKS, codec.encode(message))
+
+    def _relative(self, who: int, called: int, now: float) -> RelativeState:
+        """The truth, known to 5 % of the distance and 1 % across."""
+        there, then = (self.team[who - 1].position(t) - self.position(t) for t in (now, now - 0.1))
+        distance = float(np.linalg.norm(there))
+        towards = np.outer(there, there) / distance**2
+        spread = distance**2 * (0.05**2 * towards + 0.01**2 * (np.eye(3) - towards))
+        cov = np.block([[spread, np.zeros((3, 3))], [np.zeros((3, 3)), 0.01 * np.eye(3)]])
+        return RelativeState(called, now, there, (there - then) / 0.1, cov, 0.05, ("announcement",))
 
     def _say_video(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
         picture = self._scene.copy()

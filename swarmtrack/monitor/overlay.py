@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from swarmtrack.monitor.metres import metres
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TracksMessage, track_cov
@@ -30,6 +31,7 @@ def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, An
     undo = camera.undistort_jacobian(centre)
     share = view.width / view.lens.width
     proved = {proof.track_id: round(proof.proved_s, 1) for proof in tracks.proofs}
+    away = {one["track"]: one["distance_m"] for one in metres(tracks)}
     found = []
     for track, uv, J, v in zip(shown, centre, undo, velocity, strict=True):
         if not (np.isfinite(uv).all() and np.isfinite(J).all()):
@@ -47,6 +49,7 @@ def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, An
                 "probability": round(track.identity_probability, 3),
                 "lost": track.status == "lost",
                 "proved_s": proved.get(track.id),
+                "distance_m": away.get(track.id),
                 "box": [round(float(x), 1) for x in (u, v_px, share * track.w_px, share * track.h_px)],
                 "tip": [round(float(x), 1) for x in tip],
                 "ellipse": [round(float(x), 2) for x in (major, minor, np.arctan2(axes[1, 1], axes[0, 1]))],

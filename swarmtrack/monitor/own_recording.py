@@ -155,7 +155,7 @@ class DroneRecording:
 
     def _on_scan(self, data: bytes, t: float) -> None:
         exposed = _DECODE_TIME(data).t_s
-        self.tracked.add(exposed + self._offset, self._blob_file.put(data))
+        self.tracked.add(exposed + self._offset, self._blob_file.put(data), t)
         if _is_due(self._scans, t):
             self._scans.append((t, self._view(exposed), None))
         observer = self._ego.at(exposed)

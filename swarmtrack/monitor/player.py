@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.server import Audience
 from swarmtrack.monitor.team import VIEW_S, MonitoredTeam
 from swarmtrack.monitor.timeline import Blob, Timeline
@@ -84,9 +85,17 @@ class Playback:
         """The newest of each drone that is not too old to be looked at."""
         return {i: view for i, view in self._scene.views.items() if self._scene.clock.t - view.t < VIEW_S}
 
-    def state(self) -> dict[str, Any]:
-        """As of a running swarm."""
-        return self._scene.team.state()
+    def state(self, watched: frozenset[int] = frozenset()) -> dict[str, Any]:
+        """As of a running swarm. watched: drones whose metres are told, however many there are."""
+        state = self._scene.team.state()
+        few = len(self.drones) <= MAPPED
+        for drone in state["drones"]:
+            # The team is told no tracks, which wait in their file until they are shown.
+            if few or drone["id"] in watched:
+                drone["metres"] = metres(
+                    self.timeline.newest_tracks(drone["id"], self._scene.clock.t, max_age=VIEW_S)
+                )
+        return state
 
     def seek(self, step: int) -> None:
         """Forward or back; beyond the ends is at the ends."""
@@ -206,7 +215,7 @@ class RecordingPlayer:
 
     def _tell(self, audience: Audience) -> None:
         playback = self._playback
-        state = playback.state()
+        state = playback.state(audience.watched)
         state["playback"] = {
             "name": self._name,
             "t_s": round(playback.step * STEP_S, 1),

@@ -70,11 +70,13 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
     for heard, shift in zip(swarms, moved, strict=False):
         events += heard.events(shift, recorded)
         for drone_id, told in heard.tracked.items():
+            told.shift = shift
             if drone_id not in recorded:
                 tracked.setdefault(drone_id, []).append(told)
     heard_of = set().union(*(own.observers for own in drones))
     for own, shift in zip(drones, moved[len(swarms) :], strict=True):
         events += own.views(shift)
+        own.tracked.shift = shift
         tracked.setdefault(own.drone_id, []).append(own.tracked)
         if not swarms:
             events += own.events(shift, lives=lives, says_itself=own.drone_id not in heard_of)
@@ -137,7 +139,7 @@ class _SwarmRecording:
             case Kind.TRACKS:
                 head = msgspec.msgpack.decode(heard.payload, type=_TracksHead)
                 tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))
-                tracked.add(head.t_utc_s, self._blob_file.put(heard.payload))
+                tracked.add(head.t_utc_s, self._blob_file.put(heard.payload), t)
                 return TimelineEvent(t, drone_id, None)
             case Kind.VIDEO:
                 view = codec.decode(VideoMessage, heard.payload)

@@ -11,6 +11,7 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -48,6 +49,9 @@ class Drone:
     clock: SenderClock = field(default_factory=SenderClock)
     announcement: AnnouncementMessage | None = None
     tracks: deque[TracksMessage] = field(default_factory=lambda: deque(maxlen=TRACKS_KEPT))
+    unread: bytes | None = None
+    """The newest tracks, where they are not among those."""
+    tracked_at: float = -math.inf
     health: HealthMessage | None = None
     history: deque[tuple[float, ...]] = field(default_factory=lambda: deque(maxlen=HISTORY))
     view: VideoMessage | None = None
@@ -84,7 +88,8 @@ class MonitoredTeam:
             self._on_token(address.drone_id, drone, address.rest, sample)
             return None
         if address.kind is Kind.TRACKS and sample.arrived - drone.view_at > VIEW_S:
-            # Nobody looks at its pictures: thirty drones' tracks are dear to read.
+            # Nobody looks at its pictures: thirty drones' tracks are dear to read, so they wait to be shown.
+            drone.unread, drone.tracked_at = sample.payload, sample.arrived
             self._on_word(address.drone_id, drone, sample.arrived)
             return None
         try:
@@ -177,6 +182,7 @@ class MonitoredTeam:
                 self._on_sightings(drone, message, arrived)
             case TracksMessage():
                 drone.tracks.append(message)
+                drone.unread, drone.tracked_at = None, arrived
             case HealthMessage():
                 self._on_health(drone_id, drone, message)
             case VideoMessage():
@@ -290,10 +296,23 @@ class MonitoredTeam:
             if report is None
             else [[s.drone_id, *np.round(s.direction, 3).tolist()] for s in report.sightings],
             "link_age_s": round(max(0.0, now - drone.heard), 2) if math.isfinite(drone.heard) else None,
+            "metres": metres(self._newest_tracks(drone, now)),
             "troubles": troubles(drone.health),
             "health": None if drone.health is None else _health_state(drone.health),
             "history": [[None if math.isnan(v) else v for v in row] for row in drone.history],
         }
+
+    def _newest_tracks(self, drone: Drone, now: float) -> TracksMessage | None:
+        """None where they are old, or too dear to read."""
+        if now - drone.tracked_at > VIEW_S or (drone.unread is not None and len(self._drones) > MAPPED):
+            return None
+        if drone.unread is not None:
+            payload, drone.unread = drone.unread, None
+            try:
+                drone.tracks.append(codec.decode(TracksMessage, payload))
+            except DecodeError:
+                self.unreadable += 1
+        return drone.tracks[-1] if drone.tracks else None
 
 
 def troubles(health: HealthMessage | None) -> list[str]:

@@ -6,9 +6,10 @@ them are too much to hold; they are read when they are shown.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -64,22 +65,31 @@ class TimelineEvent(NamedTuple):
 
 @dataclass(slots=True)
 class Tracked:
-    """What one life of a drone tracked. times: by its own UTC, ascending [s]; read: what a blob says."""
+    """What one life of a drone tracked. times: by its own UTC, ascending [s]; read: what a blob says. told: when that
+    was heard, as events have it but for `shift` [s], which brings it on the timeline's clock."""
 
     read: Callable[[bytes], TracksMessage]
     times: list[float] = field(default_factory=list)
     blobs: list[Blob] = field(default_factory=list)
+    told: list[float] = field(default_factory=list)
+    shift: float = 0.0
 
-    def add(self, t_utc_s: float, blob: Blob) -> None:
+    def add(self, t_utc_s: float, blob: Blob, told: float) -> None:
         if not self.times or t_utc_s > self.times[-1]:  # what comes out of order is nobody's newest
             self.times.append(t_utc_s)
             self.blobs.append(blob)
+            self.told.append(told)
 
     def nearest(self, t_utc_s: float) -> tuple[float, Blob] | None:
         """To the instant of a frame: how far off it is, and what was tracked."""
         k = bisect_left(self.times, t_utc_s)
         near = range(max(0, k - 1), min(len(self.times), k + 1))
         return min(((abs(self.times[i] - t_utc_s), self.blobs[i]) for i in near), default=None)
+
+    def newest(self, t: float) -> tuple[float, Blob] | None:
+        """That had been heard at t on the timeline's clock: when, and what was tracked."""
+        k = bisect_right(self.told, t - self.shift)
+        return (self.told[k - 1] + self.shift, self.blobs[k - 1]) if k else None
 
 
 @dataclass(slots=True)
@@ -106,6 +116,18 @@ class Timeline:
         if not found:
             return None
         _, blob, life = min(found, key=lambda one: one[0])
+        return self._read(life, blob)
+
+    def newest_tracks(self, drone_id: int, t: float, max_age: float) -> TracksMessage | None:
+        """What a drone was last heard to track at t, no longer than max_age [s] ago; None also where it cannot be
+        read."""
+        found = [(*last, life) for life in self.tracked.get(drone_id, ()) if (last := life.newest(t))]
+        told, blob, life = max(found, key=lambda one: one[0], default=(-math.inf, None, None))
+        if blob is None or life is None or t - told > max_age:
+            return None
+        return self._read(life, blob)
+
+    def _read(self, life: Tracked, blob: Blob) -> TracksMessage | None:
         try:
             return life.read(self.blob_file.get(blob))
         except (DecodeError, RecordingError):

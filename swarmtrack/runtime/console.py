@@ -12,6 +12,7 @@ from typing import TextIO
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import IdentifiedTrack, Identity, RelativeState, ScanReport, TrackStatus
+from swarmtrack.relative.read_out import read_out
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 
 log = logging.getLogger(__name__)
@@ -105,13 +106,11 @@ class Console:
 
     def _in_metres(self, seen: SeenTrack, state: RelativeState) -> str:
         """Range, its sigma, and how far to the left or right of the camera's axis."""
-        distance = math.sqrt(float(state.position @ state.position))
-        towards = state.position / distance
-        sigma = math.sqrt(float(towards @ state.cov[:3, :3] @ towards))
+        read = read_out(state.position, state.velocity, state.cov)
         (ray,) = self._lens.bearing(seen.centre[None])
         right = round(math.degrees(math.atan2(ray[0], ray[2])))
         where = "ahead" if right == 0 else f"{abs(right)}° {'right' if right > 0 else 'left'}"
-        return f"{distance:.1f} m ± {sigma:.1f}, {where}"
+        return f"{read.distance:.1f} m ± {read.sigma:.1f}, {where}"
 
     def _print(self, text: str) -> None:
         if self._quiet:

@@ -101,6 +101,37 @@ async def test_three_drones_agree_then_one_errs_one_has_no_imu_and_one_is_gone(t
 
 
 @needs_chromium
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+async def test_the_map_shows_each_teammate_where_the_observer_sees_it_in_metres(
+    team: str, width: int, height: int
+) -> None:
+    """Three on a circle of 5.8 m, each told the truth."""
+    async with (
+        scripted_team(team, 3),
+        monitor(team) as served,
+        browser_page(width, height) as (page, misdeeds),
+    ):
+        await page.goto(served.url)
+        await until_said(page, "3 drones agree", "ok")
+        await page.wait_for_function("() => ellipses.length === 6")
+        assert "choose a drone" in await page.inner_text("#scale")
+        # Now the cameras may be out of sight: the map must not depend on them.
+        await page.locator("#map").scroll_into_view_if_needed()
+        await page.locator("#matrix .head").nth(1).click()
+        await page.wait_for_function("() => ellipses.length === 2 && ellipses.every(e => e.observer === 1)")
+        off = await page.evaluate(
+            "ellipses.map(e => {const [, u, v] = spots.find(s => s[0] === e.called);"
+            " return Math.hypot(u - e.x, v - e.y)})"
+        )
+        assert max(off) < 40.0  # px: a drone's place may be a second old
+        said = await page.evaluate("metresOf(1).map(far)")
+        assert all(re.fullmatch(r"10\.\d m ± 0\.5", text) for text in said), said
+        cell = page.locator("#matrix .seen").first
+        assert "10." in (await cell.get_attribute("title") or "")
+        assert misdeeds == []
+
+
+@needs_chromium
 async def test_one_whose_radio_died_is_grey_within_three_seconds_though_its_token_stays(team: str) -> None:
     async with scripted_team(team, 3) as drones, monitor(team) as served, browser_page() as (page, _):
         await page.goto(served.url)

@@ -14,6 +14,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import aiohttp
+import numpy as np
 import pytest
 
 from support.patience import PATIENCE
@@ -29,12 +30,14 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import RecordingError
+from swarmtrack.monitor.overlay import boxes
 from swarmtrack.monitor.own_recording import DroneRecording
 from swarmtrack.monitor.player import STEP_S, Playback, RecordingPlayer
 from swarmtrack.monitor.recorded import read_timeline
 from swarmtrack.monitor.timeline import BlobFile
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
+from swarmtrack.scenario_file import load_scenario
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec
@@ -154,6 +157,23 @@ def test_drones_own_recordings_make_one_picture_of_the_team(flown):
         assert view.jpeg.startswith(b"\xff\xd8")
         assert {track.identity for track in tracks.tracks} == {1, 2, 3} - {drone}
     assert at(playback, 5.9)["light"]["kind"] == "ok"  # nobody is gone just because the recording ends
+
+
+def test_the_map_has_the_metres_of_that_time(flown):
+    playback = Playback(read_timeline([flown]))
+    state = at(playback, 5.0)
+    places = load_scenario("hover-triangle").initial_poses
+    for drone in state["drones"]:
+        assert {one["called"] for one in drone["metres"]} == {1, 2, 3} - {drone["id"]}
+        for one in drone["metres"]:
+            away = places[one["called"]].position - places[drone["id"]].position
+            assert one["distance_m"] == pytest.approx(np.linalg.norm(away), abs=4.0 * one["sigma_m"] + 0.3)
+            assert one["ellipse"][0] < 2.0
+    for drone in (1, 2, 3):
+        shown = boxes(*playback.seen(drone))
+        assert all(box["distance_m"] > 1.0 for box in shown)
+    playback.seek(0)
+    assert all(drone["metres"] == [] for drone in playback.state()["drones"])
 
 
 def test_of_a_lone_drone_there_is_what_it_saw_and_heard(flown):

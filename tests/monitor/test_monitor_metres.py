@@ -1,0 +1,88 @@
+"""Where observers see their teammates, in metres, as the page gets it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+from support.seen_swarm import LENS, UTC, seen
+from swarmtrack.clock import ManualClock
+from swarmtrack.monitor.metres import MAPPED, metres
+from swarmtrack.monitor.overlay import boxes
+from swarmtrack.monitor.team import VIEW_S, MonitoredTeam
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.wire import codec
+from swarmtrack.wire.lens import lens_message
+from swarmtrack.wire.video import VideoMessage
+
+
+def test_a_teammate_has_its_distance_its_place_and_how_fast_it_comes():
+    """8 m north, 6 m east, 1 m up, with 0.2, 0.3 and 0.1 m of uncertainty; it flies 0.5 m/s north and rises."""
+    (one,) = metres(seen())
+    distance = math.sqrt(101.0)
+    assert one["called"] == 2
+    assert one["place_m"] == [8.0, 6.0]
+    assert one["distance_m"] == pytest.approx(distance, abs=0.005)
+    assert one["sigma_m"] == pytest.approx(math.sqrt(64 * 0.04 + 36 * 0.09 + 0.01) / distance, abs=0.005)
+    assert one["closing_m_s"] == pytest.approx(-(4.0 + 0.25) / distance, abs=0.005)
+    assert one["ellipse"] == pytest.approx([0.9, 0.6, math.pi / 2], abs=0.001)
+
+
+def test_without_a_place_there_are_no_metres():
+    assert metres(None) == []
+
+
+def view() -> VideoMessage:
+    return VideoMessage(1, UTC, 0.05, 1, 320, 240, b"", lens_message(LENS), None, None)
+
+
+def test_a_box_says_how_far_its_teammate_is_and_a_stranger_says_nothing():
+    """The stranger's track is tentative: it has no box at all."""
+    (box,) = boxes(view(), seen())
+    assert (box["identity"], box["distance_m"]) == (2, pytest.approx(math.sqrt(101.0), abs=0.005))
+
+
+class Heard:
+    """A monitored team that hears drones 1 … n, with what each is told to say."""
+
+    def __init__(self, n: int) -> None:
+        self.clock = ManualClock(100.0, UTC)
+        self.team = MonitoredTeam("red", self.clock)
+        for drone in range(1, n + 1):
+            self.say(Kind.ALIVE, drone, b"", f"{drone:08x}")
+
+    def say(self, kind: Kind, drone: int, payload: bytes, *rest: str) -> None:
+        self.team.on_sample(Sample(keys.key("red", kind, drone, *rest), payload, True, self.clock.now()))
+
+    def metres(self, drone: int = 1) -> list:
+        return next(d["metres"] for d in self.team.state()["drones"] if d["id"] == drone)
+
+
+def test_metres_are_told_though_nobody_looks_at_the_pictures_and_end_with_the_tracks():
+    heard = Heard(2)
+    heard.say(Kind.TRACKS, 1, codec.encode(seen()))
+    assert [one["called"] for one in heard.metres()] == [2]
+    assert heard.metres(2) == []
+    heard.clock.set(100.0 + VIEW_S + 0.1)
+    assert heard.metres() == []
+
+
+def test_of_a_large_team_only_those_who_are_watched_tell_metres():
+    heard = Heard(MAPPED + 1)
+    heard.say(Kind.TRACKS, 1, codec.encode(seen()))
+    heard.say(Kind.VIDEO, 2, codec.encode(view()))
+    heard.say(Kind.TRACKS, 2, codec.encode(seen()))
+    assert heard.metres(1) == []
+    assert [one["called"] for one in heard.metres(2)] == [2]
+
+
+def test_tracks_that_cannot_be_read_are_counted_once():
+    heard = Heard(1)
+    heard.say(Kind.TRACKS, 1, b"\xc1")
+    assert heard.metres() == []
+    assert heard.metres() == []
+    assert heard.team.unreadable == 1
