@@ -14,6 +14,7 @@ from urllib.parse import quote
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
 from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds
+from swarmtrack.log_lines import log_to_stderr
 
 if TYPE_CHECKING:
     from swarmtrack.config import DroneConfig, MountedCamera
@@ -62,7 +63,7 @@ class RecordedTime:
 
 
 def run(args: argparse.Namespace) -> int:
-    logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr)
+    log_to_stderr(logging.CRITICAL)
     if args.step == "extrinsics":
         return asyncio.run(_extrinsics(args))
     return run_intrinsics(args)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from swarmtrack.arguments import add_file, add_flag, add_seconds
+from swarmtrack.log_lines import log_to_stderr
 
 if TYPE_CHECKING:
     from swarmtrack.diagnosis.findings import Finding
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
     config = load_config(args.config)
     # What sources log as it happens, the findings say at the end.
-    logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr)
+    log_to_stderr(logging.CRITICAL)
     if not args.json and sys.stderr.isatty():
         print(
             f"Watching for {args.seconds:g} s. Turn the drone by hand about all axes.",

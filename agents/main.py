@@ -11,6 +11,7 @@ from swarmtrack import __version__
 from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.arguments import add_commands
 from swarmtrack.errors import SwarmtrackError
+from swarmtrack.log_lines import plain_warnings
 
 COMMANDS = {
     "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent per drone, a verdict"),
@@ -44,6 +45,7 @@ EXAMPLES = """where to begin:
 def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
     arguments = parse(sys.argv[1:] if argv is None else argv)
+    plain_warnings()
     code = _run(arguments)
     if argv is None:
         end_at_once_if_stuck(code)

@@ -17,6 +17,7 @@ import zenoh
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds
 from swarmtrack.config import load_team_config
 from swarmtrack.errors import TransportError
+from swarmtrack.log_lines import log_to_stderr
 from swarmtrack.security.names import Role
 from swarmtrack.transport import settings, topology
 from swarmtrack.transport.link_watch import LinkWatch, links_up
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Raises ConfigError or KeysError."""
-    logging.basicConfig(level=logging.WARNING, format="swarmtrack router: %(message)s", stream=sys.stderr)
+    log_to_stderr(logging.WARNING, "swarmtrack router: %(message)s")
     config = load_team_config(args.config)
     if args.keys is None and config.network.keys is not None:
         raise TransportError(f"{args.config}: this team has keys, expected --keys with those of a router")

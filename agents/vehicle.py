@@ -18,6 +18,7 @@ from swarmtrack import __version__
 from swarmtrack.agents.ending import end_at_once_if_stuck
 from swarmtrack.arguments import add_file, add_flag, add_seconds
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, ungrouped
+from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 # s, for the interpreter's own end: together with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
@@ -32,11 +33,7 @@ def main(argv: list[str] | None = None) -> int:
         # As a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = parser().parse_args(argv)
-    logging.basicConfig(
-        level=logging.getLevelNamesMapping()[arguments.log.upper()],
-        format="%(asctime)s %(levelname)-7s %(name)s: %(message)s",
-        stream=sys.stderr,
-    )
+    log_to_stderr(logging.getLevelNamesMapping()[arguments.log.upper()], AGENT_FORMAT)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "±" on a terminal without it is no reason to end a flight
     try:

@@ -15,6 +15,8 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.plain_text import plain
+
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
@@ -483,9 +485,16 @@ Input = (
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """State of one source or link, as one line for people and numbers for the health message."""
+    """State of one source or link, as one line for people and numbers for the health message.
+
+    name, text: may quote anything, and are plain text from birth on.
+    """
 
     name: str
     ok: bool
     text: str
     counters: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", plain(self.name))
+        object.__setattr__(self, "text", plain(self.text))

@@ -25,6 +25,7 @@ from swarmtrack.wire.health import (
     RateHealth,
     ReadinessHealth,
     TimeOffsetHealth,
+    health_line,
     link_health,
 )
 
@@ -177,6 +178,7 @@ class Health:
             if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
         }
         consistency = perceived.consistency
+        readiness = self.readiness()
         drops: Counter[str] = Counter()
         for counts in (asdict(perceived.counters), perceived.part_counters, self.drops):
             drops.update(counts)  # adds: Onboard and its tracker both refuse late scans
@@ -193,11 +195,11 @@ class Health:
             clock_offset_sigma_s=clock.get("clock_sigma_s"),
             links=tuple(link_health(link) for link in links),
             drops=dict(drops),
-            events=tuple(self.events),
+            events=tuple(map(health_line, self.events)),
             time_offset=_time_offset(perceived),
             gyro_bias=_gyro_bias(perceived),
             consistency=consistency and ConsistencyHealth(*consistency),
-            readiness=ReadinessHealth(*self.readiness()),
+            readiness=ReadinessHealth(readiness.ready, tuple(map(health_line, readiness.reasons))),
             noise=self._noise(),
         )
 
@@ -213,8 +215,10 @@ class Health:
             return NoiseHealth(noise and noise.detections, noise and noise.motion, "", "")
         found, remedy = findings[0].found, findings[0].remedy
         if self._misfits == MISFITS_SAID:
-            self.events.append(f"{found}: {remedy}"[:256])
-        return NoiseHealth(noise and noise.detections, noise and noise.motion, found, remedy)
+            self.events.append(f"{found}: {remedy}")
+        return NoiseHealth(
+            noise and noise.detections, noise and noise.motion, health_line(found), health_line(remedy)
+        )
 
 
 def _time_offset(perceived: Perceived) -> TimeOffsetHealth:

@@ -10,6 +10,7 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
+from swarmtrack.plain_text import plain
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ class SourceStatus:
 
     def __init__(self, name: str, clock: Clock) -> None:
         self.counts = Counts()
-        self.name = name
+        self.name = plain(name)
         self._clock = clock
         self._ok, self._text = False, "not opened yet"
         self._trouble = ""
@@ -49,6 +50,7 @@ class SourceStatus:
 
     def say(self, ok: bool, text: str) -> None:
         """Set the one line about this source; logged when it changes, not when it is said again."""
+        text = plain(text)
         if (ok, text) != (self._ok, self._text):
             log.log(logging.INFO if ok else logging.WARNING, "camera %s: %s", self.name, text)
         self._ok, self._text = ok, text
@@ -63,6 +65,7 @@ class SourceStatus:
 
     def refuse(self, text: str) -> None:
         """What was taken is of no use, and why; said until something is."""
+        text = plain(text)
         if text != self._trouble:
             log.warning("camera %s: %s", self.name, text)
         self._trouble = text

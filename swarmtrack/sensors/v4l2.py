@@ -34,6 +34,7 @@ from pathlib import Path
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
+from swarmtrack.plain_text import plain
 from swarmtrack.sensors import v4l2_abi as abi
 from swarmtrack.sensors.camera_address import CameraAddress, in_range, read_options
 from swarmtrack.sensors.decode import decode_grey, decode_jpeg, decode_yuyv
@@ -365,7 +366,7 @@ def open_capture(path: str, options: V4l2Options, size: tuple[int, int] | None) 
         remarks = _set_controls(fd, options)
         period = _set_rate(fd, options.fps)
         remarks += _remark_on_rate(period, options.fps)
-        name = f"{capability.card.decode('utf-8', 'replace')}: {abi.fourcc_name(pix.pixelformat)} "
+        name = f"{_card(capability)}: {abi.fourcc_name(pix.pixelformat)} "
         description = f"{name}{pix.width}x{pix.height} at {1 / period:.4g} fps{remarks}"
         capture = Capture(fd, pix, period, description)
     except CameraUnavailable as away:
@@ -390,7 +391,7 @@ def _expect_capture_node(path: str, capability: abi.Capability) -> None:
     flags = capability.capabilities
     if flags & abi.CAP_DEVICE_CAPS:
         flags = capability.device_caps
-    card = capability.card.decode("utf-8", "replace")
+    card = _card(capability)
     if not flags & abi.CAP_VIDEO_CAPTURE:
         if flags & abi.CAP_VIDEO_CAPTURE_MPLANE:
             raise CameraUnavailable(f"{path} ({card}) captures multi-planar only, which is not supported")
@@ -399,6 +400,11 @@ def _expect_capture_node(path: str, capability: abi.Capability) -> None:
         )
     if not flags & abi.CAP_STREAMING:
         raise CameraUnavailable(f"{path} ({card}) cannot stream into mapped buffers")
+
+
+def _card(capability: abi.Capability) -> str:
+    """The device's own name."""
+    return plain(capability.card.decode("utf-8", "replace"))
 
 
 def _set_format(path: str, fd: int, wanted: tuple[str, ...], size: tuple[int, int] | None) -> abi.PixFormat:

@@ -55,8 +55,11 @@ Velocity = tuple[Speed, Speed, Speed]
 Direction = tuple[Component, Component, Component]
 Quaternion = tuple[Component, Component, Component, Component]
 
-Name = Annotated[str, Meta(max_length=64)]
-Line = Annotated[str, Meta(max_length=256)]
+LONGEST_NAME: Final = 64
+LONGEST_LINE: Final = 256
+"""Characters."""
+Name = Annotated[str, Meta(max_length=LONGEST_NAME)]
+Line = Annotated[str, Meta(max_length=LONGEST_LINE)]
 
 
 class Record(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):

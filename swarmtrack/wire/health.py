@@ -8,7 +8,10 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from swarmtrack.messages import LinkStatus
+from swarmtrack.plain_text import plain
 from swarmtrack.wire.fields import (
+    LONGEST_LINE,
+    LONGEST_NAME,
     Boot,
     Count,
     Line,
@@ -20,6 +23,8 @@ from swarmtrack.wire.fields import (
     SignedSeconds,
     UtcSeconds,
 )
+
+MOST_COUNTERS = 64  # of one link
 
 
 class RateHealth(Record, frozen=True):
@@ -43,7 +48,7 @@ class LinkHealth(Record, frozen=True):
     name: Name
     ok: bool
     text: Line
-    counters: Annotated[dict[Name, Quantity], Meta(max_length=64)]
+    counters: Annotated[dict[Name, Quantity], Meta(max_length=MOST_COUNTERS)]
 
 
 class TimeOffsetHealth(Record, frozen=True):
@@ -119,5 +124,14 @@ class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
 
 def link_health(status: LinkStatus) -> LinkHealth:
     """A link's state, cut to what fits on the wire; a counter that is not a number (yet) is left out."""
-    counters = {name[:64]: float(value) for name, value in status.counters[:64] if math.isfinite(value)}
-    return LinkHealth(name=status.name[:64], ok=status.ok, text=status.text[:256], counters=counters)
+    counters = {
+        plain(name, LONGEST_NAME): float(value)
+        for name, value in status.counters[:MOST_COUNTERS]
+        if math.isfinite(value)
+    }
+    return LinkHealth(plain(status.name, LONGEST_NAME), status.ok, health_line(status.text), counters)
+
+
+def health_line(text: str) -> str:
+    """Any text, as a line of the message takes it."""
+    return plain(text, LONGEST_LINE)

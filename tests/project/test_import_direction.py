@@ -14,7 +14,7 @@ from support.places import ROOT
 
 # From the bottom up: a module may import from its own layer and from those before it.
 LAYERS: list[set[str]] = [
-    {"errors", "messages", "clock", "arguments"},
+    {"errors", "messages", "clock", "arguments", "plain_text", "log_lines"},
     {"geometry"},
     {"motion", "tracking", "identity", "relative"},
     {"onboard", "perceived"},
@@ -32,7 +32,8 @@ LAYERS: list[set[str]] = [
 ]
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
 CORE = {
-    "errors", "messages", "geometry", "motion", "tracking", "identity", "relative", "onboard", "perceived"
+    "errors", "messages", "plain_text", "geometry", "motion", "tracking", "identity", "relative", "onboard",
+    "perceived",
 }  # fmt: skip
 # What judges and says, and touches nothing: facts in, sentences out.
 JUDGES = {"diagnosis", "evaluation", "monitor.verdict", "monitor.team", "monitor.timeline"}

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 from itertools import pairwise
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -31,6 +32,7 @@ from swarmtrack.sensors.cameras import open_camera
 from swarmtrack.sensors.decode import decode_jpeg
 from swarmtrack.sensors.frame_slot import BadImage
 from swarmtrack.sensors.multipart import MAX_PART, MultipartReader
+from swarmtrack.wire.health import link_health
 
 
 def jpeg(level: int, width: int = 64, height: int = 48) -> bytes:
@@ -228,3 +230,28 @@ def test_no_bytes_whatever_make_the_decoder_do_more_than_refuse(tail: bytes, kee
     for data in (tail, BODIES[0][:keep] + tail):
         with contextlib.suppress(BadImage):
             assert decode_jpeg(data).ndim in (2, 3)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (b"HTTP/1.1 302 Found\r\nLocation: http://[::bad/\xff\x1b[2J\r\n\r\n", "trying again"),
+        (b"HTTP/1.1 500 \x1b]0;pwned\x07 " + 2000 * b"x" + b"\r\n\r\n", "HTTP 500"),
+    ],
+    ids=["a redirect to nowhere", "a reason that commands the terminal"],
+)
+async def test_what_a_server_says_cannot_spoil_the_log_or_the_health(
+    answer: bytes, words: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(answer)
+        await writer.drain()
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    async with server:
+        camera = open_camera(f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/", clock=SystemClock())
+        await nothing_comes_but(words, camera, camera.frames())
+    said = [camera.status().text, *caplog.messages]
+    assert all(text.isprintable() and len(text) < 1000 for text in said), said
+    msgspec.msgpack.encode(link_health(camera.status()))

@@ -181,7 +181,7 @@ class SimulatedFlight:
 
     def fly(self, seconds: float) -> Agent:
         console = Console(self.parts.lens, quiet=True)
-        agent = Agent(self.parts, console=console, supervisor=self.supervisor)
+        self.agent = agent = Agent(self.parts, console=console, supervisor=self.supervisor)
         with asyncio.Runner(loop_factory=lambda: self.loop) as runner:
             runner.run(agent.run(seconds))
         return agent

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.messages import Array
+from swarmtrack.plain_text import plain
 
 CHUNK = 50  # bytes of a STATUSTEXT
 LONGEST_TEXT = 4 * CHUNK
@@ -32,9 +33,9 @@ class Severity(enum.IntEnum):
 def status_text(severity: Severity, text: str, number: int) -> Iterator[Any]:
     """STATUSTEXT: one message, or several chunks that belong together by `number` (1 … 65535, another each time).
 
-    Not every ground station expects more than ASCII, so other signs become `?`.
+    Not every ground station expects more than ASCII, so other signs become `?`; no text from outside passes unread.
     """
-    data = text.replace("±", "+-").replace("…", "...").encode("ascii", "replace")[:LONGEST_TEXT]
+    data = plain(text).replace("±", "+-").replace("…", "...").encode("ascii", "replace")[:LONGEST_TEXT]
     if len(data) <= CHUNK:
         yield common.MAVLink_statustext_message(severity, data)
         return

@@ -1,0 +1,104 @@
+"""Texts from outside: whatever they hold, they can be shown, logged and sent, and stop nothing."""
+
+from __future__ import annotations
+
+import logging
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from support.simulated_agent import SimulatedFlight
+from swarmtrack.errors import ConfigError, SourceError
+from swarmtrack.log_lines import PlainFormatter
+from swarmtrack.messages import LinkStatus
+from swarmtrack.plain_text import LONGEST, LONGEST_OF_SEVERAL, MOST_LINES, plain, plain_lines
+from swarmtrack.sensors.mavlink.notices import LONGEST_TEXT, Severity, status_text
+from swarmtrack.transport.base import Kind
+from swarmtrack.wire.fields import LONGEST_LINE
+from swarmtrack.wire.health import HealthMessage, link_health
+
+ANY = st.text(st.characters(exclude_categories=()), max_size=2 * LONGEST)
+# A window's title, a cleared screen, a forged line, text that runs backwards, half a character.
+HOSTILE = (
+    "\x1b]0;pwned\x07\x1b[2J\nWARNING all is well\r\u202e\udcff\ud800 \N{LATIN SMALL LETTER A WITH ACUTE}"
+)
+CLEAN = "�]0;pwned��[2J WARNING all is well ��� á"
+
+
+@given(ANY, st.integers(1, LONGEST))
+def test_any_text_becomes_a_line_that_can_be_shown_and_encoded(text, longest):
+    line = plain(text, longest)
+    assert len(line) == min(len(text), longest)
+    assert line.isprintable()
+    assert plain(line, longest) == line
+    line.encode()
+
+
+@given(st.text(st.characters(codec="ascii", categories=["L", "N", "P", "S"]), max_size=LONGEST))
+def test_plain_text_stays_as_it_is(text):
+    assert plain(text) == text
+
+
+def test_what_is_hostile_is_shown_as_such():
+    assert plain(HOSTILE) == CLEAN
+    assert plain(10 * "x", 4) == "xxx…"
+
+
+def test_lines_stay_lines_and_are_cut_in_length_and_number():
+    assert plain_lines("first\nsecond\x1b[2J") == "first\nsecond�[2J"
+    many = plain_lines("\n".join(1000 * ["x" * 3000])).split("\n")
+    assert len(many) == MOST_LINES + 1 or len(many) <= MOST_LINES
+    assert max(map(len, many)) <= LONGEST_OF_SEVERAL
+    assert plain_lines("\n".join(1000 * ["x"])).split("\n")[-2:] == ["x", "…"]
+
+
+@pytest.mark.parametrize("error", [SourceError(HOSTILE), ConfigError([HOSTILE])])
+def test_an_error_for_people_is_plain_but_keeps_its_lines(error):
+    assert str(error) == CLEAN.replace(" WARNING", "\nWARNING")
+
+
+def test_a_line_of_the_log_is_one_line_and_a_traceback_keeps_its_own():
+    formatter = PlainFormatter("%(levelname)s: %(message)s")
+    record = logging.LogRecord("camera", logging.WARNING, __file__, 1, "camera: %s", (HOSTILE,), None)
+    assert formatter.format(record) == f"WARNING: camera: {CLEAN}"
+    try:
+        raise ValueError("\x1b[2J")
+    except ValueError as error:
+        record.exc_info = (ValueError, error, error.__traceback__)
+    lines = formatter.format(record).split("\n")
+    assert lines[0] == f"WARNING: camera: {CLEAN}"
+    assert lines[1].startswith("Traceback")
+    assert lines[-1] == "ValueError: �[2J"
+
+
+def test_the_state_of_a_link_is_plain_from_birth_and_fits_the_wire():
+    status = LinkStatus(HOSTILE, False, HOSTILE + 100_000 * "x", ((HOSTILE + 99 * "y", 1.0),))
+    assert status.name == CLEAN
+    assert len(status.text) == LONGEST
+    said = link_health(status)
+    msgspec.msgpack.Decoder(type(said)).decode(msgspec.msgpack.encode(said))
+
+
+def test_a_ground_station_is_sent_no_control_characters():
+    sent = "".join(message.text for message in status_text(Severity.WARNING, HOSTILE + 999 * "x", 1))
+    assert len(sent) == LONGEST_TEXT
+    assert sent.startswith("?]0;pwned??[2J WARNING all is well ??? ?")
+
+
+@pytest.mark.parametrize(
+    "words", [HOSTILE, 100_000 * "x", 100_000 * "\N{SQUID}"], ids=["hostile", "long", "wide"]
+)
+def test_health_is_sent_each_second_whatever_the_camera_says(tmp_path, words):
+    flight = SimulatedFlight(tmp_path)
+    lost = LinkStatus("camera", False, words, (("frames", 20.0),))
+    flight.at(2.05, setattr, flight.camera, "status", lambda: lost)
+    flight.at(2.06, lambda: flight.agent.health.events.append(words))
+    flight.fly(6.5)
+    said = [message for _, message in flight.messages(HealthMessage, Kind.HEALTH)]
+    assert len(said) == 6
+    assert "unsendable_health" not in said[-1].drops
+    camera = next(link for link in said[-1].links if link.name == "camera")
+    assert camera.text.startswith(plain(words, 30).rstrip("…"))
+    assert said[-1].events == (plain(words, LONGEST_LINE),)
