@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import Frame, Image, ScanReport, TrackStatus
+from swarmtrack.messages import FOREIGN, Frame, Image, ScanReport, TrackStatus
+from swarmtrack.relative.read_out import read_out
 from swarmtrack.runtime.outputs import SeenTrack, check_suffix
 from swarmtrack.runtime.palette import colour_of
 
@@ -21,11 +22,11 @@ log = logging.getLogger(__name__)
 FRAMES_KEPT = 16  # a scan that waits for its gyro sample is at most a few frames behind
 MAX_BACKLOG = 8  # frames waiting to be encoded, before a live camera's are dropped
 
-UNKNOWN, FOREIGN = (200, 200, 200), (60, 60, 255)
+GREY, RED = (200, 200, 200), (60, 60, 255)
 
 
 def annotate(frame: Frame, t_s: float, seen: list[SeenTrack]) -> Image:
-    """A copy of the frame with boxes, names, velocities (a quarter of a second ahead) and 3σ ellipses."""
+    """A copy of the frame with boxes, names, distances, velocities (a quarter of a second ahead) and 3σ ellipses."""
     grey = frame.image.ndim == 2
     image: Image = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR) if grey else frame.image.copy()  # type: ignore[assignment]
     for track in seen:
@@ -38,7 +39,7 @@ def annotate(frame: Frame, t_s: float, seen: list[SeenTrack]) -> Image:
 def _draw(image: Image, seen: SeenTrack) -> None:
     identity, status = seen.entry.identity, seen.entry.track.status
     colour = (
-        FOREIGN if identity == "foreign" else UNKNOWN if identity is None else colour_of(int(identity))[::-1]
+        RED if identity == FOREIGN else GREY if identity is None else colour_of(int(identity))[::-1]
     )
     u, v = seen.centre
     w, h = np.where(np.isnan(seen.size), 20.0, seen.size)
@@ -57,17 +58,26 @@ def _draw(image: Image, seen: SeenTrack) -> None:
     angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
     size = (max(1, min(round(radii[1]), 2000)), max(1, min(round(radii[0]), 2000)))
     cv2.ellipse(image, (round(u), round(v)), size, angle, 0, 360, colour, 1, cv2.LINE_AA)
-    name = (
-        f"track {seen.entry.track.id}"
-        if identity is None
-        else f"drone {identity}"
-        if identity != "foreign"
-        else "foreign"
-    )
-    label = name if status is TrackStatus.CONFIRMED else f"{name} (lost)"
+    label = label_of(seen)
     # Above the box, or below it where there is no room between the image's edge and the line at its top.
     baseline = corner[1] - 5 if corner[1] > 40 else opposite[1] + 17
     _write(image, label, (max(0, min(corner[0], image.shape[1] - 9 * len(label))), baseline), colour)
+
+
+def label_of(seen: SeenTrack) -> str:
+    """Who it is, how far away where that is known, and whether it is lost: `drone 2 8.4 m`."""
+    identity, relative = seen.entry.identity, seen.entry.relative
+    parts = [f"track {seen.entry.track.id}" if identity is None else _name(identity)]
+    if relative is not None:
+        read = read_out(relative.position, relative.velocity, relative.cov)
+        parts.append(f"{read.distance:.1f} m")
+    if seen.entry.track.status is not TrackStatus.CONFIRMED:
+        parts.append("(lost)")
+    return " ".join(parts)
+
+
+def _name(identity: int | str) -> str:
+    return f"drone {identity}" if identity != FOREIGN else FOREIGN
 
 
 def _write(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:

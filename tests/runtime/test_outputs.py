@@ -24,7 +24,7 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
-from swarmtrack.runtime.annotated_video import AnnotatedVideo, annotate
+from swarmtrack.runtime.annotated_video import AnnotatedVideo, annotate, label_of
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import LatencyMeter, RateMeter
 from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, JsonLines, as_seen
@@ -155,6 +155,27 @@ def test_a_name_is_readable_wherever_the_drone_is():
         coloured = (named != unnamed).any(axis=2)
         coloured[max(0, int(v) - 16) : int(v) + 17, max(0, int(u) - 21) : int(u) + 22] = False
         assert coloured.sum() > 300, (u, v)
+
+
+def placed(seen, distance: float):
+    state = RelativeState(
+        2, 0.0, np.array([0.6, 0.0, -0.8]) * distance, np.zeros(3), 0.09 * np.eye(6), 0.04, ("size",)
+    )
+    return replace(seen, relative=state)
+
+
+def test_the_name_in_the_video_says_how_far_its_drone_is():
+    near, far = placed(track(320.0, 240.0, identity=2), 8.4), placed(track(320.0, 240.0, identity=2), 123.0)
+    lost = placed(track(320.0, 240.0, identity=2, status=TrackStatus.LOST), 8.4)
+    labels = [label_of(seen) for seen in as_seen(report(0.0, near, far, lost), LENS)]
+    assert labels == ["drone 2 8.4 m", "drone 2 123.0 m", "drone 2 8.4 m (lost)"]
+    drawn = [annotate(frame(0, 0.0), 0.0, as_seen(report(0.0, one), LENS)) for one in (near, far)]
+    assert (drawn[0] != drawn[1]).any()
+
+
+def test_who_has_no_place_has_its_name_alone():
+    entries = [track(320.0, 240.0, identity=2), track(320.0, 240.0), track(320.0, 240.0, identity="foreign")]
+    assert [label_of(seen) for seen in as_seen(report(0.0, *entries), LENS)] == ["drone 2", "track 7", "foreign"]
 
 
 def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):
