@@ -38,9 +38,7 @@ def annotate(frame: Frame, t_s: float, seen: list[SeenTrack]) -> Image:
 
 def _draw(image: Image, seen: SeenTrack) -> None:
     identity, status = seen.entry.identity, seen.entry.track.status
-    colour = (
-        RED if identity == FOREIGN else GREY if identity is None else colour_of(int(identity))[::-1]
-    )
+    colour = RED if identity == FOREIGN else GREY if identity is None else colour_of(int(identity))[::-1]
     u, v = seen.centre
     w, h = np.where(np.isnan(seen.size), 20.0, seen.size)
     thick = 2 if status is TrackStatus.CONFIRMED else 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Input, ScanReport, TrackList
 from swarmtrack.onboard import Onboard, Output
 from swarmtrack.perceived import Perceived
@@ -24,8 +25,8 @@ class DoorListener(Protocol):
         """Somebody asked for the tracks as of `tracks.t`, and got these."""
         ...
 
-    def scanned(self, report: ScanReport) -> None:
-        """A scan was tracked."""
+    def scanned(self, report: ScanReport, world_from_camera: Pose | None) -> None:
+        """A scan was tracked; from there, in the team frame, where the drone knows that."""
         ...
 
 
@@ -49,7 +50,7 @@ class Door:
         if self.listener is not None:
             for event in events:
                 if isinstance(event, ScanReport):
-                    self.listener.scanned(event)
+                    self.listener.scanned(event, self._onboard.camera_pose(event.tracks.t))
         return events
 
     def tracks(self, now: float) -> TrackList:

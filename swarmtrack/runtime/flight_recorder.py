@@ -12,11 +12,13 @@ from functools import partial
 import msgspec
 
 from swarmtrack.clock import Clock
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Frame, Input, LinkStatus, ScanReport, SightingReport, TrackList
 from swarmtrack.recording import inputs, outputs, schemas
 from swarmtrack.recording.settings import FlightSettings, attachments, preface
 from swarmtrack.recording.writer import Bounds, Preface, Topic
-from swarmtrack.runtime.foxglove_views import FoxgloveViews
+from swarmtrack.runtime.foxglove_scene import FoxgloveScene
+from swarmtrack.runtime.foxglove_views import FoxgloveViews, stamp
 from swarmtrack.runtime.recording_thread import Job, RecordingThread, Write, folder_name
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.records import as_record
@@ -46,7 +48,9 @@ class FlightRecorder:
         self._thread = RecordingThread(wall, waits=waits)
         self._n = 0
         self._next_frame = -math.inf
-        self._views = FoxgloveViews(settings.mounted.camera)
+        mounted = settings.mounted
+        self._views = FoxgloveViews(mounted.camera)
+        self._scene = FoxgloveScene(settings.config.drone.id, mounted.body_from_camera)
 
     def open(self) -> None:
         """Begin. Raises RecordingError where the folder cannot be made."""
@@ -80,8 +84,8 @@ class FlightRecorder:
         self._n += 1
         self._put(partial(self._write_asked, self._n, tracks))
 
-    def scanned(self, report: ScanReport) -> None:
-        self._put(partial(self._write_report, report))
+    def scanned(self, report: ScanReport, world_from_camera: Pose | None) -> None:
+        self._put(partial(self._write_report, report, world_from_camera))
 
     def said(self, report: SightingReport) -> None:
         """Told to the team; by its number the clocks of two recordings are compared."""
@@ -116,10 +120,15 @@ class FlightRecorder:
     def _write_asked(self, n: int, tracks: TrackList, write: Write, log_time: int) -> None:
         write(ASKED, log_time, outputs.encode_asked(n, tracks))
 
-    def _write_report(self, report: ScanReport, write: Write, log_time: int) -> None:
+    def _write_report(
+        self, report: ScanReport, world_from_camera: Pose | None, write: Write, log_time: int
+    ) -> None:
         write(TRACKS, log_time, outputs.encode_report(report))
-        topic, data = self._views.of_report(report, self._ns(report.tracks.t))
+        exposed_ns = self._ns(report.tracks.t)
+        topic, data = self._views.of_report(report, exposed_ns)
         write(topic, log_time, data)
+        for topic, data in self._scene.of_report(report, world_from_camera, stamp(exposed_ns)):
+            write(topic, log_time, data)
 
     def _write_said(self, report: SightingReport, write: Write, log_time: int) -> None:
         record = {

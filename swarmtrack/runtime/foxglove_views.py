@@ -59,14 +59,14 @@ class FoxgloveViews:
         x, y, z = event.position.tolist()
         qw, qx, qy, qz = to_quaternion(event.world_from_body).tolist()
         pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
-        yield POSE, PoseInFrame(timestamp=_stamp(log_time_ns), frame_id="local_ned", pose=pose).encode()
+        yield POSE, PoseInFrame(timestamp=stamp(log_time_ns), frame_id="local_ned", pose=pose).encode()
 
     def of_report(self, report: ScanReport, exposed_ns: int) -> Written:
         """Boxes and names in the image."""
         seen = as_seen(report, self._camera)
-        stamp = _stamp(exposed_ns)
+        when = stamp(exposed_ns)
         annotations = ImageAnnotations(
-            points=[_box(track, stamp) for track in seen], texts=[_label(track, stamp) for track in seen]
+            points=[_box(track, when) for track in seen], texts=[_label(track, when) for track in seen]
         )
         return BOXES, annotations.encode()
 
@@ -79,7 +79,7 @@ class FoxgloveViews:
                 break
         self._told = events
         for line in new:
-            message = Log(timestamp=_stamp(log_time_ns), level=LogLevel.Info, message=line, name="agent")
+            message = Log(timestamp=stamp(log_time_ns), level=LogLevel.Info, message=line, name="agent")
             yield EVENTS, message.encode()
 
     def of_frame(self, frame: Frame, exposed_ns: int) -> Iterator[Written]:
@@ -92,12 +92,13 @@ class FoxgloveViews:
         exact = {"sequence": int(frame.sequence), "t_s": float(frame.t), "t_sigma_s": float(frame.t_sigma)}
         yield FRAME, msgspec.json.encode(exact)
         image = CompressedImage(
-            timestamp=_stamp(exposed_ns), frame_id="camera", data=jpeg.tobytes(), format="jpeg"
+            timestamp=stamp(exposed_ns), frame_id="camera", data=jpeg.tobytes(), format="jpeg"
         )
         yield IMAGE, image.encode()
 
 
-def _stamp(ns: int) -> Timestamp:
+def stamp(ns: int) -> Timestamp:
+    """UTC in nanoseconds, as Foxglove has it."""
     return Timestamp(sec=ns // 1_000_000_000, nsec=ns % 1_000_000_000)
 
 
@@ -109,12 +110,12 @@ def _colour(identity: Identity) -> Color:
     return Color(r=r, g=g, b=b, a=1.0)
 
 
-def _box(track: SeenTrack, stamp: Timestamp) -> PointsAnnotation:
+def _box(track: SeenTrack, when: Timestamp) -> PointsAnnotation:
     u, v = track.centre.tolist()
     w, h = (UNKNOWN_BOX if math.isnan(side) else side for side in track.size.tolist())
     corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     return PointsAnnotation(
-        timestamp=stamp,
+        timestamp=when,
         type=PointsAnnotationType.LineLoop,
         points=[Point2(x=u + 0.5 * sx * w, y=v + 0.5 * sy * h) for sx, sy in corners],
         outline_color=_colour(track.entry.identity),
@@ -122,12 +123,12 @@ def _box(track: SeenTrack, stamp: Timestamp) -> PointsAnnotation:
     )
 
 
-def _label(track: SeenTrack, stamp: Timestamp) -> TextAnnotation:
+def _label(track: SeenTrack, when: Timestamp) -> TextAnnotation:
     identity = track.entry.identity
     name = "?" if identity is None else str(identity)
     u, v = track.centre.tolist()
     return TextAnnotation(
-        timestamp=stamp,
+        timestamp=when,
         position=Point2(x=u, y=v),
         text=f"{name}  (track {track.entry.track.id}, {track.entry.track.status})",
         font_size=12.0,

@@ -175,7 +175,11 @@ def test_the_name_in_the_video_says_how_far_its_drone_is():
 
 def test_who_has_no_place_has_its_name_alone():
     entries = [track(320.0, 240.0, identity=2), track(320.0, 240.0), track(320.0, 240.0, identity="foreign")]
-    assert [label_of(seen) for seen in as_seen(report(0.0, *entries), LENS)] == ["drone 2", "track 7", "foreign"]
+    assert [label_of(seen) for seen in as_seen(report(0.0, *entries), LENS)] == [
+        "drone 2",
+        "track 7",
+        "foreign",
+    ]
 
 
 def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):
