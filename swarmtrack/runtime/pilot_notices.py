@@ -32,8 +32,8 @@ from swarmtrack.messages import (
 from swarmtrack.perceived import Perceived
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
-from swarmtrack.runtime.reported_positions import ReportedPositions
 from swarmtrack.runtime.status_lines import Debounced, StatusLines
+from swarmtrack.runtime.teammates_on_earth import TeammatesOnEarth
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
 from swarmtrack.wire.health import LinkHealth
@@ -91,7 +91,7 @@ class PilotNotices:
         self._shown: int | None = None  # the track whose box is told
         self._idle_at = -math.inf
         # A config that asks for "adsb" has an origin.
-        self._positions = ReportedPositions(origin) if origin is not None and "adsb" in tell else None
+        self._positions = TeammatesOnEarth(origin) if origin is not None and "adsb" in tell else None
         self._positions_at = -math.inf
 
     # ── what happens ─────────────────────────────────────────────────────────────────────────────────────────────
@@ -158,7 +158,7 @@ class PilotNotices:
             self._show(now)
         if self._positions is not None and now - self._positions_at >= periods.REPORTED_POSITIONS:
             self._positions_at = now
-            self._tell_positions(self._positions)
+            self._tell_positions(self._positions, now)
 
     def _named(self, now: float) -> tuple[IdentifiedTrack, ...]:
         """The teammates in view that have a name."""
@@ -207,13 +207,16 @@ class PilotNotices:
             self._texts_sent += 1
             self.lines.said()
 
-    def _tell_positions(self, positions: ReportedPositions) -> None:
-        """Teammates on the map: each where it says that it is, while our camera sees it there."""
+    def _tell_positions(self, positions: TeammatesOnEarth, now: float) -> None:
+        """Teammates on the map: each where we measure it, else where it says that it is and our camera sees it."""
         assert self._autopilot is not None
         own = self._perceived.sighting_report(self._boot, 0)
-        for found in positions.seen(own, self._clock.now()):
+        motion = self._perceived.motion_report(self._boot, 0)
+        for found in positions.seen(self._named(now), own, motion, self._clock.now()):
             address = _address(self._team, found.drone_id)
-            self._autopilot.tell(adsb_vehicle(f"ST{found.drone_id}", found.position, found.age, address))
+            self._autopilot.tell(
+                adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address, found.velocity)
+            )
 
     def _show(self, now: float) -> None:
         """The box of one teammate: the message has room for one. The largest, for as long as it has a name."""

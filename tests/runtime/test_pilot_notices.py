@@ -29,7 +29,9 @@ from swarmtrack.messages import (
     IdClash,
     IdentifiedTrack,
     LinkStatus,
+    MotionReport,
     PeerDeparted,
+    RelativeState,
     ScanReport,
     Sighting,
     SightingReport,
@@ -150,8 +152,9 @@ class Told:
         self.notices = make_notices(self.parts)
         self.sequence = 0
 
-    def fly(self, seconds, identities=(), box=(20.0, 10.0)):
-        """identities: of the tracks in view, from left to right; None: unknown."""
+    def fly(self, seconds, identities=(), box=(20.0, 10.0), place=None):
+        """identities: of the tracks in view, from left to right; None: unknown. place: by drone and time, where it is
+        measured."""
         for _ in range(round(seconds / 0.2)):
             self.flight.fly(0.2)
             now = self.flight.clock.now()
@@ -168,6 +171,7 @@ class Told:
                     ),
                     identity,
                     0.99,
+                    relative=place and place(identity, now),
                 )
                 for i, (identity, size) in enumerate(
                     ((identity, (1.0 + i) * np.array(box)) for i, identity in enumerate(identities, 1)), 1
@@ -303,12 +307,21 @@ class Looking:
 
     def __init__(self, clock, sigma=0.01):
         self.teammates = {}
+        self.velocity = None
+        self.position_sigma = 0.1
         self._clock, self._sigma = clock, sigma
 
     def sighting_report(self, boot, sequence):
         north = np.array((1.0, 0.0, 0.0))
         ray = Sighting(2, 0.99, north, self._sigma)
-        return SightingReport(1, boot, sequence, self._clock.now(), 0.0, np.zeros(3), 0.1, (2, 3), (ray,))
+        now, origin, sigma = self._clock.now(), np.zeros(3), self.position_sigma
+        return SightingReport(1, boot, sequence, now, 0.0, origin, sigma, (2, 3), (ray,))
+
+    def motion_report(self, boot, sequence):
+        if self.velocity is None:
+            return None
+        cov, now = 0.01 * np.eye(3), self._clock.now()
+        return MotionReport(1, boot, sequence, now - 0.1, 0.0, np.zeros(3), cov, np.array(self.velocity), cov)
 
 
 def says_it_stands(drone_id, t, position, sigma=0.1):
@@ -351,11 +364,63 @@ async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_see
     assert not told.ground.of("STATUSTEXT")
 
 
+def measured(sigma=0.5, velocity=(0.0, 0.0, 0.0), velocity_sigma=0.2):
+    """Drone 2, 80 m north, 30 m east and 10 m above us, at any time."""
+    cov = np.diag([sigma**2] * 3 + [velocity_sigma**2] * 3)
+
+    def place(drone_id, now):
+        return RelativeState(
+            drone_id, now, np.array((80.0, 30.0, -10.0)), np.array(velocity), cov, sigma / 85.0, ("size",)
+        )
+
+    return place
+
+
+async def test_a_teammate_is_on_the_map_where_we_measure_it_whatever_it_says(tmp_path):
+    told = Told(tmp_path, '["adsb"]', looking=True)
+    async with told.flight:
+        told.fly(4.0)
+        told.parts.door.perceived.velocity = (1.0, 0.0, 0.0)
+        told.notices.on_peer(says_it_stands(2, told.flight.clock.now(), (100.0, 0.0, 0.0)))
+        told.fly(3.0, [2], place=measured(velocity=(2.0, 3.0, -1.5)))
+        places = told.ground.of("ADSB_VEHICLE")
+        assert 2 <= len(places) <= 4
+        place = places[-1]
+        assert place.callsign == "ST2"
+        assert place.lat == pytest.approx(474000000 + 80.0 / 111_180.0 * 1e7, abs=20)
+        assert place.lon == pytest.approx(85000000 + 30.0 / 75_460.0 * 1e7, abs=30)
+        assert place.altitude == pytest.approx(498_000, abs=10)
+        # It flies 3 m/s north and 3 east over the ground, and climbs at 1.5.
+        moving = common.ADSB_FLAGS_VALID_HEADING | common.ADSB_FLAGS_VALID_VELOCITY
+        assert place.flags & moving == moving
+        assert (place.heading, place.hor_velocity, place.ver_velocity) == (4500, 424, 150)
+        # Without a velocity of our own, its one over the ground is not known.
+        told.parts.door.perceived.velocity = None
+        told.fly(2.0, [2], place=measured())
+        assert not told.ground.of("ADSB_VEHICLE")[-1].flags & moving
+        sent = len(told.ground.of("ADSB_VEHICLE"))
+        told.fly(4.0, [None])
+        told.fly(4.0, [2])
+        assert len(told.ground.of("ADSB_VEHICLE")) == sent  # its word is old, and nobody measures it
+
+
+@pytest.mark.parametrize(("own_sigma", "sigma"), [(0.1, 5.0), (1000.0, 0.5)])
+async def test_what_is_measured_badly_or_from_nobody_knows_where_is_not_on_the_map(
+    tmp_path, own_sigma, sigma
+):
+    told = Told(tmp_path, '["adsb"]', looking=True)
+    async with told.flight:
+        told.fly(4.0)
+        told.parts.door.perceived.position_sigma = own_sigma
+        told.fly(3.0, [2], place=measured(sigma))
+    assert not told.ground.of("ADSB_VEHICLE")
+
+
 async def test_a_flood_of_places_is_not_remembered(tmp_path):
     told = Told(tmp_path, '["adsb"]')
     for drone_id in range(2, 5000):
         told.notices.on_peer(says_it_stands(drone_id, 0.0, (1.0, 0.0, 0.0)))
-    assert len(told.notices._positions._reports) <= 256
+    assert len(told.notices._positions._reported._reports) <= 256
 
 
 async def test_with_an_empty_list_only_our_heartbeat_goes_out(tmp_path):

@@ -19,6 +19,8 @@ LONGEST_TEXT = 4 * CHUNK
 LONGEST_NAME = 10  # bytes of a NAMED_VALUE_FLOAT's name
 LONGEST_CALLSIGN = 8  # bytes, and a zero after them
 NOT_USED = math.nan  # what the dialect asks for in fields that do not apply
+# cm/s: the most that both velocities of ADSB_VEHICLE can say.
+MOST_CM_S = 32767
 
 
 class Severity(enum.IntEnum):
@@ -52,26 +54,31 @@ def named_value(now: float, name: str, value: float) -> Any:
     )
 
 
-def adsb_vehicle(callsign: str, place: Geodetic, age: float, address: int) -> Any:
+def adsb_vehicle(
+    callsign: str, place: Geodetic, age: float, address: int, velocity: Array | None = None
+) -> Any:
     """ADSB_VEHICLE: place with its height above mean sea level; age [s] of it; address: 24 bits, the same each time.
 
-    Neither heading nor velocity is told, and the flags say so.
+    velocity (3,) m/s north, east, down over the ground; None: neither it nor a course is told, and the flags say so.
     """
+    north, east, down = (0.0, 0.0, 0.0) if velocity is None else velocity.tolist()
+    moving = common.ADSB_FLAGS_VALID_HEADING | common.ADSB_FLAGS_VALID_VELOCITY
     return common.MAVLink_adsb_vehicle_message(
         ICAO_address=address,
         lat=round(1e7 * math.degrees(place.latitude)),
         lon=round(1e7 * math.degrees(place.longitude)),
         altitude_type=common.ADSB_ALTITUDE_TYPE_GEOMETRIC,
         altitude=round(1e3 * place.height),
-        heading=0,
-        hor_velocity=0,
-        ver_velocity=0,
+        heading=round(1e2 * math.degrees(math.atan2(east, north))) % 36000,
+        hor_velocity=min(round(1e2 * math.hypot(north, east)), MOST_CM_S),
+        ver_velocity=min(max(round(-1e2 * down), -MOST_CM_S), MOST_CM_S),
         callsign=callsign.encode("ascii")[:LONGEST_CALLSIGN],
         emitter_type=common.ADSB_EMITTER_TYPE_UAV,
         tslc=min(round(age), 255),
         flags=common.ADSB_FLAGS_VALID_COORDS
         | common.ADSB_FLAGS_VALID_ALTITUDE
-        | common.ADSB_FLAGS_VALID_CALLSIGN,
+        | common.ADSB_FLAGS_VALID_CALLSIGN
+        | (0 if velocity is None else moving),
         squawk=0,
     )
 
