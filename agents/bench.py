@@ -10,6 +10,7 @@ from swarmtrack.errors import SourceError
 
 BENCHMARKS = {
     "agent": ("swarmtrack.benchmarks.agent_budget", "what an agent costs, next to the design's budgets"),
+    "box-width": ("swarmtrack.benchmarks.box_width", "how wide a detector's boxes are beside the drones"),
     "calibration": (
         "swarmtrack.benchmarks.calibration",
         "calibrations by hand and by board, against the truth",

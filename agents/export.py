@@ -90,7 +90,7 @@ def _calibrate(model: Path, frames: list[LabelledFrame]) -> None:
     from swarmtrack.detection.detector import Detector
     from swarmtrack.evaluation.detector_score import by_centre, match
     from swarmtrack.evaluation.score_calibration import expected_error, fit
-    from swarmtrack.training.export import annotate
+    from swarmtrack.training.annotation import annotate
     from swarmtrack.training.validation import look
 
     annotate(model, {"calibration": "[1.0, 0.0]"})

@@ -30,6 +30,7 @@ from swarmtrack.benchmarks.command_line import add_common, add_processes, add_se
 from swarmtrack.evaluation.intervals import mean_interval
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, Array, MotionReport, RangeReport, SightingReport
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.log_range import across
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
@@ -155,9 +156,9 @@ def parameters(range_m: float, mode: Mode) -> RelativeParameters:
     lasting, wander, white = mode.size
     return RelativeParameters(
         airframe_span_m=SPAN_M,
-        size_lasting=lasting,
-        size_wandering=wander,
-        size_white=white,
+        box_width=BoxWidth(
+            factor=1.0, drone_sigma=lasting, wander_sigma=wander, wander_s=1.0, white_sigma=white
+        ),
         speed_sigma=speed_sigma(range_m),
         fellows=0.0,
         forget_s=WANDER_S,
@@ -248,6 +249,7 @@ class _Senses:
             ray,
             np.tile(RAY_SIGMA**2 * np.eye(3), (TEAMMATES, 1, 1)),
             SPAN_M / rho * np.exp(-size),
+            np.ones(TEAMMATES),
         )
 
     def announcement(self, n: int) -> Announcement:

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from urllib.parse import quote
@@ -30,6 +31,7 @@ from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, R
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.heading import HeadingSigma
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.team_config import TeamSection, resolve_plan, roster_problems, switch_problems, take_own_start
 from swarmtrack.toml.layers import Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml.sections import (
@@ -296,6 +298,36 @@ class AutopilotSection(Section):
         return HeadingSigma(math.radians(said.ground), math.radians(said.flight))
 
 
+class BoxWidthSection(Section):
+    """[detector.box_width]: how wide the detector draws its boxes; `swarmtrack calibrate size` measures it."""
+
+    factor: Number | None = Field(
+        default=None, description="width of a box without its padding, in spans of the airframe"
+    )
+    padding_px: Number | None = Field(
+        default=None, description="how much wider than that every box is, px of the image"
+    )
+    drone_sigma: Number | None = Field(
+        default=None, description="how far the width is off from drone to drone, as a share of it"
+    )
+    wander_sigma: Number | None = Field(
+        default=None, description="how far it wanders within one flight, as a share of it"
+    )
+    wander_s: Number | None = Field(default=None, description="over which time it wanders, s")
+    white_sigma: Number | None = Field(
+        default=None, description="how far it is off from frame to frame, as a share of it"
+    )
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> BoxWidthSection:
+        self.over(BoxWidth())
+        return self
+
+    def over(self, said: BoxWidth) -> BoxWidth:
+        """What the detector says of itself, but for the keys that the user wrote."""
+        return replace(said, **self.model_dump(exclude_none=True))
+
+
 class DetectorSection(Section):
     """[detector]: which network looks at the frames, and how (docs/detector.md)."""
 
@@ -361,6 +393,11 @@ class DetectorSection(Section):
         default=None, description="your own network gets scale * (pixel - mean) per channel"
     )
     mean: tuple[Number, Number, Number] | None = Field(default=None, description="see scale")
+    box_width: BoxWidthSection = Field(
+        default=BoxWidthSection(),
+        description="how wide its boxes are beside the drones' span; default: what the model's file says, else tight "
+        "boxes (docs/metres.md)",
+    )
 
 
 class TrackerSection(ParameterSection):

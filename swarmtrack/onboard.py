@@ -129,6 +129,8 @@ class Onboard:
             parameters=identity,
             start_sigma_m=start_sigma_m,
         )
+        relative = relative or RelativeParameters()
+        self._padding_px = relative.box_width.padding_px
         self._relative = RelativeStates(relative)
         self._frames = Frames(drone_id, relative)
         self._drone_id = drone_id
@@ -373,7 +375,7 @@ class Onboard:
         camera = observer.pose @ self._mounting.body_from_camera
         velocity, velocity_cov = self._ego.velocity(observer.t)
         boxes = named_boxes(tracks, scan, R)
-        look = TeamLook.of(observer.t, boxes, self.camera, camera, velocity)
+        look = TeamLook.of(observer.t, boxes, self.camera, camera, velocity, padding_px=self._padding_px)
         self._frames.see(look)
         self._relative.observe(look)
         own = OwnMotion(camera.position, velocity, velocity_cov, observer.attitude_cov)

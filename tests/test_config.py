@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from support.places import CONFIGS
 from swarmtrack.config import DroneConfig, load_config, mount_camera
 from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.geometry.camera import Equidistant, RadTan
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.toml.layers import key_lines
 
 CAMERA = """
@@ -314,4 +316,26 @@ def test_the_heading_is_as_sure_as_one_number_or_two_say(write, said, ground, fl
 )
 def test_a_heading_that_is_no_angle_is_named(write, said, problem):
     (found,) = problems_of(write(f"{MINIMAL}\n[autopilot]\nheading_sigma_deg = {said}\n"))
+    assert problem in found
+
+
+def test_what_a_config_says_of_the_widths_of_boxes_overrides_what_the_model_says(write):
+    said = BoxWidth(factor=1.2, padding_px=16.0, drone_sigma=0.3)
+    section = load_config(
+        write(f"{MINIMAL}\n[detector.box_width]\nfactor = 1\nwander_s = 2.5\n")
+    ).detector.box_width
+    assert section.over(said) == replace(said, factor=1.0, wander_s=2.5)
+    assert load_config(write(MINIMAL)).detector.box_width.over(said) == said
+
+
+@pytest.mark.parametrize(
+    ("said", "problem"),
+    [
+        ("factor = 0", "box_width.factor: found 0.0, expected a number from 0.2 to 5"),
+        ('factor = "1"', 'detector.box_width.factor: "1", expected a valid number'),
+        ("white = 0.1", "detector.box_width.white: unknown key"),
+    ],
+)
+def test_a_width_of_boxes_that_cannot_be_is_named(write, said, problem):
+    (found,) = problems_of(write(f"{MINIMAL}\n[detector.box_width]\n{said}\n"))
     assert problem in found

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 from swarmtrack.errors import ModelError
+from swarmtrack.relative.box_width import LIMITS, BoxWidth
 
 PREFIX = "swarmtrack."
 HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr")
@@ -46,8 +47,8 @@ class Description:
     for, and which speak against it where both are seen.
 
     The net is fed scale · (pixel − mean), both in the order of its channels; pad_value 0…255. calibration (a, b): the
-    probability that a detection is a drone is σ(a logit(score) + b). source: who said all this; entries: our metadata
-    as written.
+    probability that a detection is a drone is σ(a logit(score) + b). box_width: how wide its boxes are, where it says
+    so. source: who said all this; entries: our metadata as written.
     """
 
     head: str
@@ -62,6 +63,7 @@ class Description:
     channel_order: str = "RGB"
     pad_value: int = 114
     calibration: tuple[float, float] = (1.0, 0.0)
+    box_width: BoxWidth | None = None
     source: str
     entries: Mapping[str, str]
 
@@ -118,9 +120,24 @@ def _ours(path: str, written: Mapping[str, str]) -> Description:
         channel_order=entry("channel_order", _one_of(["BGR", "RGB"]), "BGR or RGB"),
         pad_value=entry("pad_value", _byte, "a whole number in 0…255"),
         calibration=entry("calibration", _two, "a JSON list of two numbers", (1.0, 0.0)),
+        box_width=box_width_of(path, written),
         source="its metadata",
         entries=entries,
     )
+
+
+def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
+    """What our metadata say of the widths of boxes; None where they say nothing. Raises `ModelError`."""
+    text = written.get(f"{PREFIX}box_width")
+    if text is None:
+        return None
+    try:
+        return BoxWidth(**json.loads(text))
+    except (ValueError, TypeError) as error:
+        raise ModelError(
+            f"{path}: metadata {PREFIX}box_width is {text!r} ({error}), expected a JSON object of "
+            f"{', '.join(LIMITS)}"
+        ) from None
 
 
 def _one_of(allowed: Sequence[str]) -> Callable[[str], str]:

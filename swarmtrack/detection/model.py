@@ -46,6 +46,13 @@ def model_path(model: str | Path) -> Path:
     return Path(model)
 
 
+def metadata_of(path: Path) -> Mapping[str, str]:
+    """What is written in a model's file beside the net."""
+    session = open_session(path, 1, ("cpu",))
+    written: Mapping[str, str] = session.get_modelmeta().custom_metadata_map
+    return written
+
+
 def cache_folder() -> Path:
     """Where engines that a provider compiles are kept: minutes on a Jetson, once and not at every start."""
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"

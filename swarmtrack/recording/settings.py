@@ -7,7 +7,7 @@ import platform
 import re
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.recording.reader import FORMAT, Recording
 from swarmtrack.recording.writer import Attachment
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.tracking import TRACKERS
 
@@ -31,11 +32,12 @@ WHAT_IF = ("drone", "camera", "autopilot", "tracker", "identity", "motion", "det
 
 @dataclass(frozen=True, slots=True)
 class FlightSettings:
-    """start: team_from_body, None where the autopilot says it."""
+    """start: team_from_body, None where the autopilot says it; box_width: what the detector said of its boxes."""
 
     config: DroneConfig
     mounted: MountedCamera
     start: Pose | None
+    box_width: BoxWidth | None = None
 
 
 def preface(settings: FlightSettings, boot: str, now: float, utc: float) -> dict[str, str]:
@@ -82,6 +84,7 @@ def attachments(settings: FlightSettings) -> tuple[Attachment, ...]:
         "body_from_camera": _pose_record(mount),
         "time_offset_s": settings.mounted.time_offset_s,
         "start": None if start is None else _pose_record(start),
+        "box_width": None if settings.box_width is None else asdict(settings.box_width),
     }
     layers = settings.config.layers
     return (
@@ -117,6 +120,7 @@ def read_settings(
     try:
         mounted = _mounted(calibration)
         start = None if calibration["start"] is None else _pose(calibration["start"])
+        box_width = _box_width(calibration, config)
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(
             f"{recorded.path}: {CALIBRATION}: {error!r}, expected what an agent writes"
@@ -127,7 +131,7 @@ def read_settings(
         mounted = mounted._replace(time_offset_s=config.camera.time_offset_s or 0.0)
     if "start" in asked.table.get("drone", {}):
         start = None if config.drone.start.source is not None else config.drone.start.pose()
-    return FlightSettings(config, mounted, start), notes
+    return FlightSettings(config, mounted, start, box_width), notes
 
 
 def _layer_of(changes: Sequence[str]) -> Layer:
@@ -159,6 +163,21 @@ def _mounted(record: dict[str, Any]) -> MountedCamera:
     distortion = None if lens is None else DISTORTIONS[lens["model"]](tuple(lens["coefficients"]))
     camera = PinholeCamera(**record["intrinsics"], distortion=distortion)
     return MountedCamera(camera, _pose(record["body_from_camera"]), record["time_offset_s"])
+
+
+def _box_width(record: dict[str, Any], config: DroneConfig) -> BoxWidth | None:
+    """As recorded. Older recordings do not hold it: there the shipped model's is what its file says today."""
+    if "box_width" in record:
+        said = record["box_width"]
+        return None if said is None else BoxWidth(**said)
+    if config.detector.model != "default" or config.camera.detects_by_itself:
+        return None
+    # Not above: who reads a recording of today needs no ONNX Runtime.
+    from swarmtrack.detection.description import box_width_of  # noqa: PLC0415
+    from swarmtrack.detection.model import metadata_of, model_path  # noqa: PLC0415
+
+    path = model_path("default")
+    return box_width_of(str(path), metadata_of(path))
 
 
 def _pose_record(pose: Pose) -> dict[str, Any]:

@@ -41,7 +41,8 @@ _NEWTON_STEPS = 6
 
 class FrameSight(NamedTuple):
     """eye (3,) m: our camera, in our frame; said (3,) m: the teammate, in its frame; ray (3,): unit, in our frame;
-    log_range: by the size, NaN where that says nothing; seen_back (3,): its ray to us, in its frame, or None."""
+    log_range: by the size, NaN where that says nothing; seen_back (3,): its ray to us, in its frame, or None; gain: how
+    many times the errors of the size are in log_range."""
 
     t: float
     eye: Array
@@ -49,6 +50,7 @@ class FrameSight(NamedTuple):
     ray: Array
     log_range: float
     seen_back: Array | None = None
+    gain: float = 1.0
 
 
 class SightErrors(NamedTuple):
@@ -85,13 +87,14 @@ class FrameTransform(NamedTuple):
 
 
 class _Window(NamedTuple):
-    """Sightings as arrays: eye, said, ray (n, 3), log_range (n,), weight (n,) by their age, and place_var (n,)
+    """Sightings as arrays: eye, said, ray (n, 3), log_range, gain (n,), weight (n,) by their age, and place_var (n,)
     m², of the frames' drift since, too."""
 
     eye: Array
     said: Array
     ray: Array
     log_range: Array
+    gain: Array
     weight: Array
     place_var: Array
 
@@ -115,6 +118,7 @@ def align(sights: Sequence[FrameSight], now: float, errors: SightErrors) -> Fram
         said,
         np.array([sight.ray for sight in sights]),
         np.array([sight.log_range for sight in sights]),
+        np.array([sight.gain for sight in sights]),
         np.exp((t - now) / FORGET_S),
         errors.place**2 + per_second * (now - t),
     )
@@ -166,8 +170,8 @@ def _normal_equations(seen: _Window, errors: SightErrors) -> tuple[Array, Array]
     shrunk = 2.0 * errors.ray**2 * by_ray
     N -= along.T @ (shrunk[:, None] * along)
     m -= along.T @ (shrunk * r)
-    by_size = np.where(sized, weight / ((errors.size * rho) ** 2 + seen.place_var), 0.0)
-    along[:, 5] = -rho
+    by_size = np.where(sized, weight / ((errors.size * seen.gain * rho) ** 2 + seen.place_var), 0.0)
+    along[:, 5] = -rho * seen.gain
     N += along.T @ (by_size[:, None] * along)
     m += along.T @ (by_size * (r + rho))
     N[5, 5] += 1.0 / errors.lasting**2

@@ -61,7 +61,7 @@ class Frames:
     def __init__(self, drone_id: int, parameters: RelativeParameters | None = None) -> None:
         self._drone_id = drone_id
         self._p = p = parameters or RelativeParameters()
-        white = math.hypot(p.size_wandering, p.size_white)
+        white = math.hypot(p.box_width.wander_sigma, p.box_width.white_sigma)
         self._errors = SightErrors(RAY_SIGMA, PLACE_M, white, p.lasting, p.place_drift, p.turn_drift)
         self._looks: deque[TeamLook] = deque()
         self._starts: dict[int, Announcement] = {}
@@ -157,4 +157,5 @@ class Frames:
             return None
         back = next((seen.direction for seen in said.sightings if seen.drone_id == self._drone_id), None)
         log_range = math.log(self._p.width_m / look.width[row]) if look.width[row] > 0.0 else math.nan
-        return FrameSight(said.t, look.camera, said.position, look.ray[row], log_range, back)
+        gain = float(look.gain[row])
+        return FrameSight(said.t, look.camera, said.position, look.ray[row], log_range, back, gain)

@@ -12,6 +12,7 @@ import numpy as np
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
+from swarmtrack.relative.box_width import LEAST_DRONE
 
 # rad: a camera rolled by more sees no width of its own.
 MOST_ROLL = math.radians(35.0)
@@ -35,7 +36,8 @@ class NamedBox(NamedTuple):
 @dataclass(frozen=True, slots=True, eq=False)
 class TeamLook:
     """One scan, at t [s]. camera (3,) m and velocity (3,) m/s: of the own camera along the team's axes; keys: of n
-    teammates drone and track; ray (n, 3) and ray_cov (n, 3, 3) in team axes, width (n,) rad; NaN where unknown."""
+    teammates drone and track; ray (n, 3) and ray_cov (n, 3, 3) in team axes, width (n,) rad without padding; NaN where
+    unknown. gain (n,): by how much more, as a share, that width is off than the whole box."""
 
     t: float
     camera: Array
@@ -44,6 +46,7 @@ class TeamLook:
     ray: Array
     ray_cov: Array
     width: Array
+    gain: Array
 
     @classmethod
     def of(
@@ -53,8 +56,10 @@ class TeamLook:
         camera: PinholeCamera,
         team_from_camera: Pose,
         velocity: Array,
+        *,
+        padding_px: float = 0.0,
     ) -> TeamLook:
-        """boxes: of all named tracks, detected or not."""
+        """boxes: of all named tracks, detected or not; padding_px: of their width and height is no drone."""
         z = np.array([box.z for box in boxes]).reshape(-1, 2)
         R = np.array([box.R for box in boxes]).reshape(-1, 2, 2)
         size = np.array([box.size for box in boxes]).reshape(-1, 2)
@@ -68,23 +73,38 @@ class TeamLook:
             tuple((box.drone_id, box.track_id) for box in boxes),
             rays @ team_from_camera.rotation.T,
             by_pixel @ R @ by_pixel.swapaxes(1, 2),
-            widths(z, size, camera, team_from_camera.rotation),
+            widths(z, size, camera, team_from_camera.rotation, padding_px),
+            gains(size, padding_px),
         )
 
 
-def widths(z: Array, size: Array, camera: PinholeCamera, team_from_camera: Array) -> Array:
-    """(n,) rad: how wide the boxes of size (n, 2) px at undistorted z (n, 2) are, level as seen in the world.
+def gains(size: Array, padding_px: float) -> Array:
+    """(n,): of boxes of size (n, 2) px, their width over what is left of it without the padding; 1 where they are none
+    or tell nothing."""
+    with np.errstate(invalid="ignore"):
+        usable = size[:, 0] - padding_px > LEAST_DRONE * size[:, 0]
+    return np.asarray(np.where(usable, size[:, 0] / np.where(usable, size[:, 0] - padding_px, 1.0), 1.0))
+
+
+def widths(
+    z: Array, size: Array, camera: PinholeCamera, team_from_camera: Array, padding_px: float = 0.0
+) -> Array:
+    """(n,) rad: how wide what the boxes of size (n, 2) px at undistorted z (n, 2) are around is, level as seen in the
+    world.
 
     A drone is wider than high, so that the box of a camera that rolls by ρ has sides w² = W² cos² ρ + H² sin² ρ and
     h² = W² sin² ρ + H² cos² ρ, as of an ellipse: turned back, W² = (w² cos² ρ − h² sin² ρ) / cos 2ρ. NaN where the
-    camera rolls by more than `MOST_ROLL`, and of a box at the border, which may be cut off.
+    camera rolls by more than `MOST_ROLL`, of a box at the border, which may be cut off, and of one that is nearly all
+    padding.
     """
     roll = camera_roll(team_from_camera)
     if abs(roll) > MOST_ROLL:
         return np.full(len(z), np.nan)
     cosine, sine = math.cos(roll) ** 2, math.sin(roll) ** 2
     with np.errstate(invalid="ignore"):
-        square = size[:, 0] ** 2 * cosine - size[:, 1] ** 2 * sine
+        drone = size - padding_px
+        drone = np.where(drone > LEAST_DRONE * size, drone, [[math.nan, 0.0]])
+        square = drone[:, 0] ** 2 * cosine - drone[:, 1] ** 2 * sine
         level = np.sqrt(np.where(square > 0.0, square, np.nan) / math.cos(2.0 * roll))
         low, high = camera.ideal_bounds
         whole = (z - 0.5 * size > low + BORDER_PX).all(axis=1) & (z + 0.5 * size < high - BORDER_PX).all(

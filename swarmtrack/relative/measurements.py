@@ -38,23 +38,35 @@ class Measured(NamedTuple):
     R: Array
 
 
-def seen(now: Beliefs, ray: Array, ray_cov: Array, log_range: Array, log_var: float) -> Measured:
-    """By the camera, of n teammates. ray (n, 3) unit vectors in team axes, ray_cov (n, 3, 3) rad²; log_range (n,): by
-    the width of the box, log_var its white variance. What was not seen is NaN."""
+class SizedRange(NamedTuple):
+    """By the widths of boxes, (n,) each: ln(range), NaN where they tell none; how many times the lasting and the
+    wandering error are in it, and the variance of what is neither."""
+
+    log_range: Array
+    lasting: Array
+    wandering: Array
+    variance: Array
+
+
+def seen(now: Beliefs, ray: Array, ray_cov: Array, size: SizedRange) -> Measured:
+    """By the camera, of n teammates. ray (n, 3) unit vectors in team axes, ray_cov (n, 3, 3) rad²; what was not seen is
+    NaN."""
     n = now.n
     nu, H, R = np.zeros((n, 3)), np.zeros((n, 3, STATES)), np.zeros((n, 3, 3))
     got = np.isfinite(ray[:, 0])
-    sized = got & np.isfinite(log_range)
+    sized = got & np.isfinite(size.log_range)
+    lasting, wandering = (np.where(sized, times, 0.0) for times in (size.lasting, size.wandering))
+    by_size = now.log_range + lasting * now.size[:, 0] + wandering * now.size[:, 1]
     ahead = (ray * now.d).sum(axis=1)
     got &= ahead > 0.5
     axes = now.E.swapaxes(1, 2)
     with np.errstate(invalid="ignore"):
         nu[:, :2] = np.where(got[:, None], (axes @ ray[:, :, None])[:, :, 0] / ahead[:, None], 0.0)
-        nu[:, 2] = np.where(sized, log_range - now.log_range - now.size.sum(axis=1), 0.0)
+        nu[:, 2] = np.where(sized, size.log_range - by_size, 0.0)
     H[:, 0, 0] = H[:, 1, 1] = got
-    H[:, 2, RANGE] = H[:, 2, LASTING] = H[:, 2, WANDERING] = sized
+    H[:, 2, RANGE], H[:, 2, LASTING], H[:, 2, WANDERING] = sized, lasting, wandering
     R[:, :2, :2] = np.where(got[:, None, None], axes @ ray_cov @ now.E, np.eye(2))
-    R[:, 2, 2] = log_var
+    R[:, 2, 2] = size.variance
     return Measured(nu, H, R)
 
 

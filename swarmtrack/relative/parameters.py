@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
-# The shipped detector on 18 real drones in nine clips, log sigmas: from drone to drone, and within one.
-DRONE_TO_DRONE, WANDERING, WHITE, WANDER_S = 0.18, 0.12, 0.06, 1.0
+import numpy as np
+
+from swarmtrack.messages import Array
+from swarmtrack.relative.box_width import BoxWidth
+
 # Of airframes nobody told the span of: half are between 0.3 and 0.7 m.
 USUAL_SPAN_M, USUAL_SPAN_SIGMA = 0.45, 0.6
 
@@ -17,14 +21,8 @@ class RelativeParameters:
     airframe_span_m: float | None = None
     """From the outer rim of one rotor disc to that of its neighbour; None: it is not known, and the size tells a range
     only once something else told one."""
-    width_per_span: float = 1.0
-    """Of the detector's boxes: their mean width over the span. 1.14 for the true outline of a quadrotor over all yaws;
-    the shipped detector's boxes are 14 % narrower."""
-    size_lasting: float = DRONE_TO_DRONE
-    """What of a box's width lasts: aspect, model, light."""
-    size_wandering: float = WANDERING
-    size_wander_s: float = WANDER_S
-    size_white: float = WHITE
+    box_width: BoxWidth = field(default_factory=BoxWidth)
+    """Of the detector whose boxes these are."""
     speed_sigma: float = 1.0
     """How fast a teammate flies, m/s per axis, before it was watched."""
     fellows: float = 0.7
@@ -58,27 +56,32 @@ class RelativeParameters:
         span = self.airframe_span_m
         if span is not None and not 0.05 <= span <= 10.0:
             raise ValueError(f"relative.airframe_span_m: found {span!r}, expected 0.05 to 10")
-        for name in (
-            "width_per_span",
-            "size_white",
-            "size_wander_s",
-            "speed_sigma",
-            "forget_s",
-            "ray_lasts_s",
-        ):
+        for name in ("speed_sigma", "forget_s", "ray_lasts_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"relative.{name}: found {getattr(self, name)!r}, expected a number above 0")
-        for name in ("size_lasting", "size_wandering", "odometry", "jitter_m", "drift_speed"):
+        for name in ("odometry", "jitter_m", "drift_speed"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"relative.{name}: found {getattr(self, name)!r}, expected 0 or more")
 
     @property
     def width_m(self) -> float:
-        """Of a teammate at 1 rad: how wide its box is."""
-        return (USUAL_SPAN_M if self.airframe_span_m is None else self.airframe_span_m) * self.width_per_span
+        """Of a teammate: how wide its box is without padding, at its distance."""
+        return (
+            USUAL_SPAN_M if self.airframe_span_m is None else self.airframe_span_m
+        ) * self.box_width.factor
 
     @property
     def lasting(self) -> float:
         """What of the size lasts, the span's own error included."""
-        unknown = USUAL_SPAN_SIGMA if self.airframe_span_m is None else 0.0
-        return float((self.size_lasting**2 + unknown**2) ** 0.5)
+        return math.hypot(self.box_width.drone_sigma, self._unknown)
+
+    def lasting_by(self, gain: Array) -> Array:
+        """(n,) how much of `lasting` is in the range by boxes whose own errors count `gain` times (n,): a span that is
+        not known is off by the same in all of them."""
+        if self._unknown == 0.0:
+            return gain
+        return np.asarray(np.hypot(gain * self.box_width.drone_sigma, self._unknown) / self.lasting)
+
+    @property
+    def _unknown(self) -> float:
+        return USUAL_SPAN_SIGMA if self.airframe_span_m is None else 0.0

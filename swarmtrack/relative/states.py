@@ -55,7 +55,7 @@ from swarmtrack.relative.log_range import (
     predicted,
 )
 from swarmtrack.relative.looks import TeamLook
-from swarmtrack.relative.measurements import Carried, Measured
+from swarmtrack.relative.measurements import Carried, Measured, SizedRange
 from swarmtrack.relative.parameters import RelativeParameters
 
 # s of scans whose beliefs are kept for what comes late; and how far ahead of the last scan a message may be.
@@ -115,7 +115,8 @@ class RelativeStates:
 
     def __init__(self, parameters: RelativeParameters | None = None) -> None:
         self._p = parameters or RelativeParameters()
-        self._errors = SizeErrors(self._p.size_wandering, self._p.size_wander_s)
+        width = self._p.box_width
+        self._errors = SizeErrors(width.wander_sigma, width.wander_s)
         self._drift = Drift(self._p.place_drift, self._p.turn_drift)
         self._now: _Moment | None = None
         self._before: deque[_Moment] = deque()
@@ -195,13 +196,22 @@ class RelativeStates:
     ) -> tuple[Beliefs, Array]:
         near = np.exp(-2.0 * prior.log_range)
         ray_cov = look.ray_cov[rows] + (self._p.jitter_m**2 * near)[:, None, None] * np.eye(3)
-        log_range = np.log(self._p.width_m / look.width[rows])
-        found = measurements.seen(prior, look.ray[rows], ray_cov, log_range, self._p.size_white**2)
+        found = measurements.seen(prior, look.ray[rows], ray_cov, self._sized(look, rows))
         prior = self._surprised(prior, found, look.t, keys)
         for key, sized in zip(keys, found.H[:, 2, RANGE].tolist(), strict=True):
             if sized:
                 self._sources[key].add("size")
         return corrected(prior, found.H, found.nu, found.R)
+
+    def _sized(self, look: TeamLook, rows: list[int]) -> SizedRange:
+        """What the boxes of these rows of a look tell of their range."""
+        gain = look.gain[rows]
+        return SizedRange(
+            np.log(self._p.width_m / look.width[rows]),
+            self._p.lasting_by(gain),
+            gain,
+            (gain * self._p.box_width.white_sigma) ** 2,
+        )
 
     def _surprised(
         self, prior: Beliefs, found: Measured, t: float, keys: Sequence[tuple[int, int]]
@@ -248,18 +258,22 @@ class RelativeStates:
         P = np.zeros((STATES, STATES))
         E = across(ray[None])
         P[ACROSS, ACROSS] = E[0].T @ look.ray_cov[i] @ E[0]
-        P[LASTING, LASTING], P[WANDERING, WANDERING] = p.lasting**2, p.size_wandering**2
+        P[LASTING, LASTING], P[WANDERING, WANDERING] = p.lasting**2, p.box_width.wander_sigma**2
         P[TURN, TURN] = p.turn_sigma**2
         said = self._said.get(key[0])
         lasting = UNTOLD_PLACE**2 if said is None else said.lasting
         P[PLACE, PLACE] = lasting * np.eye(3)
-        by_size = p.lasting**2 + p.size_wandering**2 + p.size_white**2
-        width = float(look.width[i])
+        sized = self._sized(look, [i])
+        lasts, wanders = float(sized.lasting[0]), float(sized.wandering[0])
+        by_size = (
+            (lasts * p.lasting) ** 2 + (wanders * p.box_width.wander_sigma) ** 2 + float(sized.variance[0])
+        )
+        range_by_size = float(sized.log_range[0])
         sources: set[RelativeSource] = set()
         log_range, variance = math.log(10.0), 1.0
         placed = None if said is None else _along(said, look, i, p.drift_speed)
-        if placed is not None and math.isfinite(width):
-            apart = (placed[0] - math.log(p.width_m / width)) ** 2 / (placed[1] + by_size)
+        if placed is not None and math.isfinite(range_by_size):
+            apart = (placed[0] - range_by_size) ** 2 / (placed[1] + by_size)
             placed = placed if placed[1] < by_size and apart < GATE[1] else None
         if placed is not None:
             log_range, variance = placed
@@ -267,10 +281,10 @@ class RelativeStates:
             P[RANGE, PLACE] = P[PLACE, RANGE] = -ray * lasting * math.exp(-log_range)
             assert said is not None
             sources.add(said.source)
-        elif math.isfinite(width):
-            log_range, variance = math.log(p.width_m / width), by_size
-            P[RANGE, LASTING] = P[LASTING, RANGE] = -(p.lasting**2)
-            P[RANGE, WANDERING] = P[WANDERING, RANGE] = -(p.size_wandering**2)
+        elif math.isfinite(range_by_size):
+            log_range, variance = range_by_size, by_size
+            P[RANGE, LASTING] = P[LASTING, RANGE] = -lasts * P[LASTING, LASTING]
+            P[RANGE, WANDERING] = P[WANDERING, RANGE] = -wanders * P[WANDERING, WANDERING]
             sources.add("size")
         log_range = min(max(log_range, math.log(NEAREST)), math.log(FARTHEST))
         P[RANGE, RANGE] = variance
@@ -284,12 +298,10 @@ class RelativeStates:
             np.zeros(1), P[None],
         )  # fmt: skip
         self._sources[key] = sources
-        if "size" not in sources and math.isfinite(width):
+        if "size" not in sources and math.isfinite(range_by_size):
             sources.add("size")
             missing = np.full_like(look.ray_cov[i], np.nan)
-            found = measurements.seen(
-                row, ray[None], missing[None], np.array([math.log(p.width_m / width)]), p.size_white**2
-            )
+            found = measurements.seen(row, ray[None], missing[None], sized)
             # The ray was used already.
             found.H[:, :2], found.R[:, :2, :2] = 0.0, np.eye(2)
             row, _ = corrected(row, found.H, found.nu, found.R)

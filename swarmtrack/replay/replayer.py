@@ -122,7 +122,8 @@ class Replayer:
         every_answer: bool = False,
     ) -> None:
         self._recording = recording
-        self._door = Door(make_onboard(settings.config, settings.mounted, settings.start))
+        box_width = settings.box_width if detector is None else detector.description.box_width
+        self._door = Door(make_onboard(settings.config, settings.mounted, settings.start, box_width))
         self._gyro_delay_s = settings.config.motion.gyro_delay_s
         self._detector = detector
         self._expectation = PerceivedExpectation(self._door.perceived)

@@ -11,6 +11,7 @@ from swarmtrack.errors import SourceError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import AgreedMotion, Announcement
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.filed import agreed_motions, filed_announcements
 from swarmtrack.runtime.perception import make_detector, make_onboard
@@ -100,7 +101,10 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     with config.blamed("network"):
         transport = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
-    recorder = _recorder(config, mounted, start, boot, clock=clock, wall=wall, waits=paced is not None)
+    box_width = None if detector is None else detector.description.box_width
+    recorder = _recorder(
+        config, mounted, start, box_width, boot, clock=clock, wall=wall, waits=paced is not None
+    )
     return Parts(
         config=config,
         clock=clock,
@@ -111,7 +115,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         camera=camera,
         autopilot=autopilot,
         detector=detector,
-        door=Door(make_onboard(config, mounted, start)),
+        door=Door(make_onboard(config, mounted, start, box_width)),
         recorder=recorder,
         transport=transport,
         start=start,
@@ -238,6 +242,7 @@ def _recorder(
     config: DroneConfig,
     mounted: MountedCamera,
     start: Pose | None,
+    box_width: BoxWidth | None,
     boot: str,
     *,
     clock: Clock,
@@ -249,7 +254,8 @@ def _recorder(
     from swarmtrack.recording.settings import FlightSettings  # noqa: PLC0415
     from swarmtrack.runtime.flight_recorder import FlightRecorder  # noqa: PLC0415
 
-    return FlightRecorder(FlightSettings(config, mounted, start), boot, clock, wall, waits=waits)
+    settings = FlightSettings(config, mounted, start, box_width)
+    return FlightRecorder(settings, boot, clock, wall, waits=waits)
 
 
 def _teammates(

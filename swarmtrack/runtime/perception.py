@@ -14,6 +14,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 
@@ -25,8 +26,10 @@ if TYPE_CHECKING:
 GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
 
 
-def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None) -> Onboard:
-    """The drone's perception: the same in flight and in a replay."""
+def make_onboard(
+    config: DroneConfig, mounted: MountedCamera, start: Pose | None, box_width: BoxWidth | None = None
+) -> Onboard:
+    """The drone's perception: the same in flight and in a replay. box_width: what the detector says of its boxes."""
     motion = config.motion
     x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
     return Onboard(
@@ -46,7 +49,10 @@ def make_onboard(config: DroneConfig, mounted: MountedCamera, start: Pose | None
         ),
         ego=make_ego_history(config, start, history_s=motion.history_s),
         identity=IdentityParameters(**config.identity.parameters),
-        relative=RelativeParameters(airframe_span_m=config.team.airframe_span_m),
+        relative=RelativeParameters(
+            airframe_span_m=config.team.airframe_span_m,
+            box_width=config.detector.box_width.over(box_width or BoxWidth()),
+        ),
         start_sigma_m=config.drone.start.frame_sigma_m,
         estimate_gyro_bias=motion.estimate_gyro_bias,
     )

@@ -15,10 +15,10 @@ from support.places import SHARED
 from swarmtrack.benchmarks import detector as bench
 from swarmtrack.benchmarks import real_clips
 from swarmtrack.detection import letterbox
-from swarmtrack.detection.description import Description
+from swarmtrack.detection.description import Description, box_width_of
 from swarmtrack.detection.detector import SMALLEST, Detector
 from swarmtrack.detection.heads import Candidates, centernet, read, suppress
-from swarmtrack.detection.model import model_path
+from swarmtrack.detection.model import metadata_of, model_path
 from swarmtrack.errors import ModelError
 from swarmtrack.evaluation import detector_score
 from swarmtrack.messages import Frame, StampKind
@@ -298,11 +298,28 @@ def set_metadata(key: str, value: str):
         ("mean", "[1, 2]", "three numbers"),
         ("channel_order", "RBG", "BGR or RGB"),
         ("names", json.dumps("drone"), "list of class names"),
+        ("box_width", json.dumps({"factor": 0.0}), "JSON object of factor, padding_px"),
+        ("box_width", json.dumps({"width": 1.0}), "JSON object of factor, padding_px"),
+        ("box_width", "[1.14]", "JSON object of factor, padding_px"),
     ],
 )
 def test_wrong_metadata_is_named_with_what_was_expected(tmp_path, key, value, expected):
     with pytest.raises(ModelError, match=rf"swarmtrack\.{key} is .*{expected}"):
         Detector(altered(tmp_path, set_metadata(key, value)))
+
+
+def test_the_shipped_model_says_how_wide_its_boxes_are_and_a_model_need_not(tmp_path):
+    shipped = Detector().description.box_width
+    assert shipped == box_width_of("default", metadata_of(model_path("default")))
+    assert shipped is not None
+    assert shipped.padding_px > 10.0
+
+    def silent(model) -> None:
+        entries = [entry for entry in model.metadata_props if entry.key != "swarmtrack.box_width"]
+        model.ClearField("metadata_props")
+        model.metadata_props.extend(entries)
+
+    assert Detector(altered(tmp_path, silent)).description.box_width is None
 
 
 def test_metadata_that_miss_an_entry_are_refused(tmp_path):

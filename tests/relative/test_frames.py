@@ -40,7 +40,7 @@ def flown(shift, turn, seconds=20.0, *, still=False, boot="0000000a", seed=1):
         frames.see(
             TeamLook(
                 t, np.zeros(3), np.zeros(3), ((2, 9),), ray[None] / np.linalg.norm(ray), 1e-5 * np.eye(3)[None],
-                np.array([width]),
+                np.array([width]), np.ones(1),
             )
         )  # fmt: skip
         if k % 5 == 0:

@@ -66,6 +66,27 @@ def test_a_box_that_may_be_cut_off_or_is_none_has_no_width(z, size):
     assert np.isnan(widths(np.array([z]), np.array([size]), CAMERA, team_from_camera())).all()
 
 
+@pytest.mark.parametrize("roll_deg", [0, 20])
+def test_the_padding_of_a_box_is_no_drone(roll_deg):
+    turned = team_from_camera(roll=math.radians(roll_deg))
+    centre = np.array([10.0, 0.0, 0.0])
+    z, size = box_of(ellipse(centre, 0.5, 0.15), turned)
+    named = NamedBox(2, 7, z, np.eye(2), size + 15.0)
+    look = TeamLook.of(0.0, [named], CAMERA, Pose(turned, np.zeros(3)), np.zeros(3), padding_px=15.0)
+    assert look.width == pytest.approx([0.05], rel=0.01)
+    assert look.gain == pytest.approx((size[0] + 15.0) / size[0])
+
+
+@pytest.mark.parametrize("size", [(18.0, 18.0), (10.0, 10.0), (math.nan, math.nan)])
+def test_a_box_that_is_nearly_all_padding_has_no_width(size):
+    named = NamedBox(2, 7, np.array([320.0, 240.0]), np.eye(2), np.array(size))
+    look = TeamLook.of(
+        0.0, [named], CAMERA, Pose(team_from_camera(), np.zeros(3)), np.zeros(3), padding_px=15.0
+    )
+    assert np.isnan(look.width).all()
+    assert (look.gain == 1.0).all()
+
+
 @pytest.mark.parametrize("roll", [0.0, 0.3, -0.4])
 @pytest.mark.parametrize("pitch", [0.0, 0.5])
 def test_the_camera_s_roll_is_that_of_the_horizon(roll, pitch):

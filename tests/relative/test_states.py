@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from swarmtrack.benchmarks import relative as bench
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, MotionReport, RangeReport, Sighting, SightingReport
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
@@ -18,11 +19,12 @@ from swarmtrack.relative.states import OwnMotion, RelativeStates
 
 DT = 1.0 / 7.0
 STILL = OwnMotion(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
-TOLD = RelativeParameters(airframe_span_m=0.5)
+BOXES = BoxWidth(factor=1.0, drone_sigma=0.18, wander_sigma=0.12, wander_s=1.0, white_sigma=0.06)
+TOLD = RelativeParameters(airframe_span_m=0.5, box_width=BOXES)
 PLACE = np.array([8.0, 2.0, -1.0])
 
 
-def look(t, *places, track=7, width=0.5, camera=(0.0, 0.0, 0.0), rng=None, sigma=2.5e-3):
+def look(t, *places, track=7, width=0.5, camera=(0.0, 0.0, 0.0), rng=None, sigma=2.5e-3, gain=1.0):
     """What is seen of teammates 2, 3, … at places (3,) m from the camera."""
     away = np.array(places, float).reshape(-1, 3)
     rho = np.linalg.norm(away, axis=1)
@@ -32,7 +34,9 @@ def look(t, *places, track=7, width=0.5, camera=(0.0, 0.0, 0.0), rng=None, sigma
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     keys = tuple((2 + i, track) for i in range(len(away)))
     cov = np.tile(sigma**2 * np.eye(3), (len(away), 1, 1))
-    return TeamLook(t, np.array(camera, float), np.zeros(3), keys, ray, cov, width / rho)
+    return TeamLook(
+        t, np.array(camera, float), np.zeros(3), keys, ray, cov, width / rho, gain * np.ones_like(rho)
+    )
 
 
 def announced(place, sigma=0.1, t=0.0, drone=2):
@@ -65,6 +69,25 @@ def test_a_drone_of_known_span_has_a_range_from_its_first_box():
     assert state.range_sigma_log == pytest.approx(math.sqrt(0.18**2 + 0.12**2 + 0.06**2))
 
 
+def test_a_box_that_is_padding_for_the_most_part_tells_as_much_less():
+    """What is off by 10 % of a box three times as wide as its drone is off by 30 % of the drone."""
+    states = RelativeStates(TOLD)
+    states.observe(look(0.0, PLACE, gain=2.0))
+    assert only(states, 0.0).range_sigma_log == pytest.approx(2.0 * math.sqrt(0.18**2 + 0.12**2 + 0.06**2))
+    states = RelativeStates(TOLD)
+    for k in range(40):
+        states.observe(look(k * DT, PLACE, gain=2.0))
+    # What wanders and what is white is averaged out in part, and what lasts never.
+    assert 2.0 * 0.18 < only(states, 39 * DT).range_sigma_log < 2.0 * BOXES.one_look
+
+
+def test_a_span_that_nobody_told_is_off_by_the_same_however_much_of_a_box_is_padding():
+    unknown = RelativeParameters(box_width=BOXES)
+    gain = np.array([1.0, 2.0, 4.0])
+    assert (TOLD.lasting_by(gain) == gain).all()
+    assert unknown.lasting * unknown.lasting_by(gain) == pytest.approx(np.hypot(0.6, 0.18 * gain))
+
+
 def test_of_an_airframe_nobody_told_of_the_size_tells_no_range_until_a_place_is_known():
     states = RelativeStates()
     t = watched(states, [PLACE] * 8)
@@ -79,7 +102,7 @@ def test_of_an_airframe_nobody_told_of_the_size_tells_no_range_until_a_place_is_
 
 def test_a_range_that_was_announced_teaches_what_the_box_is_worth():
     """Once the drone has flown off, the size alone keeps the range: its lasting error was learned."""
-    told = replace(TOLD, size_wandering=0.0, size_white=0.02)
+    told = replace(TOLD, box_width=replace(BOXES, wander_sigma=0.0, white_sigma=0.02))
     states = RelativeStates(told)
     states.hear_announcement(announced(PLACE, sigma=0.05))
     for k in range(20):
@@ -100,7 +123,8 @@ def test_a_steady_flight_is_estimated_as_by_least_squares_over_all_of_it(seed, r
     hovers all is linear; on the circle the first steps knew the range less well than the last.
     """
     rng = np.random.default_rng(seed)
-    told = replace(TOLD, speed_sigma=1.5, fellows=0.0, forget_s=1e9, size_wandering=0.0, size_white=0.1,
+    boxes = replace(BOXES, wander_sigma=0.0, white_sigma=0.1)
+    told = replace(TOLD, speed_sigma=1.5, fellows=0.0, forget_s=1e9, box_width=boxes,
                    odometry=0.0, jitter_m=0.0, attitude_walk=0.0)  # fmt: skip
     states = RelativeStates(told)
     t = np.arange(60) * DT
@@ -113,8 +137,9 @@ def test_a_steady_flight_is_estimated_as_by_least_squares_over_all_of_it(seed, r
     width = 0.5 / rho * np.exp(-bias - 0.1 * rng.normal(size=60))
     for k in range(60):
         seen = TeamLook(
-            t[k], eye[k], np.zeros(3), ((2, 7),), rays[k][None], 2.5e-3**2 * np.eye(3)[None], width[k, None]
-        )
+            t[k], eye[k], np.zeros(3), ((2, 7),), rays[k][None], 2.5e-3**2 * np.eye(3)[None], width[k, None],
+            np.ones(1),
+        )  # fmt: skip
         states.observe(seen)
 
     def misses(x):

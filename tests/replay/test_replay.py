@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,9 +23,10 @@ from support.places import ROOT
 
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 
-from support.recorded_flight import fly
+from support.recorded_flight import SAID, fly
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.config import load_config
+from swarmtrack.detection.detector import Detector
 from swarmtrack.evaluation.replay_diff import ConfirmedTrack, SeenScan, compare
 from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.recording import inputs
@@ -121,12 +123,38 @@ def test_the_json_of_a_replay_says_where_teammates_are(flown, tmp_path):
 
 def test_another_belief_of_airframes_changes_the_metres_and_nothing_else(flown, monkeypatch):
     monkeypatch.setattr(
-        perception, "RelativeParameters", lambda airframe_span_m: RelativeParameters(airframe_span_m=0.8)
+        perception, "RelativeParameters", lambda **told: RelativeParameters(airframe_span_m=0.8)
     )
     result = replayed(flown[0] / "drone-1")
     assert not result.exact
     assert result.scans_compared.same == result.scans_compared.recorded
     assert result.states_compared.same < result.states_compared.recorded
+
+
+def test_a_recording_holds_what_the_detector_said_of_its_boxes_and_a_what_if_may_say_otherwise(flown):
+    folder, _ = flown
+    (recording,) = recordings_below(folder / "drone-1")
+    settings, _ = read_settings(recording)
+    assert settings.box_width == SAID
+    changed, _ = read_settings(recording, changes=["detector.box_width.factor=1.5"])
+    assert changed.config.detector.box_width.over(changed.box_width) == replace(SAID, factor=1.5)
+    result = Replayer(recording, changed).run()
+    assert result.scans_compared.same == result.scans_compared.recorded
+    assert result.states_compared.same < result.states_compared.recorded
+
+
+def test_an_older_recording_had_the_boxes_of_the_shipped_model(flown):
+    (recording,) = recordings_below(flown[0] / "drone-1")
+    calibration = {
+        key: value for key, value in recording.attached("calibration.json").items() if key != "box_width"
+    }
+    recording.attachments["calibration.json"] = SimpleNamespace(data=json.dumps(calibration))
+    # Cameras that detect by themselves have boxes that nobody knows.
+    assert read_settings(recording)[0].box_width is None
+    table = recording.attached("config.json")
+    table["camera"]["source"] = "v4l2:///dev/video0"
+    recording.attachments["config.json"] = SimpleNamespace(data=json.dumps(table))
+    assert read_settings(recording)[0].box_width == Detector().description.box_width
 
 
 def test_it_is_the_same_in_every_process(flown, tmp_path, capsys):

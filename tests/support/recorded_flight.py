@@ -26,6 +26,7 @@ from swarmtrack.messages import (
     StampKind,
 )
 from swarmtrack.recording.settings import FlightSettings
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.flight_recorder import FlightRecorder
 from swarmtrack.runtime.perception import make_onboard
@@ -35,6 +36,8 @@ from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters
 LATENCY_S = 0.08
 # With RTK, so that pictures can be labelled by it.
 EGO = EgoParameters(heading_error_deg=(0.0, 0.0), aligned_error_deg=0.0, height_error_m=(0.0, 0.0))
+# Of its boxes, by the detector.
+SAID = BoxWidth(drone_sigma=0.1)
 BEGIN = {1: 500.0, 2: 81234.5, 3: 7.25}  # s on each drone's own monotonic clock at world time 0
 UTC_ERROR = {1: 0.0, 2: 0.4, 3: -1.5}  # s by which each drone's wall clock is wrong
 
@@ -51,9 +54,9 @@ class Flight:
         mounted = mount_camera(self.config.camera)
         self.drone_id, self.begin = drone_id, BEGIN[drone_id]
         self.clock = ManualClock(self.begin - 1.0, 1.8e9 - 1.0 + UTC_ERROR[drone_id])
-        self.door = Door(make_onboard(self.config, mounted, None))
+        self.door = Door(make_onboard(self.config, mounted, None, SAID))
         self.boot = f"{drone_id:08x}"
-        settings = FlightSettings(self.config, mounted, None)
+        settings = FlightSettings(self.config, mounted, None, SAID)
         self.recorder = FlightRecorder(settings, self.boot, self.clock, SystemClock(), waits=True)
         self.recorder.open()
         self.door.listener = self.recorder

@@ -1,0 +1,267 @@
+"""How wide a detector draws its boxes: on drawn drones of known span and distance, and on labelled real ones.
+
+Drones of 0.3 to 0.8 m fly away from a camera until they are some pixels wide, turning and banking, in front of drawn
+skies, hills and houses. The detector looks as an agent's does. Of each box its width is set beside that of the span at
+that distance, and `calibration/box_width.py` fits
+
+    width = factor · span + padding,    with errors of its logarithm: from drone to drone, wandering, white
+
+Drawn drones are all of one shape. So the errors that a model should state are the larger ones of drawn drones and of
+real ones (`--clips`; without, those of the default), where the label's width stands for the drone's.
+
+    swarmtrack bench box-width [--model FILE] [--clips DATA] [--write] --out DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import multiprocessing
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.arguments import add_flag, add_folder
+from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
+from swarmtrack.benchmarks.trackers.clips import look
+from swarmtrack.calibration.box_width import WidthFit, Widths, fit_box_width, level_width
+from swarmtrack.clock import SystemClock
+from swarmtrack.config import DetectorSection
+from swarmtrack.detection.detector import Detector
+from swarmtrack.detection.expectation import PixelMapping
+from swarmtrack.detection.model import model_path
+from swarmtrack.evaluation.clip_score import TrackPoints, match_hits
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.messages import Array, Frame, StampKind
+from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.runtime.perception import detector_of
+from swarmtrack.simulation.airframe import Airframe
+from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA
+from swarmtrack.simulation.world import World
+
+NAME = "box-width"
+SEEDS, QUICK_SEEDS = 24, 4
+SECONDS, FPS = 20.0, 10.0
+SPANS_M = (0.3, 0.8)
+NEAREST_PX, NARROWEST_PX = 110.0, 10.0
+HEIGHT_M = 20.0
+OBSERVER, SEEN = 1, 2
+# Of a box's longer side, and px: how far from where the drone is the middle of its box may be.
+HIT, HIT_PX = 0.6, 8.0
+# px: of a track's place, 3 σ.
+EXPECTED_PX = 6.0
+
+
+class Hovering:
+    """The observer."""
+
+    def pose(self, t: float) -> Pose:
+        """world_from_body: level, looking north."""
+        return Pose(np.eye(3), self.position(t))
+
+    def position(self, t: float) -> Array:
+        return np.array([0.0, 0.0, -HEIGHT_M])
+
+
+class FlyingAway:
+    """A drone that flies away from the observer, turning and banking."""
+
+    def __init__(self, span: float, chance: np.random.Generator) -> None:
+        near, far = (span * CAMERA.fx / px for px in (NEAREST_PX, NARROWEST_PX))
+        self._near, self._rate = near, math.log(far / near) / SECONDS
+        self._azimuth, self._elevation = chance.uniform(-0.45, 0.45), chance.uniform(-0.2, 0.2)
+        self._yaw, self._turning = chance.uniform(0.0, 2.0 * math.pi), chance.uniform(-0.6, 0.6)
+
+    def pose(self, t: float) -> Pose:
+        """world_from_body."""
+        roll, pitch = 0.1 * math.sin(1.1 * t), 0.1 * math.cos(0.9 * t)
+        return Pose(rotation.from_euler(roll, pitch, self._yaw + self._turning * t), self.position(t))
+
+    def position(self, t: float) -> Array:
+        far, azimuth = self._near * math.exp(self._rate * t), self._azimuth + 0.08 * math.sin(0.5 * t)
+        level = far * math.cos(self._elevation)
+        down = -HEIGHT_M - far * math.sin(self._elevation)
+        return np.array([level * math.cos(azimuth), level * math.sin(azimuth), down])
+
+
+class LastBox:
+    """What a tracker would expect: the drone where its last box was."""
+
+    def __init__(self) -> None:
+        self.box = np.empty((0, 6))
+
+    def boxes(self, exposed: float) -> Array:
+        return self.box
+
+    def pixels_at(self, then: float, now: float) -> PixelMapping | None:
+        """The camera does not turn."""
+        return lambda pixels: pixels
+
+
+def fly(model: str, seed: int) -> Widths:
+    """One flight of one drone."""
+    chance = np.random.default_rng((seed, 18))
+    span = math.exp(chance.uniform(*np.log(SPANS_M)))
+    flown = FlyingAway(span, chance)
+    world = World(seed, {OBSERVER: Hovering(), SEEN: flown}, {SEEN: Airframe().scaled(span)})
+    renderer = Renderer(world, CAMERA, BODY_FROM_CAMERA)
+    detector = detector_of(DetectorSection(model=model), SystemClock())
+    expected, rows = LastBox(), []
+    camera = world.pose(OBSERVER, 0.0) @ BODY_FROM_CAMERA
+    for k in range(int(SECONDS * FPS)):
+        t = k / FPS
+        frame = Frame(t, 0.0, k, renderer.image(OBSERVER, t, k), StampKind.EXPOSURE)
+        found = detector.look(detector.plan(frame, expected))
+        if found is None:
+            raise report.BenchmarkError(detector.status().text)
+        away = flown.position(t) - camera.position
+        pixel = CAMERA.project_undistorted(away[None] @ camera.rotation)[0]
+        off = np.linalg.norm(found.centre - pixel, axis=1)
+        hit = np.flatnonzero(off < np.maximum(HIT * found.size.max(axis=1, initial=0.0), HIT_PX))
+        expected.box = np.empty((0, 6))
+        if len(hit):
+            i = hit[off[hit].argmin()]
+            expected.box = np.array([[*found.centre[i], EXPECTED_PX, EXPECTED_PX, *found.size[i]]])
+            rows.append((t, level_width(away, span, CAMERA, camera.rotation), found.size[i, 0]))
+    return Widths(*np.array(rows).reshape(-1, 3).T)
+
+
+def on_clips(data: Path, model: str, *, limit: int | None = None) -> list[Widths]:
+    """Real drones, beside the width of their labels."""
+    detector = Detector(model)
+    drones = []
+    for clip in real_clips.find_clips(data)[:limit]:
+        rows: dict[int, list[tuple[float, float, float]]] = {}
+        truth = real_clips.read_truth(clip.truth)
+        for seen in look(clip, detector):
+            labelled = truth.get(seen.sequence)
+            if labelled is None:
+                continue
+            boxes = TrackPoints(np.arange(len(seen)), seen.centre)
+            for row, column, _ in zip(*match_hits(labelled, boxes), strict=True):
+                width = (seen.sequence / clip.fps, labelled.size[row, 0], seen.size[column, 0])
+                rows.setdefault(int(labelled.id[row]), []).append(width)
+        drones += [Widths(*np.array(table).T) for table in rows.values()]
+    return drones
+
+
+def stated(drawn: WidthFit, real: BoxWidth) -> BoxWidth:
+    """What a model should say of itself: the widths of drawn drones, and errors as large as on any."""
+    worse = {
+        name: max(getattr(drawn.width, name), getattr(real, name))
+        for name in ("drone_sigma", "wander_sigma", "white_sigma")
+    }
+    return dataclasses.replace(drawn.width, **worse, wander_s=real.wander_s)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+    add_processes(parser)
+    parser.add_argument(
+        "--model", default="default", metavar="FILE", help='"default" or an .onnx file (default: %(default)s)'
+    )
+    add_folder(parser, "--clips", "labelled clips of real drones: pairs of NAME.mp4 and NAME_gt.csv")
+    add_flag(parser, "--write", "write what was found into the model's metadata")
+
+
+def run(args: argparse.Namespace) -> None:
+    result = publish(
+        args.out,
+        args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
+        model=args.model,
+        clips=args.clips,
+        clip_limit=2 if args.quick else None,
+        processes=args.processes,
+    )
+    if args.write:
+        # Only who writes models needs the package `onnx`.
+        from swarmtrack.training.annotation import annotate  # noqa: PLC0415
+
+        annotate(model_path(args.model), {"box_width": json.dumps(result["stated"])})
+
+
+def publish(
+    out: Path,
+    seeds: int,
+    *,
+    model: str = "default",
+    clips: Path | None = None,
+    clip_limit: int | None = None,
+    processes: int | None = None,
+) -> dict[str, Any]:
+    """Fly everything, write box-width.json, .md and .png into `out`, and return what is in the JSON."""
+    plt = report.pyplot()
+    flights = []
+    with (
+        multiprocessing.get_context("spawn").Pool(processes) as pool,
+        report.progress(NAME, seeds) as advance,
+    ):
+        for flight in pool.imap(partial(fly, model), range(1, seeds + 1)):
+            flights.append(flight)
+            advance("")
+    drawn = fit_box_width(flights)
+    real = None if clips is None else fit_box_width(on_clips(clips, model, limit=clip_limit))
+    result = {
+        "model": model_path(model).name,
+        "drawn": _record(drawn),
+        "real": None if real is None else _record(real),
+        "stated": dataclasses.asdict(stated(drawn, BoxWidth() if real is None else real.width)),
+    }
+    report.write(out, NAME, result, _markdown(result))
+    _plot(plt, out / f"{NAME}.png", flights, drawn.width)
+    return result
+
+
+def _record(found: WidthFit) -> dict[str, Any]:
+    return {"boxes": found.boxes, "drones": found.drones, **dataclasses.asdict(found.width)}
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    names = {"drawn": "drawn drones, beside the span", "real": "real drones, beside the label"}
+    rows = [
+        [words, str(row["drones"]), str(row["boxes"]), *_numbers(row)]
+        for key, words in names.items()
+        if (row := result[key]) is not None
+    ]
+    rows.append(["for the metadata", "", "", *_numbers(result["stated"])])
+    header = [
+        "", "drones", "boxes", "factor", "padding, px", "drone to drone, %", "wandering, %", "within, s", "white, %",
+    ]  # fmt: skip
+    words = (
+        f"`{result['model']}`, looking as an agent does at drawn drones, and at whole frames of real ones. Width of a "
+        "box = factor · width + padding; errors of its logarithm."
+    )
+    return "\n\n".join(["# How wide boxes are", words, report.table(header, rows)])
+
+
+def _numbers(row: dict[str, float]) -> list[str]:
+    return [
+        report.number(row["factor"]),
+        report.number(row["padding_px"], 1),
+        report.number(100.0 * row["drone_sigma"], 0),
+        report.number(100.0 * row["wander_sigma"], 0),
+        report.number(row["wander_s"], 1),
+        report.number(100.0 * row["white_sigma"], 0),
+    ]
+
+
+def _plot(plt: Any, path: Path, flights: Sequence[Widths], width: BoxWidth) -> None:
+    figure, axes = plt.subplots(figsize=(7.0, 4.5), layout="constrained")
+    for flight in flights:
+        axes.plot(flight.span_px, flight.box_px, ".", markersize=2, color="tab:blue", alpha=0.4)
+    x = np.linspace(NARROWEST_PX, NEAREST_PX, 100)
+    words = f"{width.factor:.2f} · span + {width.padding_px:.1f} px"
+    axes.plot(x, width.factor * x + width.padding_px, color="black", label=words)
+    axes.set(xlabel="width of the span, px", ylabel="width of the box, px", ylim=(0.0, 1.6 * NEAREST_PX))
+    axes.legend()
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
