@@ -196,6 +196,17 @@ FAULTS: dict[str, Fault] = {
         "drone.start.position_sigma_m is not written: the start is taken as known to ± {sigma_m:g} m",
         "write drone.start.position_sigma_m: 0.1 by a tape, 0.3 on a marked pad; nearer teammates stay unknown",
     ),
+    "autopilot.open": Fault(
+        W,
+        "{address} takes MAVLink from anybody who reaches it: whoever speaks first is taken for the autopilot",
+        "listen on 127.0.0.1 if the autopilot's router runs on this computer; else set autopilot.signing_key "
+        "(docs/security.md)",
+    ),
+    "autopilot.strangers": Fault(
+        W,
+        "{count:.0f} datagrams came from elsewhere than the autopilot's address, and were not read",
+        "find out who else sends there (the log names one): a second autopilot or router needs a port of its own",
+    ),
     "autopilot.slow": Fault(
         W,
         "{got_hz:.0f} gyro samples per second, {asked_hz:g} requested",

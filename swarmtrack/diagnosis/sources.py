@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
+from swarmtrack.errors import SourceError
 from swarmtrack.messages import Array, LinkStatus, StampKind
+from swarmtrack.sensors.mavlink.address import parse_address
 
 LATE_MS = 150.0  # of a frame at arrival
 DAMAGED = 0.02  # share of frames
@@ -196,9 +198,23 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
     samples, lost = numbers.get("imu_samples", 0.0), numbers.get("imu_lost", 0.0)
     if lost > LOST * (samples + lost):
         findings.append(fault("autopilot.losing", setting=setting, share=lost / (samples + lost)))
+    if foreign := numbers.get("foreign_datagrams", 0.0):
+        findings.append(fault("autopilot.strangers", count=foreign))
     if facts.live:
         findings += _check_clock(numbers, setting)
     return findings or [ok("autopilot", text)]
+
+
+def check_door(link: str, *, signed: bool) -> list[Finding]:
+    """Whether others than the autopilot can speak where it is listened to. link: an address as in autopilot.link, which
+    may be wrong; signed: by a key that we know."""
+    try:
+        address = parse_address(link)
+    except SourceError:
+        return []
+    if signed or not address.reachable_from_outside:
+        return []
+    return [fault("autopilot.open", address=address)]
 
 
 def _check_clock(numbers: Mapping[str, float], setting: Sequence[str]) -> list[Finding]:

@@ -40,6 +40,7 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     if mounted is not None:
         findings += mounting.check_mount(mount)
     findings += sources.check_autopilot(watched.autopilot)
+    findings += sources.check_door(config.autopilot.link, signed=config.autopilot.signing_key is not None)
     if watched.autopilot.wanted and not watched.autopilot.refused:
         findings += sources.check_imu(watched.imu)
         findings += sources.check_pose(watched.pose)

@@ -7,6 +7,7 @@ from pathlib import Path
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import DroneConfig, load_config
 from swarmtrack.diagnosis.findings import fault
+from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.outputs import check_outputs
 from swarmtrack.sensors.camera_address import parse_address as camera_address
@@ -52,8 +53,10 @@ def check(path: Path) -> None:
     if not config.team.announce:
         print("silent     nothing is told to the team, and nothing asked")
     start = config.drone.start
+    findings = check_door(link, signed=config.autopilot.signing_key is not None)
     if start.has_unknown_sigma:
-        finding = fault("pose.unmeasured", sigma_m=start.position_sigma_m)
+        findings.append(fault("pose.unmeasured", sigma_m=start.position_sigma_m))
+    for finding in findings:
         print(f"warning: {finding.found}: {finding.remedy}")
     for word in config.autopilot.tell:
         if word in DANGERS:

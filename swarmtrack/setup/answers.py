@@ -24,13 +24,16 @@ PX4_UART = "PX4, once: MAV_1_CONFIG = TELEM 2, MAV_1_MODE = Onboard, SER_TEL2_BA
 ARDUPILOT_UART = "ArduPilot, once: SERIAL2_PROTOCOL = 2, SERIAL2_BAUD = 921; SR2_* stay as they are"
 DEVICES = "/dev/ttyAMA0 is the UART of a Raspberry Pi; a Jetson has /dev/ttyTHS1"
 BY_ID = "Its name in /dev/serial/by-id survives replugging."
+OUTSIDE = "An autopilot on a cable: our own address on it, and a signing_key (docs/security.md)."
 WIRINGS = {
     "px4-uart": Wiring(UART, (PX4_UART, DEVICES)),
     "px4-usb": Wiring(USB, (BY_ID,)),
-    "px4-udp": Wiring("udpin:0.0.0.0:14540", ("Where PX4 sends to companions by default.",)),
+    "px4-udp": Wiring(
+        "udpin:127.0.0.1:14540", ("PX4's port for companions, from a router beside us.", OUTSIDE)
+    ),
     "ardupilot-uart": Wiring(UART, (ARDUPILOT_UART, DEVICES)),
     "ardupilot-usb": Wiring(USB, (BY_ID,)),
-    "ardupilot-udp": Wiring("udpin:0.0.0.0:14550", ("Let ArduPilot, or the router next to it, send here.",)),
+    "ardupilot-udp": Wiring("udpin:127.0.0.1:14550", ("Let the router beside us send here.", OUTSIDE)),
     "none": Wiring("none", ("No autopilot: the camera is assumed not to turn.",)),
 }
 

@@ -28,6 +28,7 @@ from swarmtrack.diagnosis.sources import (
     PoseFacts,
     check_autopilot,
     check_camera,
+    check_door,
     check_imu,
     check_pose,
 )
@@ -130,6 +131,8 @@ PRODUCED = {
     "camera.stamps": lambda: camera(stamps=frozenset({StampKind.ARRIVAL})),
     "camera.blank": lambda: camera(shade=(3.0, 0.4)),
     "autopilot.address": lambda: check_autopilot(AutopilotFacts(8.0, refused="autopilot link 'x'")),
+    "autopilot.open": lambda: check_door("udpin:0.0.0.0:14540", signed=False),
+    "autopilot.strangers": lambda: autopilot(foreign_datagrams=7),
     "autopilot.missing": lambda: autopilot("serial:/dev/a:1: searching: no such device: /dev/a", ok=False),
     "autopilot.forbidden": lambda: autopilot("serial:/dev/a:1: searching: permission: /dev/a is", ok=False),
     "autopilot.busy": lambda: autopilot("udpin:h:1: searching: busy, port 1 is held by x (pid 1)", ok=False),

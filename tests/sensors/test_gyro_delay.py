@@ -74,7 +74,7 @@ async def test_it_is_read_once_and_taken_off_the_gyro_and_not_off_the_attitude(c
     assert flight.count["gyro_delay_s"] == sample.gyro_delay
     assert "gyro 11.3 ± 1.0 ms late" in flight.text
     said = [r.getMessage() for r in caplog.records if "INS_GYRO_FILTER" in r.getMessage()]
-    assert said == ["udpin:simulated:1: gyro taken to be 11.3 ± 1.0 ms late: INS_GYRO_FILTER is 20 Hz"]
+    assert said == ["udpin:localhost:1: gyro taken to be 11.3 ± 1.0 ms late: INS_GYRO_FILTER is 20 Hz"]
 
 
 async def test_another_filter_is_believed_and_after_a_reboot_it_is_asked_again():

@@ -19,12 +19,14 @@ from pymavlink.dialects.v20 import ardupilotmega, common
 
 from support.autopilot_flight import Flight, Listener, RealFlight
 from support.fake_autopilot import FakeAutopilot, FakePx4, imu_report, serve_udp
+from support.patience import PATIENCE
 from support.places import SHARED
 from support.ports import free_port
 from swarmtrack.clock import ManualClock
 from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import Geodetic
+from swarmtrack.sensors.mavlink import links
 from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
@@ -439,7 +441,7 @@ async def test_every_change_of_state_is_one_line_in_the_log(caplog):
         flight.fly(20.0)
         autopilot.mute = True
         flight.fly(20.0)
-    lines = [r.getMessage().removeprefix("udpin:simulated:1: ") for r in caplog.records]
+    lines = [r.getMessage().removeprefix("udpin:localhost:1: ") for r in caplog.records]
     assert [line.split(" (")[0][:38] for line in lines] == [
         "searching: port open, 0 bytes",
         "found autopilot 1",
@@ -521,6 +523,43 @@ async def test_two_megabytes_of_noise_into_the_udp_port_stop_nothing(caplog):
             assert not caplog.records  # no trouble to tell of
             assert flight.unit.status().ok
             np.testing.assert_allclose(flight.listener.imu[-1].gyro, autopilot.gyro, rtol=1e-6)
+
+
+async def test_who_forges_an_autopilot_from_another_address_is_counted_and_moves_nothing(caplog, monkeypatch):
+    # A busy machine may hold all of us up.
+    monkeypatch.setattr(links, "PEER_SILENT", PATIENCE)
+    port = free_port()
+    async with RealFlight(f"udpin:127.0.0.1:{port}") as flight:
+        autopilot = FakeAutopilot(boot_at=flight.now() - 40.0)
+        forged = FakeAutopilot(boot_at=flight.now() - 4.0)
+        forged.position = np.array([500.0, 500.0, 0.0])
+        for message_id in (common.MAVLINK_MSG_ID_ATTITUDE, common.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
+            forged.set_interval(message_id, 20_000.0, flight.now(), forged.channels[0])
+        async with serve_udp(autopilot, "127.0.0.1", port):
+            await flight.until(lambda: len(flight.listener.poses) > 5)
+            async with serve_udp(forged, "127.0.0.1", port):
+                await flight.until(lambda: flight.count["foreign_datagrams"] >= 100)
+                await flight.until(lambda: any(pose.position is not None for pose in flight.listener.poses))
+            seen = len(flight.listener.poses)
+            await flight.until(lambda: len(flight.listener.poses) > seen + 5)
+        assert flight.listener.reboots == 0
+        assert not forged.commands
+        places = [pose.position for pose in flight.listener.poses if pose.position is not None]
+        assert places
+        assert np.abs(places).max() < 10.0
+        assert sum("speaks as well" in line for line in caplog.messages) == 1
+
+
+@pytest.mark.parametrize(("host", "warned"), [("0.0.0.0", True), ("127.0.0.1", False)])
+async def test_a_port_that_everybody_reaches_is_warned_of_unless_a_key_keeps_them_out(
+    host, warned, caplog, key_file
+):
+    for signing_key in (None, key_file):
+        caplog.clear()
+        async with RealFlight(f"udpin:{host}:{free_port()}", signing_key=signing_key) as flight:
+            await flight.until(lambda: "0 bytes" in flight.unit.status().text)
+        said = [line for line in caplog.messages if "anybody who reaches" in line]
+        assert len(said) == (warned and signing_key is None)
 
 
 async def test_a_switch_is_seen_through_a_real_socket():

@@ -19,7 +19,7 @@ from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.errors import SourceError
 from swarmtrack.sensors.mavlink import links
 from swarmtrack.sensors.mavlink.address import parse_address
-from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link, records, serial_trouble
+from swarmtrack.sensors.mavlink.links import PEER_SILENT, Link, LinkDown, open_link, records, serial_trouble
 
 TIMEOUT = 180.0  # s: ends a hang, and says nothing of speed
 
@@ -87,7 +87,7 @@ def test_addresses_of_both_habits_have_one_normal_form(written, normal):
 def test_mistakes_in_addresses_are_explained(written, explained):
     with pytest.raises(SourceError, match=explained) as error:
         parse_address(written)
-    assert "udpin:0.0.0.0:14540" in str(error.value)  # shows how to write it
+    assert "udpin:127.0.0.1:14540" in str(error.value)  # shows how to write it
 
 
 def test_a_recording_that_does_not_exist_can_never_work(tmp_path):
@@ -153,13 +153,63 @@ async def test_udpin_answers_only_where_a_valid_frame_of_ours_came_from():
             link.send(b"nobody is known yet")
             autopilot.sendto(b"autopilot", ("127.0.0.1", port))
             await receiver.has(b"autopilot")
-            stranger.sendto(b"again", ("127.0.0.1", port))
-            await receiver.has(b"again")
             link.send(b"answer")
             assert (await asyncio.to_thread(autopilot.recv, 100)) == b"answer"
             stranger.setblocking(False)
             with pytest.raises(BlockingIOError):
                 stranger.recv(100)
+
+
+async def test_udpin_keeps_to_its_first_peer_while_that_lives(caplog):
+    port, receiver, clock = free_port(), Recorder(ours=b"autopilot"), ManualClock(100.0)
+    link = open_link(f"udpin:127.0.0.1:{port}", clock)
+    with udp_socket() as autopilot, udp_socket() as stranger:
+        async with running(link, receiver):
+            autopilot.sendto(b"the autopilot", ("127.0.0.1", port))
+            await receiver.has(b"the autopilot")
+            for t in (100.1, 100.0 + 0.99 * PEER_SILENT):
+                clock.set(t)
+                stranger.sendto(b"forged autopilot", ("127.0.0.1", port))
+                stranger.sendto(b"forged", ("127.0.0.1", port))
+                # Datagrams of one machine come in their order: those before it were dealt with.
+                autopilot.sendto(b"%f autopilot" % t, ("127.0.0.1", port))
+                await receiver.has(b"%f autopilot" % t)
+                link.send(b"answer")
+                assert (await asyncio.to_thread(autopilot.recv, 100)) == b"answer"
+            assert b"forged" not in receiver.bytes
+            assert link.foreign == 4
+            (said,) = caplog.messages
+            assert f"127.0.0.1 port {stranger.getsockname()[1]} speaks as well: not read" in said
+            # A router that was restarted speaks from another port.
+            clock.set(clock.now() + PEER_SILENT)
+            stranger.sendto(b"the autopilot's new address", ("127.0.0.1", port))
+            await receiver.has(b"the autopilot's new address")
+            autopilot.sendto(b"the autopilot's old address", ("127.0.0.1", port))
+            stranger.sendto(b"the autopilot again", ("127.0.0.1", port))
+            await receiver.has(b"the autopilot again")
+            assert b"old address" not in receiver.bytes
+
+
+@pytest.mark.parametrize(
+    ("address", "reachable"),
+    [
+        ("udpin:0.0.0.0:14540", True),
+        ("udpin:14540", True),
+        ("udpin:[::]:14540", True),
+        ("udpin:192.168.1.2:14540", True),
+        ("udpin:drone.local:14540", True),
+        ("udpin:127.0.0.1:14540", False),
+        ("udpin:127.3.2.1:14540", False),
+        ("udpin:[::1]:14540", False),
+        ("udpin:localhost:14540", False),
+        ("udpout:192.168.1.2:14540", False),
+        ("tcp:192.168.1.2:5760", False),
+        ("/dev/ttyACM0", False),
+        ("none", False),
+    ],
+)
+def test_a_port_that_others_reach_is_told_from_one_that_only_this_machine_does(address, reachable):
+    assert parse_address(address).reachable_from_outside == reachable
 
 
 async def test_a_udp_port_in_use_names_its_holder():

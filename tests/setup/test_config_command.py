@@ -54,6 +54,17 @@ def test_what_it_writes_is_a_config_for_every_kind_of_autopilot(config, tmp_path
     assert made.network.team == "swarm"
 
 
+@pytest.mark.parametrize(
+    ("link", "warned"),
+    [("udpin:0.0.0.0:14540", True), ("udpin:192.168.144.10:14540", True), ("udpin:127.0.0.1:14540", False)],
+)
+def test_a_door_that_is_open_to_others_than_the_autopilot_is_warned_of(config, tmp_path, link, warned):
+    written = drone(tmp_path, 1, 1, f'[autopilot]\nlink = "{link}"\n')
+    code, out, _ = config("check", written)
+    assert code == 0
+    assert (f"warning: {link} takes MAVLink from anybody who reaches it" in out) == warned
+
+
 def test_a_guessed_lens_has_the_angle_that_was_told_and_says_that_it_is_a_guess(config, tmp_path):
     code, out, _ = config("new", "--id", 1, "--size", "800x600", "--fov", "90")
     lens = load_config(tmp_path / "drone-1.toml").camera
@@ -228,7 +239,7 @@ def test_on_a_terminal_it_asks_and_asks_again(tmp_path):
     person.until("next: swarmtrack doctor")
     assert person.process.wait(PATIENCE) == 0
     made = load_config(tmp_path / "drone-7.toml")
-    assert (made.network.team, made.autopilot.link) == ("red", "udpin:0.0.0.0:14550")
+    assert (made.network.team, made.autopilot.link) == ("red", "udpin:127.0.0.1:14550")
     assert (made.camera.intrinsics.width, made.camera.intrinsics.fx) == (1280, 640.0)
     assert made.drone.start.position_m == (0.0, 1.0, 0.0)
 

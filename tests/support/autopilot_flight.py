@@ -53,9 +53,10 @@ class SimulatedLink:
     datagrams = True
     recording = False
     remark = ""
+    foreign = 0
 
     def __init__(self, bytes_per_second: float | None = None) -> None:
-        self.address = LinkAddress("udpin", host="simulated", port=1)
+        self.address = LinkAddress("udpin", host="localhost", port=1)
         self.dropped = ""
         self.bytes_per_second = bytes_per_second
         self.sent: list[bytes] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import ipaddress
 import re
 from dataclasses import dataclass
 from typing import Literal
@@ -30,7 +31,7 @@ SCHEMES: dict[str, Scheme] = {
 }
 RECORDINGS: dict[Scheme, str] = {"tlog": ".tlog", "ulog": ".ulg"}
 EXAMPLES = (
-    "udpin:0.0.0.0:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, "
+    "udpin:127.0.0.1:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, "
     "serial:/dev/ttyACM0:921600, tlog:flight.tlog?speed=1, ulog:flight.ulg or none"
 )
 
@@ -49,6 +50,11 @@ class LinkAddress:
     baud: int = DEFAULT_BAUD
     speed: float = 1.0
 
+    @property
+    def reachable_from_outside(self) -> bool:
+        """Whether others than programs on this machine can speak to us there: UDP beyond loopback."""
+        return self.scheme == "udpin" and not is_loopback(self.host)
+
     def __str__(self) -> str:
         match self.scheme:
             case "udpin" | "udpout" | "tcp":
@@ -60,6 +66,14 @@ class LinkAddress:
                 return f"{self.scheme}:{self.path}?speed={self.speed:g}"
             case "none":
                 return "none"
+
+
+def is_loopback(host: str) -> bool:
+    """A name that is none of ours may lead anywhere."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def parse_address(text: str) -> LinkAddress:

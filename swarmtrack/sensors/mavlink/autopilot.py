@@ -59,7 +59,7 @@ def _check(imu_rate_hz: float, system_id: int | None) -> None:
 class MavlinkAutopilot:
     """An `Autopilot` (sensors/base.py) at a MAVLink address.
 
-    link: an address such as `udpin:0.0.0.0:14540`, or a link already made; system_id: the vehicle to listen to, None
+    link: an address such as `udpin:127.0.0.1:14540`, or a link already made; system_id: the vehicle to listen to, None
     for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
     see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
     gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched. Raises
@@ -138,6 +138,12 @@ class MavlinkAutopilot:
         self._telemetry.listener = listener
         if not FAST_CRC:
             log.warning("fastcrc is not installed: reading MAVLink costs three times the CPU time")
+        if self._link.address.reachable_from_outside and not self._codec.has_key:
+            log.warning(
+                "%s: anybody who reaches this address may speak before the autopilot does, and then as it: listen on "
+                "127.0.0.1, or set autopilot.signing_key (docs/security.md)",
+                self._link.address,
+            )
         if self._link.recording:
             await self._link.run(self)
             self._link_state.state = State.ENDED

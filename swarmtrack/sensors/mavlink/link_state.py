@@ -158,6 +158,7 @@ class LinkState:
             "frames": framer.good,
             "frames_unknown": framer.unknown,
             "foreign": self.contact.foreign,
+            "foreign_datagrams": self.link.foreign,
             "bad_bytes": framer.bad_bytes,
             "crc_failures": framer.crc_failures,
             "reconnects": self.contact.reconnects,

@@ -11,6 +11,7 @@ import contextlib
 import errno
 import fcntl
 import logging
+import math
 import mmap
 import os
 import re
@@ -30,6 +31,9 @@ from swarmtrack.sensors.mavlink.ulog import read_ulog
 
 log = logging.getLogger(__name__)
 
+# s without a valid frame, after which another address may be the autopilot's: a router that was restarted. Heartbeats
+# come each second.
+PEER_SILENT = 2.0
 CONNECT_TIMEOUT = 2.5  # s: every failure names its reason within 3 s
 READ_SIZE = 4096  # bytes: a tenth of a second of the fastest serial link
 # bytes waiting to be sent; beyond it new frames are dropped, all of ours are soon repeated
@@ -58,7 +62,8 @@ class Link(Protocol):
 
     datagrams: `received` gets whole ones; recording: time comes from the file, sending goes nowhere;
     bytes_per_second: what the line carries, None where it hardly matters; remark: the last trouble that did not end
-    the connection, or empty.
+    the connection, or empty; foreign: what came from elsewhere than the autopilot's address and was not read, since
+    the start.
     """
 
     address: LinkAddress
@@ -66,6 +71,7 @@ class Link(Protocol):
     recording: bool
     bytes_per_second: float | None
     remark: str
+    foreign: int
 
     async def run(self, receiver: Receiver) -> None: ...
 
@@ -79,7 +85,7 @@ class Link(Protocol):
 
 
 def open_link(address: str, clock: Clock) -> Link:
-    """The link for an address such as `udpin:0.0.0.0:14540`; `SourceError` where it can never work."""
+    """The link for an address such as `udpin:127.0.0.1:14540`; `SourceError` where it can never work."""
     parsed = parse_address(address)
     match parsed.scheme:
         case "udpin" | "udpout":
@@ -103,6 +109,7 @@ class NoLink:
     recording = False
     bytes_per_second: float | None = None
     remark = ""
+    foreign = 0
 
     def __init__(self, address: LinkAddress) -> None:
         self.address = address
@@ -123,6 +130,7 @@ class LiveLink:
     datagrams = False
     recording = False
     bytes_per_second: float | None = None
+    foreign = 0
 
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
         self.address = address
@@ -131,9 +139,11 @@ class LiveLink:
 
 
 class UdpLink(LiveLink, asyncio.DatagramProtocol):
-    """`udpin` listens and answers the autopilot where it last spoke from; `udpout` speaks first.
+    """`udpin` listens, and answers the autopilot where it speaks from; `udpout` speaks first.
 
     The peer is learned from a valid frame of our autopilot only: otherwise whoever sends one byte captures our answers.
+    It is kept until it has been silent for PEER_SILENT: what others send meanwhile is counted and not read, or anybody
+    in reach could tell us where we are.
     """
 
     datagrams = True
@@ -142,13 +152,16 @@ class UdpLink(LiveLink, asyncio.DatagramProtocol):
         super().__init__(address, clock)
         self._listens = address.scheme == "udpin"
         self._peer: tuple[str, int] | None = None
+        self._heard_at = -math.inf
+        self._stranger: tuple[str, int] | None = None
         self._transport: asyncio.DatagramTransport | None = None
         self._receiver: Receiver
         self._lost: asyncio.Future[None]
 
     async def run(self, receiver: Receiver) -> None:
         loop = asyncio.get_running_loop()
-        self._receiver, self._lost, self._peer, self.remark = receiver, loop.create_future(), None, ""
+        self._receiver, self._lost, self.remark = receiver, loop.create_future(), ""
+        self._peer = self._stranger = None
         end = (self.address.host, self.address.port)
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT):
@@ -182,9 +195,23 @@ class UdpLink(LiveLink, asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         arrival = self._clock.now()
-        if self._receiver.received(arrival, data):
-            self._peer = addr
+        if self._peer not in (None, addr) and arrival - self._heard_at < PEER_SILENT:
+            self._refuse(addr)
+        elif self._receiver.received(arrival, data):
+            self._peer, self._heard_at = addr, arrival
             self.remark = ""
+
+    def _refuse(self, addr: tuple[str, int]) -> None:
+        """Said once for each connection: whoever forges may come from thousands of ports."""
+        self.foreign += 1
+        if self._stranger is None and self._peer is not None:
+            self._stranger = addr
+            log.warning(
+                "%s: %s port %d speaks as well: not read while the autopilot does, at %s port %d",
+                self.address,
+                *addr[:2],
+                *self._peer[:2],
+            )
 
     def error_received(self, exc: Exception) -> None:
         if isinstance(exc, ConnectionRefusedError):
@@ -363,6 +390,7 @@ class RecordingLink(ABC):
     recording = True
     bytes_per_second: float | None = None
     remark = ""
+    foreign = 0
 
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
         if not os.path.isfile(address.path):
