@@ -1,4 +1,4 @@
-"""`swarmtrack calibrate board|intrinsics|extrinsics`: what a camera's config needs, measured."""
+"""`swarmtrack calibrate board|intrinsics|extrinsics|size`: what a camera's and a detector's config need, measured."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from urllib.parse import quote
 
 from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrinsics_command
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
+from swarmtrack.agents.calibrate_size import add_size_command
+from swarmtrack.agents.calibrate_size import run as run_size
 from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds
 from swarmtrack.log_lines import log_to_stderr
 
@@ -50,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(extrinsics, "--write", "write the result into this config, if it is good")
     add_flag(extrinsics, "--json", "print JSON")
+    add_size_command(steps)
 
 
 class RecordedTime:
@@ -66,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     log_to_stderr(logging.CRITICAL)
     if args.step == "extrinsics":
         return asyncio.run(_extrinsics(args))
+    if args.step == "size":
+        return run_size(args)
     return run_intrinsics(args)
 
 

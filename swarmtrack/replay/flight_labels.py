@@ -127,10 +127,7 @@ class FlightLabels:
     def __init__(self, recordings: Sequence[Recording], body: Body) -> None:
         self._body = body
         self.skipped: Counter[str] = Counter()
-        flights = [recording for recording in recordings if recording.kind == "drone"]
-        self._flown = [
-            _read(flight, shift.seconds) for flight, shift in zip(flights, shifts(flights), strict=True)
-        ]
+        self._flown = read_drones(recordings)
 
     @property
     def observers(self) -> list[int]:
@@ -155,7 +152,7 @@ class FlightLabels:
             return None
         labels = []
         for drone_id in sorted(observer.teammates):
-            there = self._pose_of(drone_id, observer, common)
+            there = pose_of(drone_id, observer, self._flown, common)
             if there is None:
                 self.skipped["a teammate's pose is not known"] += 1
                 return None
@@ -168,13 +165,6 @@ class FlightLabels:
                 return None
             labels.append(Label(drone_id, box))
         return labels
-
-    def _pose_of(self, drone_id: int, observer: RecordedDrone, common: float) -> TeamPose | None:
-        for flown in self._flown:
-            if flown.drone_id == drone_id and (pose := flown.pose_at(common)) is not None:
-                return pose
-        told = observer.told.get(drone_id)
-        return told.at(common - observer.clock_offset) if told else None
 
     def _project(
         self, observer: RecordedDrone, here: TeamPose, there: TeamPose
@@ -196,6 +186,23 @@ class FlightLabels:
         focal = max(camera.fx, camera.fy)
         apart = math.hypot(here.position_sigma, there.position_sigma) / depth
         return np.concatenate([low, high - low]), focal * math.hypot(apart, here.attitude_sigma)
+
+
+def read_drones(recordings: Sequence[Recording]) -> list[RecordedDrone]:
+    """The drones among recordings of one flight, their clocks brought together. Raises RecordingError."""
+    flights = [recording for recording in recordings if recording.kind == "drone"]
+    return [_read(flight, shift.seconds) for flight, shift in zip(flights, shifts(flights), strict=True)]
+
+
+def pose_of(
+    drone_id: int, observer: RecordedDrone, flown: Sequence[RecordedDrone], common: float
+) -> TeamPose | None:
+    """Of a teammate: by its own recording, else by what it told the observer. None where neither says it."""
+    for one in flown:
+        if one.drone_id == drone_id and (pose := one.pose_at(common)) is not None:
+            return pose
+    told = observer.told.get(drone_id)
+    return told.at(common - observer.clock_offset) if told else None
 
 
 def _read(recording: Recording, shift: float) -> RecordedDrone:
