@@ -11,7 +11,8 @@ import signal
 import socket
 import sys
 import webbrowser
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
@@ -19,11 +20,15 @@ from swarmtrack.arguments import add_file, add_flag, port
 from swarmtrack.errors import SwarmtrackError, TransportError
 
 if TYPE_CHECKING:
-    from aiohttp import web
+    import ssl
 
-    from swarmtrack.monitor.server import Feed
+    from swarmtrack.monitor.server import Feed, MonitorServer
 
 DEFAULT_PORT = 8080
+UNENCRYPTED = (
+    "the page, and the token in its address, travel unencrypted: whoever hears this network can look, too; "
+    "--certificate FILE --key FILE serve it by TLS"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TEXT",
         help="what a viewer has to know (default: random, where one is needed)",
     )
+    add_file(parser, "--certificate", "serve by TLS with this certificate, PEM; with --key")
+    add_file(parser, "--key", "of the certificate, PEM")
     add_flag(parser, "--open", "open the page in this machine's browser")
 
 
@@ -119,31 +126,23 @@ async def _serve(
     args: argparse.Namespace, feed: Feed, what: str, begin: Callable[[], Awaitable[None]] | None = None
 ) -> int:
     """begin: awaited once the page is there."""
-    from aiohttp import web
-
-    from swarmtrack.monitor.access import AccessGuard, token_for
+    from swarmtrack.monitor.access import AccessGuard, is_loopback, token_for
+    from swarmtrack.monitor.entrance import tls_context
     from swarmtrack.monitor.server import PAGE, MonitorServer
 
     token = token_for(args.bind, args.token)
+    tls = tls_context(args.certificate, args.key)
     server = MonitorServer(feed, AccessGuard(token, PAGE.read_text(encoding="utf-8")))
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    runner = web.AppRunner(server.application(), access_log=None, shutdown_timeout=1.0)
-    await runner.setup()
-    try:
-        site = web.TCPSite(runner, args.bind, args.port)
-        try:
-            await site.start()
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise ServeError(
-                f"--bind {args.bind} --port {args.port}: {reason}, expected an address of this machine and a free port"
-            ) from None
+    async with _opened(server, tls, args) as address:
         if begin is not None:
             await begin()
-        url = _address(runner, args.bind, token)
+        url = _url(address, args.bind, token, secure=tls is not None)
         print(f"{what}: {url}", flush=True)
+        if tls is None and not is_loopback(args.bind):
+            print(f"swarmtrack monitor: {UNENCRYPTED}", file=sys.stderr)
         if args.open:
             await asyncio.to_thread(webbrowser.open, url)
         running = asyncio.create_task(server.run(), name="monitor")
@@ -154,16 +153,52 @@ async def _serve(
         for task in (running, stopped):
             task.cancel()
         await asyncio.gather(running, stopped, return_exceptions=True)
-    finally:
-        await runner.cleanup()
     return 0
 
 
-def _address(runner: web.AppRunner, bind: str, token: str | None) -> str:
+@asynccontextmanager
+async def _opened(
+    server: MonitorServer, tls: ssl.SSLContext | None, args: argparse.Namespace
+) -> AsyncIterator[tuple[str, int]]:
+    """host and port of the page, while it is served."""
+    from aiohttp import web
+
+    from swarmtrack.monitor.entrance import HEADERS_S, Entrance, SparingLog
+
+    loop = asyncio.get_running_loop()
+    trouble = SparingLog(loop.time)
+    loop.set_exception_handler(trouble.on_loop_error)
+    entrance, application = Entrance(tls, trouble), server.application()
+    entrance.prepare(application)
+    runner = web.AppRunner(
+        application,
+        access_log=None,
+        shutdown_timeout=1.0,
+        logger=trouble,
+        keepalive_timeout=HEADERS_S,
+        lingering_time=0,
+    )
+    await runner.setup()
+    assert runner.server is not None
+    try:
+        try:
+            await entrance.open(args.bind, args.port, runner.server)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ServeError(
+                f"--bind {args.bind} --port {args.port}: {reason}, expected an address of this machine and a free port"
+            ) from None
+        yield entrance.address
+    finally:
+        await entrance.close()
+        await runner.cleanup()
+
+
+def _url(address: tuple[str, int], bind: str, token: str | None, *, secure: bool) -> str:
     """What to open. A page that is served on all addresses is opened by the machine's name."""
-    host, port = runner.addresses[0][:2]
+    host, port = address
     if bind in ("0.0.0.0", "::"):
         host = socket.gethostname()
     elif ":" in host:
         host = f"[{host}]"
-    return f"http://{host}:{port}/" + (f"?token={token}" if token else "")
+    return f"http{'s' if secure else ''}://{host}:{port}/" + (f"?token={token}" if token else "")

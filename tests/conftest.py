@@ -58,6 +58,7 @@ ALONE = (
 )
 SOCKETS = (
     "localswarm/",
+    "monitor/test_entrance.py",
     "security/test_security.py",
     "sensors/test_camera_http.py",
     "sensors/test_camera_rtsp.py",

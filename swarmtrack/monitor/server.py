@@ -163,7 +163,7 @@ class MonitorServer:
     async def _serve_page(self, request: web.Request) -> web.Response:
         reason = self._guard.refuse(request)
         if reason is not None:
-            return web.Response(status=403, text=f"403: {reason}\n")
+            return _refused(403, reason)
         return web.Response(
             text=self._guard.page, content_type="text/html", headers=self._guard.headers(request)
         )
@@ -171,9 +171,9 @@ class MonitorServer:
     async def _serve_viewer(self, request: web.Request) -> web.StreamResponse:
         reason = self._guard.refuse(request)
         if reason is not None:
-            return web.Response(status=403, text=f"403: {reason}\n")
+            return _refused(403, reason)
         if len(self._viewers) >= MAX_VIEWERS:
-            return web.Response(status=503, text=f"503: {MAX_VIEWERS} pages look already\n")
+            return _refused(503, f"{MAX_VIEWERS} pages look already")
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_WORD, compress=False)
         await socket.prepare(request)
         viewer = OpenPage(socket)
@@ -212,3 +212,10 @@ class MonitorServer:
 
     async def _close_viewers(self, application: web.Application) -> None:
         await asyncio.gather(*(viewer.close() for viewer in list(self._viewers)))
+
+
+def _refused(status: int, reason: str) -> web.Response:
+    """Who is refused gets the connection closed."""
+    response = web.Response(status=status, text=f"{status}: {reason}\n")
+    response.force_close()
+    return response

@@ -8,14 +8,17 @@ import json
 import re
 import secrets
 import signal
+import ssl
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import aiohttp
 import pytest
 
 from support.browser import browser_page, needs_chromium, until_said
+from support.certificates import certificate
 from support.patience import PATIENCE, eventually
 from support.places import ROOT
 
@@ -259,6 +262,18 @@ async def test_beyond_this_machine_it_takes_the_token(team: str) -> None:
             assert "unsafe-inline" not in policy
 
 
+async def test_with_a_certificate_the_page_and_its_token_travel_encrypted(team: str, tmp_path: Path) -> None:
+    pem, key = certificate(tmp_path)
+    trusted = ssl.create_default_context(cafile=str(pem))
+    arguments = ("--bind", "0.0.0.0", "--certificate", str(pem), "--key", str(key))
+    async with monitor(team, *arguments) as served, aiohttp.ClientSession() as http:
+        port, query = re.search(r"^https://.*:(\d+)/(\?token=\S+)", served.url).groups()  # type: ignore[union-attr]
+        async with http.get(f"https://localhost:{port}/{query}", ssl=trusted) as response:
+            assert response.status == 200
+        async with http.get(f"https://localhost:{port}/", ssl=trusted) as response:
+            assert response.status == 403
+
+
 async def test_a_page_of_another_site_hears_nothing(team: str) -> None:
     async with monitor(team) as served, aiohttp.ClientSession() as http:
         for headers in ({"Origin": "http://evil.example"}, {"Host": "evil.example"}):
@@ -286,6 +301,7 @@ async def test_nonsense_from_a_page_ends_its_link_and_nothing_else(team: str) ->
         (["--token", "short"], 2, "--token: expected 8 to 128"),
         (["--bind", "203.0.113.7", "--port", "0"], 1, "expected an address of this machine"),
         (["--connect", "192.168.1.5"], 2, "insecure"),
+        (["--certificate", "page.pem"], 2, "--certificate alone, expected"),
     ],
 )
 async def test_wrong_usage_is_a_sentence(arguments: list[str], code: int, says: str) -> None:
