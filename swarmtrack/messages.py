@@ -465,6 +465,7 @@ PeerEvent = (
     | AnnouncementRequested
     | SightingReport
     | MotionReport
+    | RangeReport
 )
 
 Membership = PeerArrived | PeerDeparted | IdClash
@@ -478,6 +479,7 @@ Input = (
     | Membership
     | SightingReport
     | MotionReport
+    | RangeReport
     | AgreedMotion
 )
 """All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""

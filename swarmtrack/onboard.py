@@ -43,6 +43,7 @@ from swarmtrack.messages import (
     PeerArrived,
     PeerDeparted,
     PoseWanted,
+    RangeReport,
     RelativeState,
     Scan,
     ScanReport,
@@ -61,6 +62,7 @@ from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.range_watch import RangeNews, RangeWatch
 from swarmtrack.relative.states import OwnMotion, RelativeStates
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
@@ -75,7 +77,7 @@ DOUBTED_M = 1000.0
 UNMEASURED = 0.35
 
 
-Output = ScanReport | Disagreement | PoseWanted | HeadingNews | DoubtNews | Astray | FrameNews
+Output = ScanReport | Disagreement | PoseWanted | HeadingNews | DoubtNews | Astray | FrameNews | RangeNews
 
 
 @dataclass(slots=True)
@@ -133,6 +135,7 @@ class Onboard:
         self._padding_px = relative.box_width.padding_px
         self._relative = RelativeStates(relative)
         self._frames = Frames(drone_id, relative)
+        self._range_watch = RangeWatch()
         self._drone_id = drone_id
         self._consensus = Consensus()
         self._view: OwnView | None = None
@@ -168,6 +171,8 @@ class Onboard:
                 self._identities.on_motion(event)
                 if event.drone_id != self._drone_id:
                     self._relative.hear_motion(self._frames.motion_in_ours(event))
+            case RangeReport():
+                self._hear_range(event)
             case AgreedMotion():
                 self._identities.agree(event)
             case Announcement():
@@ -321,6 +326,17 @@ class Onboard:
                 self.counters.identities_overruled += 1
                 self._consensus.forget(drone)
                 self._identities.overrule(drone, report.t)
+
+    def _hear_range(self, report: RangeReport) -> None:
+        """A distance from this drone, by its own radio."""
+        if report.drone_id != self._drone_id:
+            return
+        refused = self._relative.refused
+        believed = self._relative.hear_range(report)
+        if believed or self._relative.refused > refused:
+            news = self._range_watch.see(report, believed=believed)
+            if news is not None:
+                self._events.append(news)
 
     def _hear_place(self, report: SightingReport) -> None:
         """A teammate says where it is: in which frame, and where is it then?"""

@@ -17,6 +17,7 @@ from swarmtrack.messages import (
     ImuSample,
     PeerDeparted,
     PoseWanted,
+    RangeReport,
     ScanReport,
     SightingReport,
 )
@@ -24,6 +25,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
+from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.tracking import TRACKERS, create_tracker
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -446,3 +448,44 @@ def test_a_place_asked_for_later_ends_with_the_name_too():
         if not last or last[0].identity is None:
             break
     assert [entry.relative for entry in last if entry.identity is None] == [None]
+
+
+def ranged_flight(distance_of, *, of=1, seconds=4.0):
+    """Drone 2 hovers 6.08 m away; the radio of drone `of` says distance_of(t), ten times per second."""
+    drone, events = onboard(), []
+    drone.tell(announced(2, [6.0, -1.0, 0.0]))
+    for k in range(round(15 * seconds)):
+        drone.tell(seen(k / 15, (320 - 430 / 6, 240.0)))
+        if k % 3 == 2 and distance_of is not None:
+            t = k / 15 + 0.01
+            drone.tell(RangeReport(of, 2, t, 0.001, distance_of(t), 0.1))
+        events += drone.events()
+    state = [e for e in events if isinstance(e, ScanReport)][-1].tracks.tracks[0].relative
+    return drone, state, [e for e in events if isinstance(e, RangeNews)]
+
+
+def test_the_own_radio_makes_a_distance_sure():
+    _, unranged, _ = ranged_flight(None)
+    drone, state, news = ranged_flight(lambda t: 37.0**0.5)
+    assert "range" in state.sources
+    assert state.range_sigma_log < 0.5 * unranged.range_sigma_log
+    assert np.linalg.norm(state.position) == pytest.approx(37.0**0.5, abs=0.1)
+    assert news == []
+    assert drone.part_counters["relative_refused"] == 0
+
+
+def test_a_radio_that_lies_changes_no_bit_and_is_counted_and_said_once():
+    _, honest, _ = ranged_flight(None)
+    drone, state, news = ranged_flight(lambda t: 206.0)
+    assert (state.position == honest.position).all()
+    assert (state.cov == honest.cov).all()
+    assert drone.part_counters["relative_refused"] > 10
+    (one,) = news
+    assert (one.drone_id, one.distance) == (2, 206.0)
+
+
+def test_what_another_drone_s_radio_measures_is_not_ours():
+    _, honest, _ = ranged_flight(None)
+    _, state, _ = ranged_flight(lambda t: 37.0**0.5, of=3)
+    assert (state.position == honest.position).all()
+    assert state.sources == honest.sources

@@ -1,7 +1,8 @@
-"""Reading a team of drones from Python: `from swarmtrack.client import Swarm` (docs/client.md)."""
+"""Reading a team of drones from Python, and telling one what its ranging radio measures (docs/client.md)."""
 
 from swarmtrack.client.axes import Axes
+from swarmtrack.client.ranging import Ranging
 from swarmtrack.client.sight import DroneCamera, DroneHealth, Relative, Sight, Target
 from swarmtrack.client.swarm import Swarm
 
-__all__ = ["Axes", "DroneCamera", "DroneHealth", "Relative", "Sight", "Swarm", "Target"]
+__all__ = ["Axes", "DroneCamera", "DroneHealth", "Ranging", "Relative", "Sight", "Swarm", "Target"]

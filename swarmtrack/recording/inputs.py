@@ -28,6 +28,7 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
+    RangeReport,
     Sighting,
     SightingReport,
 )
@@ -172,6 +173,19 @@ FORMS: tuple[Form, ...] = (
             Entry("displacement_cov", "displacement_cov_m2", (3, 3)),
             Entry("velocity", "velocity_m_s", (3,)),
             Entry("velocity_cov", "velocity_cov_m2_s2", (3, 3)),
+        ),
+    ),
+    Form(
+        "/ranges",
+        "swarmtrack.RangeReport",
+        RangeReport,
+        (
+            _DRONE,
+            Entry("other", "other", type="integer"),
+            _T,
+            _T_SIGMA,
+            Entry("distance", "distance_m"),
+            Entry("sigma", "sigma_m"),
         ),
     ),
     Form(

@@ -328,14 +328,14 @@ class RelativeStates:
 
         self._fold(said.drone_id, said.t, "velocity", measured)
 
-    def hear_range(self, said: RangeReport) -> None:
-        """A distance to a teammate from this drone."""
+    def hear_range(self, said: RangeReport) -> bool:
+        """A distance to a teammate from this drone. False where it is of nobody who is seen, or was not believed."""
         sigma = math.hypot(said.sigma, self._p.speed_sigma * said.t_sigma)
 
         def measured(at: Carried, then: _Moment) -> Measured:
             return measurements.ranged(at, said.distance, sigma, (said.t - then.t) * then.velocity)
 
-        self._fold(said.other, said.t, "range", measured)
+        return self._fold(said.other, said.t, "range", measured)
 
     def hear_sightings(self, said: SightingReport) -> None:
         """Where a teammate says it is, and on which rays it sees others."""

@@ -26,6 +26,7 @@ from swarmtrack.messages import (
     ScanReport,
 )
 from swarmtrack.relative.frames import FrameNews
+from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
@@ -254,6 +255,8 @@ class Agent:
                     self._team.on_astray(event)
                 case FrameNews():
                     self._team.on_frame(event)
+                case RangeNews():
+                    self._team.on_range_news(event)
                 case HeadingNews():
                     self._team.on_heading(event)
                 case DoubtNews():

@@ -30,11 +30,13 @@ from swarmtrack.messages import (
     PeerArrived,
     PeerDeparted,
     PeerEvent,
+    RangeReport,
     SightingReport,
 )
 from swarmtrack.motion.sway import next_begin, possible_begins
 from swarmtrack.perceived import Perceived
 from swarmtrack.relative.frames import FrameNews
+from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.filed import coded_motion
 from swarmtrack.runtime.health import Health
@@ -154,7 +156,7 @@ class Teamwork:
                     self._tell(event)
                     self._notices.on_peer(event)
                     continue  # one a second from everybody: no news
-                case MotionReport():
+                case MotionReport() | RangeReport():
                     self._tell(event)
                     continue
                 case AnnouncementRequested():
@@ -262,6 +264,10 @@ class Teamwork:
         """A teammate's start is not where it was announced, or is after all."""
         self._note(news.drone_id, _describe_frame(news), logging.WARNING)
 
+    def on_range_news(self, news: RangeNews) -> None:
+        """The distances that our ranging radio measures do not fit what we see, or do again."""
+        self._note(news.drone_id, _describe_range(news), logging.WARNING)
+
     def on_doubt(self, news: DoubtNews) -> None:
         """Where this drone is, it does not know, or knows again: the team must hear of it."""
         self._note(self._drone_id, _describe_doubt(news), logging.WARNING)
@@ -320,6 +326,8 @@ def _describe(event: PeerEvent) -> str:
             return f"drone {observer} told whom it sees"
         case MotionReport(drone_id=drone_id):
             return f"drone {drone_id} told how it moves"
+        case RangeReport(other=other):
+            return f"our ranging radio measured how far drone {other} is"
 
 
 def _describe_filed(announcement: Announcement) -> str:
@@ -354,6 +362,13 @@ def _describe_frame(news: FrameNews) -> str:
         f"drone {news.drone_id}'s start is {news.off_m:.1f} m and {degrees:.0f}° off, or ours is: what it says is "
         "turned and shifted into our frame"
     )
+
+
+def _describe_range(news: RangeNews) -> str:
+    radio = f"the distance to drone {news.drone_id} by our ranging radio"
+    if news.distance is None:
+        return f"{radio} fits what we see again"
+    return f"{radio}, {news.distance:.1f} m, does not fit what we see and is not used: is it set up for that drone?"
 
 
 def _describe_doubt(news: DoubtNews) -> str:

@@ -18,6 +18,7 @@ class Kind(enum.StrEnum):
     TRACKS = "tracks"
     IDENTITIES = "identities"
     MOTION = "motion"
+    RANGE = "range"
     HEALTH = "health"
     VIDEO = "video"
 

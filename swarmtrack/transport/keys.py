@@ -13,6 +13,7 @@ from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
+from swarmtrack.wire.ranging import RangeMessage
 from swarmtrack.wire.sightings import SightingsMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -27,6 +28,7 @@ ENCODINGS: dict[Kind, str] = {
     Kind.CAMERA: "application/msgpack;swarmtrack.Camera/1",
     Kind.IDENTITIES: "application/msgpack;swarmtrack.Sightings/1",
     Kind.MOTION: "application/msgpack;swarmtrack.Motion/1",
+    Kind.RANGE: "application/msgpack;swarmtrack.Range/1",
     Kind.TRACKS: "application/msgpack;swarmtrack.Tracks/1",
     Kind.HEALTH: "application/msgpack;swarmtrack.Health/1",
     Kind.VIDEO: "application/msgpack;swarmtrack.Video/1",
@@ -40,6 +42,7 @@ MESSAGES: dict[Kind, type[Message]] = {
     Kind.CAMERA: CameraMessage,
     Kind.IDENTITIES: SightingsMessage,
     Kind.MOTION: MotionMessage,
+    Kind.RANGE: RangeMessage,
     Kind.TRACKS: TracksMessage,
     Kind.HEALTH: HealthMessage,
     Kind.VIDEO: VideoMessage,
@@ -68,7 +71,8 @@ def key(team: str, kind: Kind | str, *rest: int | str) -> str:
 def all_but_video(team: str) -> list[str]:
     """For who wants to hear everything: video is only said while somebody listens to it, and then it costs."""
     quiet = (Kind.POSE, Kind.CAMERA, Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH)
-    return [key(team, Kind.ALIVE, "*", "*"), *(key(team, kind, "*") for kind in quiet)]
+    in_two_parts = (key(team, kind, "*", "*") for kind in (Kind.ALIVE, Kind.RANGE))
+    return [*in_two_parts, *(key(team, kind, "*") for kind in quiet)]
 
 
 def parse(text: str) -> Address | None:

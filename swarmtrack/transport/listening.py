@@ -8,6 +8,7 @@ from pathlib import Path
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection, load_team_config
 from swarmtrack.errors import KeysError, TransportError
+from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.security.names import Role
 from swarmtrack.transport import topology
@@ -27,11 +28,49 @@ def network_of_listener(
 
     Raises ConfigError, TransportError or KeysError.
     """
+    section, credentials = _section(
+        Role.MONITOR, team=team, config=config, connect=connect, keys=keys, insecure=insecure
+    )
+    return topology.of_monitor(section, credentials)
+
+
+def network_of_companion(
+    drone_id: int,
+    *,
+    team: str | None = None,
+    config: Path | None = None,
+    connect: Sequence[str] = (),
+    keys: Path | None = None,
+    insecure: bool = False,
+) -> NetworkSettings:
+    """Of a program on board of a drone, beside its agent. keys: the drone's own folder; all else as of a listener.
+
+    Raises ConfigError, TransportError or KeysError.
+    """
+    section, credentials = _section(
+        Role.DRONE, team=team, config=config, connect=connect, keys=keys, insecure=insecure
+    )
+    if credentials is not None and credentials.name != names.drone(drone_id):
+        raise KeysError(
+            f"--keys {keys}: found those of {credentials.name}, expected those of {names.drone(drone_id)}"
+        )
+    return topology.of_companion(section, drone_id, credentials)
+
+
+def _section(
+    role: Role,
+    *,
+    team: str | None,
+    config: Path | None,
+    connect: Sequence[str],
+    keys: Path | None,
+    insecure: bool,
+) -> tuple[NetworkSection, Credentials | None]:
     section = NetworkSection() if config is None else load_team_config(config).network
-    credentials = None if keys is None else credentials_in(keys, Role.MONITOR)
+    credentials = None if keys is None else credentials_in(keys, role)
     if credentials is None and section.keys is not None:
         raise TransportError(
-            f"{config}: this team has keys, expected the folder with those of a monitor (--keys, keys=)"
+            f"{config}: this team has keys, expected the folder with those of a {role} (--keys, keys=)"
         )
     named = section.team if credentials is None else credentials.roster.team
     changes = {
@@ -42,7 +81,7 @@ def network_of_listener(
     }
     if connect:  # just these
         changes |= {"topology": "mesh", "peers": {}, "connect": tuple(connect)}
-    return topology.of_monitor(section.model_copy(update=changes), credentials)
+    return section.model_copy(update=changes), credentials
 
 
 def credentials_in(folder: Path, role: Role) -> Credentials:

@@ -19,11 +19,13 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.outgoing import REQUEST_S
+from swarmtrack.transport.ranging_radios import RangingRadios
 from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, signed_part
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.motion import MotionMessage, motion_from
+from swarmtrack.wire.ranging import RangeMessage, range_from
 from swarmtrack.wire.sightings import SightingsMessage, report_from
 
 R = TypeVar("R", SightingsMessage, MotionMessage)
@@ -40,7 +42,14 @@ SUBSCRIBED = {
     Kind.POSE: "announcements",
     Kind.IDENTITIES: "sightings",
     Kind.MOTION: "motion",
+    Kind.RANGE: "ranges",
 }  # for `on_message`, as counters name them
+
+
+def subscriptions(team: str, drone_id: int) -> list[str]:
+    """What a drone listens to, beside tokens: all teammates, and of distances its own radio's."""
+    others = [keys.key(team, kind, "*") for kind in SUBSCRIBED if kind is not Kind.RANGE]
+    return [*others, keys.key(team, Kind.RANGE, drone_id, "*")]
 
 
 class Peers:
@@ -48,9 +57,11 @@ class Peers:
 
     def __init__(self, team: str, drone_id: int, boot: str, clock: Clock, verify: Verify | None) -> None:
         self._team = team
+        self._drone_id = drone_id
         self._clock = clock
         self._verify = verify
         self._membership = Membership(drone_id, boot)
+        self._radios = RangingRadios()
         self._events: deque[PeerEvent] = deque()
         self._news = asyncio.Event()
         self._newcomer = asyncio.Event()
@@ -74,9 +85,13 @@ class Peers:
             self._newcomer.set()
 
     def on_message(self, key: str, payload: bytes, arrived: float) -> None:
-        """An announcement, or a report of sightings or motion. arrived: by our monotonic clock."""
+        """An announcement, a report of sightings or motion, or a distance. arrived: by our monotonic clock."""
         address = self._address(key)
-        if address is None or address.rest or address.kind not in SUBSCRIBED:
+        if (
+            address is None
+            or address.kind not in SUBSCRIBED
+            or len(address.rest) != (address.kind is Kind.RANGE)
+        ):
             self._counters["messages_on_no_key"] += 1
             return
         try:
@@ -91,6 +106,8 @@ class Peers:
                     self._on_report(
                         address.drone_id, codec.decode(MotionMessage, payload), motion_from, arrived
                     )
+                case Kind.RANGE if address.drone_id == self._drone_id:  # what others measure is theirs
+                    self._on_range(address, codec.decode(RangeMessage, payload), arrived)
         except DecodeError as error:
             self._counters[f"{SUBSCRIBED[address.kind]}_malformed"] += 1
             log.debug("message refused key=%s: %s", key, error)
@@ -123,6 +140,15 @@ class Peers:
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )
         self._tell([understood(message, t, t_sigma)])
+
+    def _on_range(self, address: keys.Address, message: RangeMessage, arrived: float) -> None:
+        """Of our own ranging radio."""
+        if (message.drone_id, str(message.other)) != (address.drone_id, *address.rest):
+            self._counters["ranges_on_wrong_key"] += 1
+            return
+        stamped = self._radios.time_of(message, arrived=arrived, utc_offset=self._utc_offset)
+        if stamped is not None:
+            self._tell([range_from(message, *stamped)])
 
     def _is_genuine(self, drone_id: int, key: str, payload: bytes) -> bool:
         """Whether an announcement is signed by whom it names, where that is asked for."""
@@ -187,7 +213,7 @@ class Peers:
     @property
     def counters(self) -> Counter[str]:
         """What was refused or lost, by reason."""
-        return self._counters + self._membership.counters
+        return self._counters + self._membership.counters + self._radios.counters
 
     @property
     def _utc_offset(self) -> float:

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.motion import MotionMessage
+from swarmtrack.wire.ranging import RangeMessage
 from swarmtrack.wire.sightings import SightingsMessage
 
 # s, how far apart two clocks that somebody keeps may seem: an announcement may have been on its way for so long,
@@ -40,7 +41,7 @@ class SenderClock:
 
     def time_of(
         self,
-        message: AnnouncementMessage | SightingsMessage | MotionMessage,
+        message: AnnouncementMessage | SightingsMessage | MotionMessage | RangeMessage,
         *,
         arrived: float,
         utc_offset: float,

@@ -69,6 +69,14 @@ def of_monitor(section: NetworkSection, credentials: Credentials | None) -> Netw
     )
 
 
+def of_companion(section: NetworkSection, drone_id: int, credentials: Credentials | None) -> NetworkSettings:
+    """A program on board of a drone speaks to that drone's agent only; or to any one router."""
+    own = {i: address for i, address in section.peers.items() if int(i) == drone_id}
+    if section.topology == "mesh" and section.peers and not own:
+        raise TransportError(f"network.peers: has no address for drone {drone_id}, expected its agent's")
+    return of_monitor(section.model_copy(update={"peers": own}), credentials)
+
+
 def of_router(
     section: NetworkSection, listen: str | None, credentials: Credentials | None
 ) -> NetworkSettings:

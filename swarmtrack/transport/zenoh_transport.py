@@ -26,7 +26,7 @@ from swarmtrack.transport.base import PUBLISHED, Kind, Sample
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
-from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
+from swarmtrack.transport.peers import Peers, Verify, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import (
@@ -162,9 +162,9 @@ class ZenohTransport:
             ),
             *(
                 session.declare_subscriber(
-                    keys.key(team, kind, "*"), messages.handler(), allowed_origin=zenoh.Locality.REMOTE
+                    expression, messages.handler(), allowed_origin=zenoh.Locality.REMOTE
                 )
-                for kind in SUBSCRIBED
+                for expression in subscriptions(team, me)
             ),
             session.liveliness().declare_subscriber(
                 keys.key(team, Kind.ALIVE, "*", "*"), tokens.handler(), history=True

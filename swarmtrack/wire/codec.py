@@ -18,13 +18,14 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from swarmtrack.wire import announcement, camera, motion, sightings, tracks, video
+from swarmtrack.wire import announcement, camera, motion, ranging, sightings, tracks, video
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.checks import DecodeError, is_finite
 from swarmtrack.wire.fields import MAX_BYTES, VERSION
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
+from swarmtrack.wire.ranging import RangeMessage
 from swarmtrack.wire.sightings import SightingsMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -34,6 +35,7 @@ Message = (
     | CameraMessage
     | SightingsMessage
     | MotionMessage
+    | RangeMessage
     | TracksMessage
     | HealthMessage
     | VideoMessage
@@ -46,6 +48,7 @@ _CHECKS: dict[type[Any], Callable[[Any], None] | None] = {
     CameraMessage: camera.check,
     SightingsMessage: sightings.check,
     MotionMessage: motion.check,
+    RangeMessage: ranging.check,
     TracksMessage: tracks.check,
     HealthMessage: None,
     VideoMessage: video.check,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import csv
 import json
+import math
 import re
 import secrets
 import subprocess
@@ -21,15 +22,20 @@ pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from support.network_of_keys import Team, free_addresses
 from support.seen_swarm import LENS, UTC, seen, speaking
-from swarmtrack.client import Swarm
+from swarmtrack.client import Ranging, Swarm
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection
 from swarmtrack.errors import KeysError, TransportError
+from swarmtrack.messages import RangeReport
 from swarmtrack.transport import topology
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.zenoh_speaker import ZenohSpeaker
 from swarmtrack.wire import codec
+from swarmtrack.wire.ranging import range_message
 
 EXAMPLES = ROOT / "docs" / "examples"
+CLOCK = SystemClock()
 
 
 @pytest.fixture
@@ -175,6 +181,108 @@ async def test_with_the_keys_of_a_monitor_a_protected_team_is_read(tmp_path):
             Swarm(config=file)
 
 
+# --- a ranging radio --------------------------------------------------------------------
+
+
+class HeardRanges:
+    """Distances that an agent's end of the network was told."""
+
+    def __init__(self, transport) -> None:
+        self.ranges: list[RangeReport] = []
+        self._task = asyncio.create_task(self._hear(transport))
+
+    async def _hear(self, transport) -> None:
+        async for event in transport.events():
+            if isinstance(event, RangeReport):
+                self.ranges.append(event)
+
+
+async def say_until_heard(ranging, heard, *distance) -> None:
+    async with asyncio.timeout(PATIENCE):
+        while not heard.ranges:  # again: what is put before the links stand is lost
+            await ranging.say(*distance)
+            await asyncio.sleep(0.02)
+
+
+async def test_an_agent_hears_what_the_radio_on_its_own_drone_measures(team):
+    async with speaking(network(team)) as one, speaking(network(team), 2) as two, Ranging(1, team) as ranging:
+        heard, other = HeardRanges(one), HeardRanges(two)
+        before = CLOCK.now()
+        await say_until_heard(ranging, heard, 2, 8.5, 0.125)
+        said = heard.ranges[0]
+        assert (said.drone_id, said.other, said.distance, said.sigma) == (1, 2, 8.5, 0.125)
+        assert before - 0.1 < said.t < CLOCK.now()
+        assert ranging.linked
+        assert other.ranges == []
+
+
+async def test_what_no_radio_measures_is_refused_where_it_is_said(team):
+    lies = [(2, math.nan, 0.1), (2, 0.0, 0.1), (2, 1e9, 0.1), (2, 5.0, 0.0), (1, 5.0, 0.1)]
+    async with Ranging(1, team) as ranging:
+        for other, distance, sigma in lies:
+            with pytest.raises(ValueError, match=r"expected|Expected"):
+                await ranging.say(other, distance, sigma)
+        with pytest.raises(ValueError, match="age_s: found 2"):
+            await ranging.say(2, 5.0, 0.1, age_s=2)
+
+
+async def test_with_keys_a_drone_s_own_folder_speaks_for_its_radio_and_no_other(tmp_path):
+    team = Team(tmp_path / "keys", "1", "2", "monitor")
+    addresses = dict(zip(("1", "2"), free_addresses(2), strict=True))
+    section = NetworkSection(team=team.name, peers=addresses)
+    file = tmp_path / "team.toml"
+    table = ", ".join(f'{i} = "{address}"' for i, address in addresses.items())
+    file.write_text(
+        f'[network]\nteam = "{team.name}"\npeers = {{ {table} }}\nkeys = "{team.folder}/drone-{{id}}"\n'
+    )
+    with pytest.raises(KeysError, match="found those of drone-2, expected those of drone-1"):
+        Ranging(1, config=file, keys=team.folder / "drone-2")
+    with pytest.raises(TransportError, match="this team has keys, expected the folder with those of a drone"):
+        Ranging(1, config=file)
+    with pytest.raises(TransportError, match="has no address for drone 7"):
+        topology.of_companion(section, 7, None)
+    async with speaking(topology.of_drone(section, 1, team.credentials("1"))) as one:
+        heard = HeardRanges(one)
+        # Drone 2's keys, and a program that speaks as if it were drone 1's radio.
+        liar = ZenohSpeaker(topology.of_companion(section, 1, team.credentials("2")), Kind.RANGE, 1)
+        await liar.open()
+        try:
+            await eventually(lambda: liar.links().count)
+            await liar.prepare(2)
+            now = CLOCK.now()
+            lie = range_message(
+                RangeReport(1, 2, now, 0.01, 99.0, 0.1), "0123abcd", 1, CLOCK.utc() - now, now
+            )
+            for _ in range(20):
+                liar.put(2, codec.encode(lie))
+                await asyncio.sleep(0.02)
+            async with Ranging(1, config=file, keys=team.folder / "drone-1") as ranging:
+                await say_until_heard(ranging, heard, 2, 8.5, 0.1)
+        finally:
+            await liar.close()
+        assert {said.distance for said in heard.ranges} == {8.5}
+
+
+async def test_the_radio_example_passes_on_what_its_driver_prints(team):
+    async with speaking(network(team)) as one:
+        heard = HeardRanges(one)
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, str(EXAMPLES / "ranging_radio.py"), "--team", team, "--drone", "1"),
+            stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, env={"PYTHONPATH": str(ROOT), "PATH": ""},
+        )  # fmt: skip
+        async with asyncio.timeout(PATIENCE):
+            while not heard.ranges:
+                process.stdin.write(b"2 8.25\nhello\n2 nan\n")
+                await asyncio.sleep(0.05)
+            process.stdin.close()
+            errors = await process.stderr.read()
+            await process.wait()
+    assert process.returncode == 0
+    assert (heard.ranges[0].distance, heard.ranges[0].sigma) == (8.25, 0.1)
+    assert "'hello' is no distance" in errors.decode()
+    assert "'2 nan' is no distance" in errors.decode()
+
+
 # --- the page and the examples ----------------------------------------------------------
 
 
@@ -209,7 +317,7 @@ async def test_the_first_lines_of_the_page_run_as_they_stand(team, tmp_path):
 
 def test_the_page_shows_a_node_for_ros_that_compiles():
     page = (ROOT / "docs" / "client.md").read_text(encoding="utf-8")
-    node = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[1]
+    (node,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "rclpy" in block)
     assert "rclpy.spin(node)" in node
     compile(node, "docs/client.md", "exec")
 

@@ -37,6 +37,7 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
+    RangeReport,
     Sighting,
     SightingReport,
 )
@@ -83,6 +84,7 @@ EVENTS = [
         2, "0123abcd", 9, 5.5, 0.01, np.zeros(3), 0.1, (1, 3), (Sighting(3, 0.99, np.array([0.6, 0.8, 0.0]), 0.01),)
     ),
     MotionReport(2, "0123abcd", 4, 5.7, 0.01, np.array(AWKWARD[:3]), EYE / 3, np.array(AWKWARD[1:4]), EYE),
+    RangeReport(1, 2, 5.8, 0.01, 1 / 3, 0.1),
     AgreedMotion(2, np.array([-0.1, 0.3]), np.array([AWKWARD[:3], AWKWARD[1:4]]), planned=True),
     AgreedMotion(2, np.array([-0.1, 0.3]), np.array([AWKWARD[:3], AWKWARD[1:4]]), planned=False, tried=True),
     SightingReport(2, "0123abcd", 10, 5.6, 0.01, np.zeros(3), 0.1, (), ()),

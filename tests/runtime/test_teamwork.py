@@ -21,7 +21,9 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
+    RangeReport,
 )
+from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import EVENTS_KEPT
@@ -150,6 +152,29 @@ async def test_a_pose_that_is_known_otherwise_is_announced_again_and_said_in_one
     await listener.close()
     assert heard == [1, 2]
     assert list(health.events) == [line]
+
+
+@pytest.mark.parametrize(
+    ("distance", "line"),
+    [
+        (
+            206.0,
+            "the distance to drone 2 by our ranging radio, 206.0 m, does not fit what we see and is not used: "
+            "is it set up for that drone?",
+        ),
+        (None, "the distance to drone 2 by our ranging radio fits what we see again"),
+    ],
+)
+def test_a_radio_that_does_not_fit_is_said_in_one_line(parts, distance, line):
+    health = make_health(parts)
+    team = make_teamwork(parts, health, make_notices(parts), parts.door.tell)
+    team.on_range_news(RangeNews(5.0, 2, distance))
+    assert list(health.events) == [line]
+
+
+def test_distances_are_told_to_onboard_without_a_line(parts):
+    health = listen(parts, [PeerArrived(2, "0000000a"), RangeReport(1, 2, 0.0, 0.0, 8.0, 0.1)])
+    assert len(health.events) == 1
 
 
 FILED = """

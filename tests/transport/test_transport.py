@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import math
 import os
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -25,6 +27,7 @@ from swarmtrack.messages import (
     PeerArrived,
     PeerDeparted,
     PeerEvent,
+    RangeReport,
     Sighting,
     SightingReport,
 )
@@ -38,6 +41,7 @@ from swarmtrack.transport.settings import NetworkSettings, check
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message
 from swarmtrack.wire.motion import motion_message
+from swarmtrack.wire.ranging import range_message
 from swarmtrack.wire.sightings import SightingsMessage, sightings_message
 
 
@@ -368,6 +372,43 @@ async def test_motions_are_told_in_order_once_and_only_of_their_own_drone(
     await put_until(lambda: listener.counter("motion_before_token") > 0, 2, motion(2, "00000000", 5))
     await put_until(lambda: listener.counter("motion_of_own_id") > 0, 1, motion(1, drone.boot, 6))
     assert [(said.drone_id, said.sequence) for said in motions()] == [(2, 3)]
+
+
+async def test_the_distances_of_its_own_radio_reach_a_drone_and_no_other_and_lies_are_counted(
+    start: Start, world: World, team: str
+) -> None:
+    listener, other = await start(1), await start(2)
+    await listener.until(lambda told: PeerArrived(2, other.boot) in told)
+    await other.until(lambda told: PeerArrived(1, listener.boot) in told)
+
+    def ranges(agent: Agent) -> list[RangeReport]:
+        return [event for event in agent.told if isinstance(event, RangeReport)]
+
+    async def put_until(said: Callable[[], bool], payload: bytes, *key: int, kind: Kind = Kind.RANGE) -> None:
+        async with asyncio.timeout(PATIENCE):
+            while not said():  # again: what is put before the links stand is lost
+                await world.put(keys.key(team, kind, *key), payload)
+                await asyncio.sleep(0.01)
+
+    good = RangeReport(1, 2, 0.0, 0.05, 8.5, 0.1)
+    payload = codec.encode(range_message(good, "0123abcd", 3, 1.7e9, 0.0))
+    fields = msgspec.msgpack.decode(payload)
+    await put_until(lambda: bool(ranges(listener)), payload, 1, 2)
+    await put_until(lambda: listener.counter("ranges_repeated") > 0, payload, 1, 2)
+    await put_until(lambda: listener.counter("ranges_on_wrong_key") > 0, payload, 1, 3)
+    await put_until(lambda: listener.counter("ranges_malformed") > 0, b"\xc1", 1, 2)
+    for lie in (math.nan, 0.0, 1e9, -8.5):
+        before = listener.counter("ranges_malformed")
+        fields[8] = lie
+        await put_until(
+            lambda before=before: listener.counter("ranges_malformed") > before,
+            msgspec.msgpack.encode(fields),
+            1,
+            2,
+        )
+    assert [(said.other, said.distance, said.sigma) for said in ranges(listener)] == [(2, 8.5, 0.1)]
+    assert ranges(other) == []
+    assert other.counter("ranges_malformed") == 0
 
 
 def sign(text: bytes) -> bytes:

@@ -23,6 +23,7 @@ from swarmtrack.messages import (
     LinkStatus,
     MotionProof,
     MotionReport,
+    RangeReport,
     RelativeState,
     Sighting,
     SightingReport,
@@ -55,6 +56,7 @@ from swarmtrack.wire.health import (
 )
 from swarmtrack.wire.lens import LensMessage, camera_from, lens_message
 from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
+from swarmtrack.wire.ranging import RangeMessage, range_from, range_message
 from swarmtrack.wire.records import as_record, from_record
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message
 from swarmtrack.wire.tracks import (
@@ -77,6 +79,7 @@ DECODERS: list[Callable[[bytes], Message]] = [
         CameraMessage,
         SightingsMessage,
         MotionMessage,
+        RangeMessage,
         TracksMessage,
         HealthMessage,
         VideoMessage,
@@ -117,6 +120,8 @@ MOTION = MotionReport(
     velocity=np.array([0.25, 0.0, -1.0]),
     velocity_cov=np.diag([0.25, 0.25, 0.5]),
 )
+
+RANGED = RangeReport(drone_id=7, other=300, t=13.75, t_sigma=0.5, distance=8.5, sigma=0.125)
 
 TRACKS = TracksMessage(
     version=1,
@@ -189,6 +194,10 @@ def moving() -> bytes:
     return codec.encode(motion_message(MOTION, UTC_OFFSET, NOW))
 
 
+def ranged() -> bytes:
+    return codec.encode(range_message(RANGED, "0123abcd", 9, UTC_OFFSET, NOW))
+
+
 def described() -> bytes:
     return codec.encode(camera_message(7, "0123abcd", CAMERA, MOUNTING))
 
@@ -209,6 +218,7 @@ MESSAGES = [
     signed(),
     described(),
     reported(),
+    ranged(),
     codec.encode(TRACKS),
     codec.encode(placed()),
     codec.encode(HEALTH),
@@ -245,6 +255,10 @@ SIGHTINGS_BYTES = (
     "9202cd012c919402cb3fe800000000000093cb0000000000000000cb0000000000000000cbbff0000000000000"
     "cb3fc0000000000000"
 )
+RANGE_BYTES = (
+    "9a0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd0000000000000cd012c"
+    "cb4021000000000000cb3fc0000000000000"
+)
 # Until something is added at its end.
 HEALTH_BYTES = (
     "dc001201cb41d954fc40000000a83031323361626364cb404e000000000000cb4016000000000000cb40580000000000"
@@ -264,6 +278,7 @@ HEALTH_BYTES = (
         pytest.param(codec.encode(TRACKS), TRACKS_BYTES, id="tracks"),
         pytest.param(reported(), SIGHTINGS_BYTES, id="sightings"),
         pytest.param(moving(), MOTION_BYTES, id="motion"),
+        pytest.param(ranged(), RANGE_BYTES, id="range"),
         pytest.param(codec.encode(HEALTH), HEALTH_BYTES, id="health"),
     ],
 )
@@ -386,6 +401,38 @@ def test_a_motion_that_nobody_can_fly_is_refused(place: int, value: Any, why: st
     fields[place] = value
     with pytest.raises(DecodeError, match=why):
         codec.decode(MotionMessage, msgpack.packb(fields))
+
+
+def test_a_distance_comes_back_as_it_went() -> None:
+    message = codec.decode(RangeMessage, ranged())
+    assert (message.t_utc_s, message.t_sigma_s, message.age_s) == (UTC_OFFSET + 13.75, 0.5, 0.25)
+    got = range_from(message, 5.0, 0.75)
+    assert (got.drone_id, got.other, got.t, got.t_sigma) == (7, 300, 5.0, 0.75)
+    assert (got.distance, got.sigma) == (8.5, 0.125)
+    assert len(ranged()) < 100
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "why"),
+    [
+        (7, 7, "other: found 7, expected another drone"),
+        (7, 0, "other"),
+        (8, math.nan, "range"),
+        (8, math.inf, "range"),
+        (8, 0.0, "distance_m"),
+        (8, -8.5, "distance_m"),
+        (8, 1e9, "distance_m"),
+        (9, 0.0, "sigma_m"),
+        (9, math.nan, "range"),
+        (9, 1e9, "sigma_m"),
+        (6, -1.0, "age_s"),
+    ],
+)
+def test_a_distance_that_no_radio_measures_is_refused(place: int, value: Any, why: str) -> None:
+    fields = msgpack.unpackb(ranged())
+    fields[place] = value
+    with pytest.raises(DecodeError, match=why):
+        codec.decode(RangeMessage, msgpack.packb(fields))
 
 
 def test_the_largest_report_fits_into_one_message() -> None:

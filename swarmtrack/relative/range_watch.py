@@ -1,0 +1,48 @@
+"""Whether a ranging radio's distances fit what is seen: said once when they do not, and once when they do again."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from swarmtrack.messages import RangeReport
+
+# So many in a row, over so many s, are no chance.
+IN_A_ROW, OVER_S = 5, 1.0
+
+
+class RangeNews(NamedTuple):
+    """That the radio's distances to a teammate do not fit: distance m, the last; None: they do again."""
+
+    t: float
+    drone_id: int
+    distance: float | None
+
+
+class _Run(NamedTuple):
+    """Since when, and how many times in a row."""
+
+    believed: bool
+    since: float
+    times: int
+
+
+class RangeWatch:
+    """Told of every distance to a teammate that is seen, and whether it was believed."""
+
+    def __init__(self) -> None:
+        self._runs: dict[int, _Run] = {}
+        self._told: set[int] = set()
+
+    def see(self, said: RangeReport, *, believed: bool) -> RangeNews | None:
+        """News, where there is any."""
+        run = self._runs.get(said.other)
+        if run is None or run.believed != believed:
+            run = _Run(believed, said.t, 0)
+        run = self._runs[said.other] = run._replace(times=run.times + 1)
+        if run.times < IN_A_ROW or said.t - run.since < OVER_S or (said.other in self._told) != believed:
+            return None
+        if believed:
+            self._told.discard(said.other)
+            return RangeNews(said.t, said.other, None)
+        self._told.add(said.other)
+        return RangeNews(said.t, said.other, said.distance)
