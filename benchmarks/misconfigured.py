@@ -5,11 +5,13 @@ pads, everybody stands on the next one's, a compass or a camera's mounting is tu
 these the team knows nothing. Its configs state `--sigma` metres for every start and nothing for the heading.
 
 * right, wrong, unknown: as `swarmtrack sim` counts them; wrong with a 95 % interval over flights.
+* later: right from `LATER_S` of flight on, once a drone that is told how the others move had the time to find out.
 * surest: the highest probability that was stated with a wrong name.
 * said: of the drones concerned, those that said that their own start or heading is wrong; after: seconds from when the
   first teammate came into their view, median and most. Falsely: drones that said so and are right.
 
-    swarmtrack bench misconfigured [--seeds 100] [--scenarios crossing …] [--rows pads …] [--sigma 0.1] --out DIR
+    swarmtrack bench misconfigured [--seeds 100] [--scenarios crossing …] [--rows pads …] [--sigma 0.1] [--share 7]
+        --out DIR
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from swarmtrack.benchmarks.command_line import add_common, add_processes, add_se
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
 from swarmtrack.evaluation.intervals import fraction_interval
-from swarmtrack.evaluation.swarm_score import Glance, SwarmScore
+from swarmtrack.evaluation.swarm_score import Glance, SwarmScore, SwarmScorer
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.scenarios import AnnouncedStart, Scenario
 
@@ -42,6 +44,8 @@ SECONDS = {"crossing": 20.0, "hover-triangle": 20.0, "errand": 30.0}
 # m: what the shipped configs state.
 SIGMA = 0.1
 VICTIM = 1
+# s of flight.
+LATER_S = 10.0
 COMPASS_DEG = (5.0, 10.0, 20.0, 30.0, 90.0, 180.0)
 MOUNTING_DEG = (2.0, 5.0, 10.0, 20.0)
 START_M = (0.3, 0.5, 1.0, 1.5, 3.0, 5.0)
@@ -83,19 +87,22 @@ def rows() -> list[Row]:
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """What came of one. said_after: by drone that is wrong and saw others, s, inf where it never said so; falsely: how
-    many drones said so that are right."""
+    """What came of one. later: of the end of it alone; said_after: by drone that is wrong and saw others, s, inf where
+    it never said so; falsely: how many drones said so that are right."""
 
     score: SwarmScore
+    later: SwarmScore
     said_after: Mapping[int, float]
     falsely: int
 
 
 class _Watch:
-    """When each drone saw the first teammate, and when it said that it is wrong itself."""
+    """When each drone saw the first teammate, and when it said that it is wrong itself; and the score of what comes
+    after `LATER_S`."""
 
-    def __init__(self, swarm: VirtualSwarm) -> None:
+    def __init__(self, swarm: VirtualSwarm, seconds: float) -> None:
         self._swarm = swarm
+        self.later = SwarmScorer(swarm.scenario.members, start=LATER_S, end=seconds)
         self.first_seen: dict[int, float] = {}
         self.said: dict[int, float] = {}
 
@@ -104,6 +111,9 @@ class _Watch:
             self.first_seen.setdefault(glance.observer, glance.t)
         if self._swarm.onboard(glance.observer).self_doubt:
             self.said.setdefault(glance.observer, glance.t)
+        for drone_id, t in self._swarm.announced_at.items():
+            self.later.announced(drone_id, t)
+        self.later.add(glance)
 
 
 def misplaced(scenario: Scenario, row: Row) -> Scenario:
@@ -120,21 +130,24 @@ def misplaced(scenario: Scenario, row: Row) -> Scenario:
     return replace(scenario, announced={drone_id: stated(drone_id) for drone_id in scenario.announced})
 
 
-def fly(row: Row, scenario: str, sigma_m: float, tracker: str, seed: int) -> Flight:
-    """One flight, as fast as it computes; the same arguments give the same flight."""
+def fly(
+    row: Row, scenario: str, sigma_m: float, tracker: str, seed: int, *, share_hz: float | None = None
+) -> Flight:
+    """One flight, as fast as it computes; the same arguments give the same flight. share_hz: how often each says how it
+    moves, None: never."""
     flown = load_scenario(scenario, seed=seed, drones=DRONES)
     told = {d: replace(start, position_sigma_m=sigma_m) for d, start in flown.announced.items()}
     flown = misplaced(replace(flown, announced=told), row)
     mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
-    swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes)
-    watch = _Watch(swarm)
+    swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes, share_hz=share_hz)
+    watch = _Watch(swarm, SECONDS[scenario])
     score = recognition.judge(swarm, flown, SECONDS[scenario], watch.see).score
     after = {
         d: max(watch.said.get(d, math.inf) - max(watch.first_seen[d], swarm.announced_at[d]), 0.0)
         for d in row.of
         if d in watch.first_seen
     }
-    return Flight(score, after, len(watch.said.keys() - set(row.of)))
+    return Flight(score, watch.later.score(), after, len(watch.said.keys() - set(row.of)))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -150,6 +163,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sigma", type=positive, metavar="M", default=SIGMA, help="of every start, m (default: %(default)s)"
     )
+    parser.add_argument(
+        "--share", type=positive, metavar="HZ", help="every drone says so often how it moves (default: never)"
+    )
     add_processes(parser)
 
 
@@ -161,6 +177,7 @@ def run(args: argparse.Namespace) -> None:
         chosen=[row for row in rows() if not args.rows or any(word in row.name for word in args.rows)],
         sigma_m=args.sigma,
         tracker=args.tracker,
+        share_hz=args.share,
         processes=args.processes,
     )
 
@@ -173,6 +190,7 @@ def publish(
     chosen: Sequence[Row],
     sigma_m: float,
     tracker: str,
+    share_hz: float | None = None,
     processes: int | None = None,
 ) -> dict[str, Any]:
     """Fly everything, write misconfigured.json and misconfigured.md into `out`."""
@@ -185,28 +203,35 @@ def publish(
             found[scenario] = {}
             for row in chosen:
                 flights = []
-                for flight in pool.imap(partial(fly, row, scenario, sigma_m, tracker), range(1, seeds + 1)):
+                one = partial(fly, row, scenario, sigma_m, tracker, share_hz=share_hz)
+                for flight in pool.imap(one, range(1, seeds + 1)):
                     flights.append(flight)
                     advance(f"{scenario}: {row.name}")
                 found[scenario][row.name] = summary(flights)
-    result = {"seeds": seeds, "sigma_m": sigma_m, "tracker": tracker, "scenarios": found}
+    result = {
+        "seeds": seeds,
+        "sigma_m": sigma_m,
+        "tracker": tracker,
+        "share_hz": share_hz,
+        "scenarios": found,
+    }
     report.write(out, NAME, result, _markdown(result))
     return result
 
 
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:
     """The columns of one row of the table."""
-    samples = np.array([flight.score.samples for flight in flights], dtype=float)
 
-    def hits(share: str) -> Any:
-        return np.nan_to_num([getattr(flight.score, share) for flight in flights]) * samples
+    def share(of: str, scores: Sequence[SwarmScore]) -> dict[str, float]:
+        samples = np.array([score.samples for score in scores], dtype=float)
+        hits = np.nan_to_num([getattr(score, of) for score in scores]) * samples
+        return fraction_interval(hits, samples)._asdict()
 
+    scores = [flight.score for flight in flights]
     after = np.sort([after for flight in flights for after in flight.said_after.values()])
     return {
-        **{
-            share: fraction_interval(hits(share), samples)._asdict()
-            for share in ("correct", "wrong", "unknown")
-        },
+        **{of: share(of, scores) for of in ("correct", "wrong", "unknown")},
+        "later_correct": share("correct", [flight.later for flight in flights]),
         "wrong_max_probability": float(
             np.fmax.reduce([flight.score.wrong_max_probability for flight in flights])
         ),
@@ -215,6 +240,10 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
         "said_after_s": {"p50": _quantile(after, 0.5), "most": _quantile(after, 1.0)},
         "falsely": sum(flight.falsely for flight in flights),
     }
+
+
+def _shared(share_hz: float | None) -> str:
+    return f"motion told {share_hz:g} times per second" if share_hz else "nobody tells how it moves"
 
 
 def _quantile(values: Iterable[float], of: float) -> float:
@@ -229,6 +258,7 @@ def _markdown(result: dict[str, Any]) -> str:
         return [
             name,
             f"{100.0 * found['correct']['value']:.1f}",
+            f"{100.0 * found['later_correct']['value']:.1f}",
             "{:.2f} ({:.2f} … {:.2f})".format(*wrong),
             f"{100.0 * found['unknown']['value']:.1f}",
             report.number(found["wrong_max_probability"], 4),
@@ -238,7 +268,8 @@ def _markdown(result: dict[str, Any]) -> str:
         ]
 
     header = [
-        "what is wrong", "right, %", "wrong, %", "unknown, %", "surest wrong name", "said", "after, s", "falsely",
+        "what is wrong", "right, %", "later, %", "wrong, %", "unknown, %", "surest wrong name", "said", "after, s",
+        "falsely",
     ]  # fmt: skip
     tables = [
         f"## {scenario}\n\n{report.table(header, [line(*row) for row in of.items()])}"
@@ -248,7 +279,7 @@ def _markdown(result: dict[str, Any]) -> str:
         [
             "# Names when the configuration is wrong",
             f"{DRONES} drones, {result['seeds']} seeds per row, synthetic detections, tracker `{result['tracker']}`; "
-            f"starts stated as ±{result['sigma_m']:g} m.",
+            f"starts stated as ±{result['sigma_m']:g} m; {_shared(result['share_hz'])}.",
             *tables,
         ]
     )
