@@ -346,6 +346,7 @@ class Onboard:
         if news is not None:
             self._relative.forget(report.observer)
             self._events.append(news)
+        self._identities.align(report.observer, self._frames.transform(report.observer))
         self._relative.hear_sightings(self._frames.report_in_ours(report))
 
     def _track(self, detections: Detections, t: float) -> None:

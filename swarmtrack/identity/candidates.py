@@ -122,13 +122,17 @@ class CandidateDrones:
         self._expected = dict.fromkeys(self._teammates.announced, False) | named | expected
 
     def _reproject(self, places: Sequence[Announcement], view: ObserverCamera) -> Predictions:
-        return reproject(
+        whereabouts = self._teammates.whereabouts
+        found = reproject(
             places,
             view,
-            on_pad=self._teammates.whereabouts.on_pad,
+            on_pad=whereabouts.on_pad,
             drift_speed=self._parameters.drift_speed,
             stay_s=self._parameters.stay_s,
         )
+        # Those places are where we would see them: our own heading is in them already.
+        aligned = np.array([drone in whereabouts.aligned for drone in found.drone_id], dtype=bool)
+        return found._replace(turn=np.where(aligned[:, None], 0.0, found.turn))
 
 
 def _is_before(place: Announcement, sight: LastSeen | None) -> bool:

@@ -48,6 +48,7 @@ from swarmtrack.messages import (
     TrackStatus,
 )
 from swarmtrack.motion.ego import TeamPose
+from swarmtrack.relative.alignment import FrameTransform
 
 
 class Identities:
@@ -134,6 +135,11 @@ class Identities:
             self._teammates.whereabouts.report(report)
             self._self_doubt.hear(report)
 
+    def align(self, drone_id: int, frame: FrameTransform | None) -> None:
+        """How the frame of a teammate stands to ours; None: as it announced."""
+        if drone_id in self._teammates.announced:
+            self._teammates.whereabouts.align(drone_id, frame)
+
     def on_motion(self, report: MotionReport) -> None:
         """A teammate says how it moves."""
         if self._teammates.is_heard(report.drone_id):
@@ -197,7 +203,13 @@ class Identities:
 
     def _labelled(self, track: Track) -> IdentifiedTrack:
         name, probability = self._names.stated_of(track)
-        proof = self._weighing.proofs.of(track.id, name) if isinstance(name, int) else None
+        if not isinstance(name, int):
+            return IdentifiedTrack(track, name, probability)
+        proofs = self._weighing.proofs
+        proof = proofs.of(track.id, name)
+        if proof is not None and proofs.lasts(track.id, name, track.t):
+            # Its place gave the name, and motion has made it surer since.
+            probability = max(probability, proof.probability * track.probability)
         return IdentifiedTrack(track, name, probability, proof)
 
     def _assign_nearest(self, view: ObserverCamera) -> None:
@@ -237,7 +249,9 @@ class Identities:
         foreign = bool(self._teammates.announced) and not self._self_doubt.said
         foreign &= not self._weighing.misses_somebody(predicted, p_drone)
         for i, track in enumerate(tracks):
-            matches = self._weighing.matches(track, predicted, p_drone[i], p_drone.sum(axis=0), ratios[i])
+            matches = self._weighing.matches(
+                track, predicted, t, p_drone=p_drone[i], p_seen=p_drone.sum(axis=0), ratios=ratios[i]
+            )
             self._judge(track, matches, t, seen_in=self._weighing.seen_in(i))
             if self._names.of(track.id) is None and track.status is TrackStatus.CONFIRMED:
                 self._judgement.leave_unassigned(
@@ -260,6 +274,12 @@ class Identities:
         )
         for name in [name for name in self._names if self._self_doubt.forbids(name, self._weighing)]:
             self._names.fire(name, Event.OVERRULED)
+        if self.self_doubt:
+            proofs = self._weighing.proofs
+            for held in self._names.settled:
+                if not proofs.lasts(held.track_id, held.drone_id, view.observer.t):
+                    self._names.fire(held, Event.SELF_DOUBTED)
+                    held.weaken(0.0)
 
     def _judge(self, track: Track, matches: Mapping[int, Match], t: float, *, seen_in: int) -> None:
         """One track, by what it may be: its name is judged, or it gets one."""
@@ -268,4 +288,4 @@ class Identities:
             self._judgement.judge(held, matches, t)
         is_new = self._names.of(track.id) is None and track.status is not TrackStatus.LOST
         if is_new and seen_in >= self._parameters.scans:
-            self._judgement.assign_likeliest(track, matches, t)
+            self._judgement.assign_likeliest(track, matches, t, in_doubt=self._self_doubt.is_puzzled)

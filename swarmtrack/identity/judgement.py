@@ -143,11 +143,13 @@ class Judgement:
         else:
             self._ask(matches, t)
 
-    def assign_likeliest(self, track: Track, matches: Mapping[int, Match], t: float) -> None:
+    def assign_likeliest(
+        self, track: Track, matches: Mapping[int, Match], t: float, *, in_doubt: bool
+    ) -> None:
         """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it. One that looks too
-        weak for a track is vouched for, and named once the tracker agrees."""
+        weak for a track is vouched for, and named once the tracker agrees. in_doubt: this drone's own pose is."""
         drone = max(matches, key=lambda drone: matches[drone].probability, default=None)
-        if drone is None or not self._may_be_named(track, drone):
+        if drone is None or not self._may_be_named(track, drone, t, in_doubt=in_doubt):
             return
         match = matches[drone]
         if match.probability < self._weighing.sure(drone, self._parameters.probability):
@@ -174,14 +176,17 @@ class Judgement:
         if explained and t - unassigned.first_t > NAMELESS_S:
             self._ask(matches, t)
 
-    def _may_be_named(self, track: Track, drone: int) -> bool:
-        """Whether any probability is enough: of who is disputed or knows no place, only motion names a track."""
+    def _may_be_named(self, track: Track, drone: int, t: float, *, in_doubt: bool) -> bool:
+        """Whether any probability is enough: who is disputed, or knows no place, is named by motion alone, and so is
+        by who doubts its own pose whoever tells how it moves."""
         if drone in self._disputes:
             return False
-        if is_vague(self._teammates.announced[drone]) and not self._weighing.tells_motion(drone):
+        tells_motion = self._weighing.tells_motion(drone)
+        if is_vague(self._teammates.whereabouts.latest(drone)) and not tells_motion:
             return False
-        proved = self._weighing.proofs.of(track.id, drone) is not None
-        return proved or not self._disputes.needs_proof(drone)
+        if self._weighing.proofs.lasts(track.id, drone, t):
+            return True
+        return not self._disputes.needs_proof(drone) and not (in_doubt and tells_motion)
 
     def _doubt(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
         """Another track may be the drone: where this one was seen says nothing of where the drone is."""

@@ -12,6 +12,9 @@ The last three are "none of them", and as good models as the first: else that wo
 The log ratio of the two is what motion says of a pair. A team that hovers without a sway moves by no more than the
 noise, and then the drone and the standing thing foretell the same: nothing is learned, however long it lasts.
 
+An observer that doubts its heading has its rays compared as if its north were turned by each of `TURNS`: then a pair
+has one log ratio for each, and whoever matches pairs weighs the turns, which all pairs have in common.
+
 Three kinds of sources say how a drone moves, and `Trust` is how closely it then flies: its own messages, the places in
 its reports, a code or plan that all know. While one of them speaks, those that tell less are not heard. What comes
 late counts at its own time: rays are kept for `MEMORY_S`.
@@ -59,6 +62,8 @@ MANY = 256
 MOST = math.log(1e6)
 _MODELS = 5
 _NONE = math.log(1.0 / (_MODELS - 1))
+# rad, clockwise seen from above: by how much the observer's north may be turned, each within the filters' own sigma.
+TURNS = np.radians([0.0, 36.0, -36.0, 72.0, -72.0, 108.0, -108.0, 144.0, -144.0, 180.0])
 
 
 class Trust(NamedTuple):
@@ -131,12 +136,37 @@ class MotionEvidence:
         self._scans: deque[_Scan] = deque()
         self._waiting: list[Saying] = []
         self._last: dict[int, Saying] = {}
-        self._filters = RayFilters(_MODELS)
+        self._filters = RayFilters([0.0] * _MODELS + TURNS[1:].tolist(), used=_MODELS)
         self._free: list[int] = list(range(self._filters.rows))
         self._row: dict[tuple[int, int], int] = {}
         self._begun: dict[tuple[int, int], float] = {}
         """s: when the filters of a pair began; not there: they are to begin."""
-        self._ratio: dict[tuple[int, int], float] = {}
+        self._ratio: dict[tuple[int, int], Array] = {}
+        """By each turn that is thought of."""
+        self._log_turned = np.zeros(1)
+
+    @property
+    def turns(self) -> int:
+        """How many of `TURNS` are thought of: the first, or all."""
+        return len(self._log_turned)
+
+    @property
+    def turn_weight(self) -> Array:
+        """(turns,): how likely each is."""
+        return np.exp(self._log_turned)
+
+    def think_of_turns(self, weight: Array | None) -> None:
+        """weight (turns,): how likely the observer's north is turned by each; None: it is not. What was seen before
+        anybody thought of it tells nothing of it."""
+        if weight is not None and self.turns == 1:
+            self._filters.used = _MODELS + len(TURNS) - 1
+            self._filters.log[:, _MODELS:] = _of_none(self._filters.log)[:, None]
+            self._ratio = {pair: _ratios(self._filters.log[row]) for pair, row in self._row.items()}
+            self._begun.clear()
+        elif weight is None and self.turns > 1:
+            self._filters.used = _MODELS
+            self._ratio = {pair: ratio[:1] for pair, ratio in self._ratio.items()}
+        self._log_turned = np.zeros(1) if weight is None else np.log(np.maximum(weight, 1e-12))
 
     @property
     def pairs(self) -> set[tuple[int, int]]:
@@ -181,18 +211,29 @@ class MotionEvidence:
             scan.row.pop(track_id, None)
         for pair, row in self._row.items():
             if pair[0] == track_id:
-                log = self._filters.log[row]
-                self._filters.log[row] = np.maximum(0.5 * (log - log.max()), -log_odds)
+                log = self._filters.log[row, : self._filters.used]
+                self._filters.log[row, : self._filters.used] = np.maximum(0.5 * (log - log.max()), -log_odds)
                 self._begun.pop(pair, None)
-                self._ratio[pair] = float(_ratios(self._filters.log[row]))
+                self._ratio[pair] = self._ratios(row)
 
     def log_ratio(self, track_id: int, drone_id: int) -> float:
         """How much more likely the track is the drone than another thing, by how both moved."""
-        if drone_id not in self._last:
-            return 0.0
+        by_turn = self.log_ratios(track_id, drone_id)
+        if self.turns == 1:
+            return float(by_turn[0])
+        is_it = np.logaddexp.reduce(self._log_turned - np.logaddexp(0.0, -by_turn))
+        is_not = np.logaddexp.reduce(self._log_turned - np.logaddexp(0.0, by_turn))
+        return float(is_it - is_not)
+
+    def log_ratios(self, track_id: int, drone_id: int) -> Array:
+        """(turns,): the same if the observer's north is turned by each."""
+        ratio = self._ratio.get((track_id, drone_id))
+        if drone_id not in self._last or ratio is None:
+            return np.zeros(self.turns)
         trust = self._last[drone_id].trust
-        ratio = self._ratio.get((track_id, drone_id), 0.0)
-        return min(max(_if_flown(ratio) if trust.tried else ratio, -trust.most), trust.most)
+        ratio = _if_flown(ratio) if trust.tried else ratio
+        # What is more than it may give is taken off all turns alike: which of them is likelier stays what it is.
+        return np.maximum(ratio - max(float(ratio.max()) - trust.most, 0.0), -trust.most)
 
     def _compare(self, sayings: Sequence[Saying]) -> None:
         """sayings: one of each drone, in order. The rays of the scan nearest to each are weighed by all models."""
@@ -221,15 +262,15 @@ class MotionEvidence:
                 continue
             self._begun.pop(pair, None)
             if last.trust.tried:
-                log = self._filters.log[row]
-                log[0] += _if_flown(self._ratio[pair]) - self._ratio[pair]
-                self._ratio[pair] = float(_ratios(log))
+                turned = [0, *range(_MODELS, self._filters.used)]
+                self._filters.log[row, turned] += _if_flown(self._ratio[pair]) - self._ratio[pair]
+                self._ratio[pair] = self._ratios(row)
 
     def _weigh(
         self, pairs: Sequence[tuple[int, int]], found: Sequence[_Look], begins: NDArray[np.bool_]
     ) -> None:
         rows = np.array([self._row_of(pair) for pair in pairs])
-        looks = _looks(found)
+        looks = _looks(found, self.turns)
         later = looks.t > self._filters.t[rows]
         begins |= ~self._filters.reaches(rows, looks.ray, REACH)
         goes_on, starts = np.flatnonzero(later & ~begins), np.flatnonzero(begins)
@@ -237,14 +278,17 @@ class MotionEvidence:
             self._filters.look(rows[goes_on], looks.only(goes_on))
         if starts.size:
             self._filters.begin(
-                rows[starts], looks.only(starts), _models([found[i] for i in starts.tolist()])
+                rows[starts], looks.only(starts), _models([found[i] for i in starts.tolist()], self.turns)
             )
             self._begun |= {pairs[i]: float(looks.t[i]) for i in starts.tolist()}
-        log = self._filters.log[rows]
+        log = self._filters.log[rows, : self._filters.used]
         most = np.array([[max(look.saying.trust.most, MOST)] for look in found])
         log = np.maximum(log - log.max(axis=1, keepdims=True), -2.0 * most)
-        self._filters.log[rows] = log
-        self._ratio |= dict(zip(pairs, _ratios(log).tolist(), strict=True))
+        self._filters.log[rows, : self._filters.used] = log
+        self._ratio |= dict(zip(pairs, _ratios(log), strict=True))
+
+    def _ratios(self, row: int) -> Array:
+        return _ratios(self._filters.log[row, : self._filters.used])
 
     def _row_of(self, pair: tuple[int, int]) -> int:
         row = self._row.get(pair)
@@ -283,13 +327,16 @@ def _follows(before: Saying, saying: Saying) -> bool:
     return off < JUMP * max(dt, 1.0)
 
 
-def _looks(found: Sequence[_Look]) -> Looks:
+def _looks(found: Sequence[_Look], turns: int) -> Looks:
+    """turns: how many are thought of."""
     said = np.array(
         [look.saying.displacement + (look.scan.t - look.saying.t) * look.saying.velocity for look in found]
     )
     white = np.array([look.saying.trust.white * _inverse_distance(look)[0] for look in found])
-    foretold, speed = np.zeros((2, len(found), _MODELS, 3))
-    foretold[:, 0], speed[:, 0] = said, [look.saying.velocity for look in found]
+    foretold, speed = np.zeros((2, len(found), _MODELS + turns - 1, 3))
+    it = [0, *range(_MODELS, _MODELS + turns - 1)]
+    foretold[:, it] = said[:, None]
+    speed[:, it] = np.array([look.saying.velocity for look in found])[:, None]
     return Looks(
         np.array([look.scan.t for look in found]),
         np.array([look.scan.rays[look.row] for look in found]),
@@ -300,22 +347,23 @@ def _looks(found: Sequence[_Look]) -> Looks:
     )
 
 
-def _models(found: Sequence[_Look]) -> Model:
+def _models(found: Sequence[_Look], turns: int) -> Model:
     """The drone as it says, one that sways, one that flies, and things that stand: none of them more exact than the
-    first, which would make them win by that alone."""
+    first, which would make them win by that alone. Then the drone again, by each further turn."""
     kappa = np.array([look.scan.kappa[look.row] for look in found])[:, None]
     its, its_share = np.array([_inverse_distance(look) for look in found]).T[..., None]
     trust = np.array([look.saying.trust for look in found], dtype=float)
     n = len(found)
     wander, bandwidth, clock = trust[:, :1], trust[:, 1:2], trust[:, 3:4]
     stands = np.broadcast_to(np.array(STANDS), (n, 2, 2))
-    return Model(
+    once = Model(
         np.hstack([its, kappa, kappa, stands[..., 0]]),
         np.hstack([its_share * its, SPAN_SIGMA * kappa, SPAN_SIGMA * kappa, stands[..., 1]]),
         np.repeat(clock, _MODELS, axis=1),
         np.hstack([its * wander, kappa * SWAY[0], kappa * FLIGHT[0], its * wander, its * wander]),
         np.hstack([bandwidth, np.tile([SWAY[1], FLIGHT[1]], (n, 1)), bandwidth, bandwidth]),
     )
+    return Model(*(np.hstack([values, np.repeat(values[:, :1], turns - 1, axis=1)]) for values in once))
 
 
 def _inverse_distance(look: _Look) -> tuple[float, float]:
@@ -326,12 +374,16 @@ def _inverse_distance(look: _Look) -> tuple[float, float]:
     return 1.0 / distance, math.hypot(PLACED_SHARE, PLACED_M / distance)
 
 
-def _if_flown(ratio: float) -> float:
+def _if_flown(ratio: Array) -> Array:
     """The log ratio of a drone that as likely as not moves in another way than was compared."""
-    return float(np.logaddexp(ratio, 0.0)) - math.log(2.0)
+    return np.logaddexp(ratio, 0.0) - math.log(2.0)
 
 
 def _ratios(log: Array) -> Array:
-    """Of log likelihoods (..., models): of the drone against the mean of the others."""
-    none = np.logaddexp.reduce(log[..., 1:], axis=-1) + _NONE
-    return np.asarray(log[..., 0] - none)
+    """Of log likelihoods (..., models): of the drone, by each turn, against the mean of the others."""
+    is_it = np.concatenate([log[..., :1], log[..., _MODELS:]], axis=-1)
+    return np.asarray(is_it - _of_none(log)[..., None])
+
+
+def _of_none(log: Array) -> Array:
+    return np.asarray(np.logaddexp.reduce(log[..., 1:_MODELS], axis=-1) + _NONE)

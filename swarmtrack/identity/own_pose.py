@@ -5,7 +5,7 @@ whole flight, and they shift all projections of an observer together. So they ar
 state, and what is known of it is a mixture:
 
 * turned: the azimuth is off by about one of `AZIMUTHS_DEG`. The prior is that of the autopilot's heading, with a tail,
-  because some compasses are simply wrong.
+  because some compasses are simply wrong. Where motion is compared by every heading, one of `FAR_DEG` may be it, too.
 * elsewhere: the drone stands on a teammate's pad, or some metres from its own (`Elsewhere`).
 * lost: projections tell nothing.
 
@@ -26,8 +26,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.motion_evidence import TURNS
 from swarmtrack.identity.onlookers import Onlookers
 from swarmtrack.identity.posterior import (
     GATE_PROBABILITY,
@@ -45,6 +47,11 @@ from swarmtrack.tracking.marginals_of_each import matched_of_each
 # The middle of each component and its own sigma: denser where headings usually are.
 AZIMUTHS_DEG = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0, 22.0, 26.0, 30.0)
 WIDTHS_DEG = (1.2, 1.2, 1.2, 1.2, 1.2, 1.2, 1.5, 1.8, 1.8, 2.2, 2.2, 2.2)
+# The same beyond, where only motion finds the azimuth; and of compasses those that point anywhere.
+FAR_DEG, FAR_WIDTH_DEG = (42.0, 60.0, 80.0, 100.0, 120.0, 140.0, 160.0, 180.0), 7.0
+ANYWHERE = 0.05
+# rad: components that are no further apart tell the same.
+NEIGHBOURS = math.radians(25.0)
 # Of compasses and mountings: those that are off by more than the autopilot says, and by how much (one sigma, rad).
 ASKEW, ASKEW_SIGMA = 0.05, math.radians(8.0)
 # Of starts: those that are a teammate's, and those that are off by metres.
@@ -78,6 +85,12 @@ class Components(NamedTuple):
     def only(self, chosen: Sequence[int]) -> Components:
         """These of them."""
         return Components(self.azimuth[chosen], self.sigma[chosen], self.log_prior[chosen])
+
+    def turns(self, thought_of: int) -> list[int]:
+        """(c,): which of the first `thought_of` `TURNS` is nearest to each."""
+        away = _wrapped(self.azimuth[:, None] - TURNS[:thought_of])
+        found: list[int] = np.abs(away).argmin(axis=1).tolist()
+        return found
 
 
 class Elsewhere(NamedTuple):
@@ -116,6 +129,20 @@ class OwnPose(NamedTuple):
         """The components that are worth a thought."""
         found: list[int] = np.flatnonzero(self.weight > math.exp(-NEGLIGIBLE)).tolist()
         return found
+
+    def by_turn(self) -> Array:
+        """(b,): how likely the heading is off by each of `TURNS`; that of who is elsewhere or lost is right."""
+        weight = np.bincount(self.components.turns(len(TURNS)), self.weight, len(TURNS))
+        weight[0] += self.elsewhere + self.lost
+        return np.asarray(weight / weight.sum())
+
+    @property
+    def beside(self) -> float:
+        """The probability that the heading is off by another angle than the likeliest, and by far."""
+        azimuth = self.components.azimuth
+        far = np.abs(azimuth) > math.radians(AZIMUTHS_DEG[-1] + 1.0)
+        off = _wrapped(azimuth - azimuth[self.weight.argmax()])
+        return float(self.weight[far & (np.abs(off) > NEIGHBOURS)].sum())
 
     @property
     def turned(self) -> float:
@@ -156,8 +183,8 @@ NOWHERE_ELSE = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
 
 
 @lru_cache(maxsize=16)
-def components(heading_sigma: float) -> Components:
-    """The prior. heading_sigma [rad]: of the autopilot's heading."""
+def components(heading_sigma: float, *, all_around: bool = False) -> Components:
+    """The prior. heading_sigma [rad]: of the autopilot's heading; all_around: with those which only motion finds."""
     heading_sigma = max(heading_sigma, LEAST_SIGMA)
     # Of an autopilot that has been silent nothing is known; then the components are as much wider.
     scale = max(heading_sigma / ASKEW_SIGMA, 1.0)
@@ -171,11 +198,15 @@ def components(heading_sigma: float) -> Components:
         return np.diff(below)
 
     turned = (1.0 - ASKEW) * shares(heading_sigma) + ASKEW * shares(ASKEW_SIGMA)
-    return Components(
-        azimuth,
-        np.minimum(np.concatenate([wide[:0:-1], wide]), heading_sigma),
-        np.log(np.maximum((1.0 - ON_ANOTHERS_PAD - MISPLACED - LOST) * turned, 1e-12)),
-    )
+    sigma = np.minimum(np.concatenate([wide[:0:-1], wide]), heading_sigma)
+    far = np.radians([*(-deg for deg in FAR_DEG[:-1]), *FAR_DEG])
+    far = far[np.abs(far) > azimuth[-1]]
+    if all_around and far.size:
+        azimuth = np.concatenate([azimuth, far])
+        sigma = np.concatenate([sigma, np.full(far.size, math.radians(FAR_WIDTH_DEG))])
+        turned = np.concatenate([(1.0 - ANYWHERE) * turned, np.full(far.size, ANYWHERE / far.size)])
+    known = 1.0 - ON_ANOTHERS_PAD - MISPLACED - LOST
+    return Components(azimuth, sigma, np.log(np.maximum(known * turned, 1e-12)))
 
 
 def unknown(heading_sigma: float) -> OwnPose:
@@ -222,8 +253,9 @@ def shifted(
 class ScanEvidence(NamedTuple):
     """What one scan shows: n confirmed tracks at z (n, 2) ± variance (n,) px, and where k teammates ahead should be,
     without the heading's variance, of all m whose place is known: column (k,) among these. p_seen (k,): that one in
-    view has a track; strangers (n,): expected in the image; motion (n, m): the log ratio that a track moves as a
-    teammate says, zero where nobody says anything."""
+    view has a track; strangers (n,): expected in the image; motion (b, n, m): the log ratio that a track moves as a
+    teammate says, zero where nobody says anything, by each turn of north that is thought of; vague (m,): of whom only
+    the motion is known."""
 
     z: Array
     variance: Array
@@ -233,30 +265,36 @@ class ScanEvidence(NamedTuple):
     p_seen: Array
     strangers: Array
     motion: Array
+    vague: NDArray[np.bool_]
 
 
 def weigh(look: ScanEvidence, view: ObserverCamera, others: Elsewhere | None = None) -> OwnPose:
     """What one scan tells of the own pose. others: None, where there is no reason to think of them."""
     sigma = math.sqrt(float(view.observer.attitude_cov[2, 2]))
-    of = components(sigma)
+    of = components(sigma, all_around=len(look.motion) > 1)
     here = shifted(look.found, look.predicted, view, of)
     missed = np.log1p(-look.p_seen * _in_view(look, here, view.camera))
     log_seen = np.log(look.p_seen) - np.log(look.strangers)[:, None]
     turned = log_ratios_of_each(here, view.camera) - PRIOR.log_ratio + log_seen - missed[:, None]
     anywhere = math.log1p(-PRIOR.p_seen * IN_VIEW)
+    motion = look.motion[of.turns(len(look.motion))]
     lost = math.log(PRIOR.p_seen * IN_VIEW) - anywhere - np.log(look.strangers)[:, None] + look.motion
     # Who moves as a track does is that track, wherever it should be.
-    astray = np.where(look.motion > MOVES_AS, lost + math.log(ASTRAY), -np.inf)
-    every = np.repeat(astray[None], len(turned), axis=0)
-    every[:, :, look.column] = np.logaddexp(every[:, :, look.column], turned + look.motion[:, look.column])
-    announced = look.motion.shape[1]
+    elsewhere = np.where(look.vague, 0.0, np.where(look.motion > MOVES_AS, math.log(ASTRAY), -np.inf))
+    astray = lost + elsewhere
+    every = astray[of.turns(len(look.motion))]
+    every[:, :, look.column] = np.logaddexp(every[:, :, look.column], turned + motion[:, :, look.column])
+    announced = int((~look.vague).sum())
     log_weight, best = _log_weights(of.log_prior + missed.sum(axis=1), every)
-    lost_weight, best = _log_weights(np.array([math.log(LOST) + announced * anywhere]), lost[None], best)
+    lost_weight, best = _log_weights(np.array([math.log(LOST) + announced * anywhere]), lost[:1], best)
     shift, shift_sigma, others_weight = NOWHERE_ELSE
     if others is not None:
         shift, shift_sigma = others.shift, others.sigma
         log_known, of_others = _of_others(look, view, others)
-        others_weight, best = _log_weights(log_known, np.logaddexp(of_others + look.motion, astray), best)
+        there = np.repeat(astray[:1], len(log_known), axis=0)
+        placed = np.flatnonzero(~look.vague)
+        there[:, :, placed] = np.logaddexp(of_others + look.motion[0][:, placed], there[:, :, placed])
+        others_weight, best = _log_weights(log_known, there, best)
     parts = [np.exp(part - best) for part in (log_weight, lost_weight, others_weight)]
     total = sum(float(part.sum()) for part in parts)
     return OwnPose(
@@ -299,6 +337,11 @@ def _log_weights(log_known: Array, ratios: Array, best: float = -math.inf) -> tu
             log_weight[worth] = log_known[worth] + matched_of_each(ratios[worth]).log_total
             best = max(best, float(log_weight[worth].max()))
     return log_weight, best
+
+
+def _wrapped(angle: Array) -> Array:
+    """rad, in −π … π."""
+    return np.asarray((angle + math.pi) % (2.0 * math.pi) - math.pi)
 
 
 def _turned(pixel: Array, view: ObserverCamera, azimuth: Array) -> Array:

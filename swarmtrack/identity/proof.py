@@ -14,6 +14,8 @@ from swarmtrack.messages import Announcement, MotionProof, Track
 # Of a probability: from where on it is a proof, and below which it is one no more. Looking at every scan is a
 # sequential test, which stops at a lucky moment: hence so high.
 PROVED, KEPT = 0.999, 0.99
+# s: by then it has outlasted most lucky moments, and counts for more than a place.
+LASTS_S = 1.0
 # m/s: a drone that said where it is may have flown on since.
 FLIES_ON = 1.0
 # Of a place's sigma: a drone that is so far from it is not where it says.
@@ -42,12 +44,13 @@ class Proofs:
         if not drones:
             return
         # The probability over all matchings is at least this: what else the track, or the drone, could be.
-        odds = np.exp([[motion.log_ratio(track, drone) for drone in drones] for track in tracks])
-        odds = odds.reshape(len(tracks), len(drones))
+        odds = np.exp([[motion.log_ratios(track, drone) for drone in drones] for track in tracks])
+        odds = odds.reshape(len(tracks), len(drones), motion.turns)
         rivals = odds.sum(axis=0) + odds.sum(axis=1, keepdims=True) - odds
+        probability = (odds / (1.0 + rivals)) @ motion.turn_weight
         for i, track in enumerate(tracks):
             for j, drone in enumerate(drones):
-                self._note((track, drone), float(odds[i, j] / (1.0 + rivals[i, j])), t)
+                self._note((track, drone), float(probability[i, j]), t)
 
     def keep(self, tracks: Container[int]) -> None:
         """Tracks that have ended are forgotten."""
@@ -56,6 +59,11 @@ class Proofs:
     def of(self, track_id: int, drone_id: int) -> MotionProof | None:
         """None where motion does not prove it."""
         return self._proofs.get((track_id, drone_id))
+
+    def lasts(self, track_id: int, drone_id: int, t: float) -> bool:
+        """Whether motion has proved it for a while."""
+        proof = self.of(track_id, drone_id)
+        return proof is not None and t - proof.since >= LASTS_S
 
     def track_of(self, drone_id: int) -> int | None:
         """The track that is proved to be a drone."""

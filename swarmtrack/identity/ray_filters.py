@@ -17,11 +17,13 @@ extended filter serves.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
 
 Rows = NDArray[np.intp]
@@ -70,10 +72,14 @@ class Looks(NamedTuple):
 
 
 class RayFilters:
-    """`models` filters in each row. Rows are begun, then told of one look after the other, many at a time."""
+    """One filter per model in each row. Rows are begun, then told of one look after the other, many at a time."""
 
-    def __init__(self, models: int, rows: int = 64) -> None:
-        self._models = models
+    def __init__(self, turns: Sequence[float], used: int, rows: int = 64) -> None:
+        """turns [rad], by model: how far the observer's north is turned, clockwise seen from above, beside what is a
+        state. used: only the first so many models are filtered."""
+        models = len(turns)
+        self.used = used
+        self._turn = np.array([rotation.from_euler(0.0, 0.0, turn) for turn in turns])
         self.log = np.zeros((rows, models))
         """Log likelihood of all looks since a row was first begun."""
         self.t = np.full(rows, np.nan)
@@ -98,8 +104,9 @@ class RayFilters:
         self._wander = np.concatenate([self._wander, np.zeros_like(self._wander)], axis=1)
 
     def begin(self, rows: Rows, looks: Looks, model: Model) -> None:
-        """From this look on; `log` goes on from where it is. model: for these rows."""
-        shape = (len(rows), self._models, STATES)
+        """From this look on; `log` goes on from where it is. model: for these rows; looks, model: of those used."""
+        used = np.s_[rows, : self.used]
+        shape = (len(rows), self.used, STATES)
         x, P = np.zeros(shape), np.zeros((*shape, STATES))
         x[..., _KAPPA] = model.kappa
         for i in range(2):
@@ -112,14 +119,10 @@ class RayFilters:
         P[..., _KAPPA, _KAPPA] = model.kappa_sigma**2
         P[..., _CLOCK, _CLOCK] = (model.clock * model.kappa) ** 2
         P[..., _TURN, _TURN] = (TURN_SIGMA * model.kappa) ** 2
-        self.t[rows], self._x[rows], self._P[rows] = looks.t, x, P
-        self._wander[0][rows], self._wander[1][rows] = model.wander, model.bandwidth
-        self._axes[rows] = _axes(looks.ray)
-        self._camera[rows], self._foretold[rows], self._speed[rows] = (
-            looks.camera,
-            looks.foretold,
-            looks.speed,
-        )
+        self.t[rows], self._x[used], self._P[used] = looks.t, x, P
+        self._wander[0][used], self._wander[1][used] = model.wander, model.bandwidth
+        self._axes[rows], self._camera[rows] = _axes(looks.ray), looks.camera
+        self._foretold[used], self._speed[used] = looks.foretold, looks.speed
 
     def reaches(self, rows: Rows, rays: Array, most: float) -> NDArray[np.bool_]:
         """(n,): whether rays (n, 3) are within an angle [rad] of those that these rows began with."""
@@ -127,13 +130,16 @@ class RayFilters:
 
     def look(self, rows: Rows, looks: Looks) -> None:
         """Let `log` grow by how likely these rays are by each model. Each row once, and later than before."""
+        used = np.s_[rows, : self.used]
         x, P = self._predicted(rows, looks.t)
         axes = self._axes[rows]
         flat = (looks.ray[:, None] @ axes)[:, 0]
         a = flat[:, :2] / flat[:, 2:]
-        moved = looks.foretold - self._foretold[rows] - (looks.camera - self._camera[rows])[:, None]
+        moved = looks.foretold - self._foretold[used] - (looks.camera - self._camera[rows])[:, None]
+        faster = looks.speed - self._speed[used]
+        moved, faster = ((self._turn[: self.used] @ way[..., None])[..., 0] for way in (moved, faster))
         turned = np.stack([-moved[..., 1], moved[..., 0], np.zeros(moved.shape[:2])], axis=-1)
-        ways = np.stack([moved @ axes, (looks.speed - self._speed[rows]) @ axes, turned @ axes], axis=-2)
+        ways = np.stack([moved @ axes, faster @ axes, turned @ axes], axis=-2)
         expected, H = _expected(x, ways)
         miss = a[:, None] - expected
         PHt = P @ H.swapaxes(-1, -2)
@@ -148,16 +154,17 @@ class RayFilters:
         K = PHt @ inverse
         squared = (miss * (inverse @ miss[..., None])[..., 0]).sum(axis=-1)
         log = _LOG_RAY - 0.5 * (squared + np.log(determinant))
-        self.log[rows] += np.logaddexp(log, _LOG_STRAY)
+        self.log[used] += np.logaddexp(log, _LOG_STRAY)
         believed = log > _LOG_STRAY
         K[~believed] = 0.0
         x += (K @ miss[..., None])[..., 0]
         P -= K @ PHt.swapaxes(-1, -2)
-        self.t[rows], self._x[rows], self._P[rows] = looks.t, x, P
+        self.t[rows], self._x[used], self._P[used] = looks.t, x, P
 
     def _predicted(self, rows: Rows, t: Array) -> tuple[Array, Array]:
-        x, P = self._x[rows], self._P[rows]
-        sigma, w = self._wander[0][rows], self._wander[1][rows]
+        used = np.s_[rows, : self.used]
+        x, P = self._x[used], self._P[used]
+        sigma, w = self._wander[0][used], self._wander[1][used]
         dt = (t - self.t[rows])[:, None]
         fade = np.exp(-dt / ATTITUDE_S)
         decay = np.exp(-w * dt)

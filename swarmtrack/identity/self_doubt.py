@@ -36,6 +36,10 @@ LONGEST_S = 1.0
 CALM_S, PUZZLED_S = 0.5, 0.1
 # The probability that it is wrong, from which on a look found something.
 PUZZLING = 0.1
+# That the heading is off by far, from which on places tell nothing.
+FAR = 0.05
+# s that all headings are thought of once nothing is found wrong any more.
+TURNS_S = 10.0
 # s that a place is older than the sight of its drone: beyond, the drone may have moved since it said where it is.
 SUPERSEDED_S = 0.9
 # s: who said less long ago where it is will say it again. Reports come once a second.
@@ -56,6 +60,8 @@ class SelfDoubt:
         self._stay_s = stay_s
         self._p = 0.0
         """That it is wrong, by the last look."""
+        self._puzzled_t = -math.inf
+        """When a look last found something."""
         self._nameless: set[int] = set()
         """The tracks that had no name then."""
         self._since = math.nan
@@ -106,11 +112,16 @@ class SelfDoubt:
         ]
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
+        vague = [
+            drone
+            for drone, said in whereabouts.announced.items()
+            if is_vague(said) and weighing.tells_motion(drone) and not weighing.is_agreed(drone)
+        ]
         if self.said and not places and any(t - place.t < SOON_S for place in latest):
             # They will say in a moment where they are now.
             self._t, self._since = t, math.nan
             return
-        evidence = weighing.look(tracks, view, ahead, [place.drone_id for place in places])
+        evidence = weighing.look(tracks, view, ahead, [place.drone_id for place in places], vague)
         unexplained = nameless & {track.id for track in tracks} or self._p > PUZZLING or self.said
         if places and (unexplained or self._onlookers.are_puzzled):
             others = self._elsewhere(places, view, whereabouts, weighing)
@@ -118,16 +129,30 @@ class SelfDoubt:
         else:
             self.own = own_pose.weigh(evidence, view)
         self._p = self._wrong(view.observer)
+        self._think_of_turns(t, weighing)
         # While nobody is left to compare with, a doubt neither grows nor goes.
-        if latest and alive:
+        if (latest or vague) and alive:
             self._judge(t)
         else:
             self._t, self._since = t, math.nan
 
     def forbids(self, name: Assignment, weighing: Weighing) -> bool:
-        """Whether it is given up: who is elsewhere knows nobody by place."""
+        """Whether it is given up: who is elsewhere knows nobody by place, and who doubts itself nobody by place alone
+        that tells how it moves."""
         proved = weighing.proofs.of(name.track_id, name.drone_id) is not None
-        return self.said and self.own.turned < 0.5 and not proved
+        by_place = self.own.turned >= 0.5 and not (self.is_puzzled and weighing.tells_motion(name.drone_id))
+        return self.said and not proved and not by_place
+
+    @property
+    def is_puzzled(self) -> bool:
+        """Whether the own pose is wrong, and it may be that this drone looks to another side than it thinks."""
+        return self.said and self.own.beside > FAR
+
+    def _think_of_turns(self, t: float, weighing: Weighing) -> None:
+        """By motion, as long as something may be wrong: with every heading that is too much work for each scan."""
+        if self.said or self._p > PUZZLING:
+            self._puzzled_t = t
+        weighing.think_of_turns(self.own if t - self._puzzled_t < TURNS_S else None)
 
     def _elsewhere(
         self,

@@ -5,6 +5,8 @@ the track, and the track carries the ID until something speaks against it.
 
 * News: the drone announces itself again. The ID is challenged. It is still stated, because it is right more often than
   not, until the posterior confirms or refutes it.
+* Self-doubt: where the observer is, or looks, may be otherwise than it thinks. Whatever motion does not prove is
+  challenged, again and again, and its past counts for nothing.
 * A rival: a nameless track comes where the drone should be, and the ID is less sure than it must be. It was given when
   there was nobody else, so it is doubted until the posterior prefers one of the two.
 * Silence: the track is not detected for a while and the assignment is hidden. It may come back as another drone, so it
@@ -44,6 +46,8 @@ class Event(enum.Enum):
 
     ANNOUNCED = "announced again"
     """There is a newer announcement of the drone."""
+    SELF_DOUBTED = "self-doubted"
+    """The observer's own pose is in doubt, and so is what it went by."""
     UNDETECTED = "undetected"
     """The track has not been detected for longer than a miss."""
     DETECTED_AGAIN = "detected again"
@@ -68,6 +72,7 @@ class Event(enum.Enum):
 TRANSITIONS: dict[Standing, dict[Event, Standing | None]] = {
     Standing.SETTLED: {
         Event.ANNOUNCED: Standing.CHALLENGED,
+        Event.SELF_DOUBTED: Standing.CHALLENGED,
         Event.UNDETECTED: Standing.HIDDEN,
         Event.RIVALLED: Standing.DOUBTED,
         Event.OVERRULED: None,

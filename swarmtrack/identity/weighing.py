@@ -111,10 +111,15 @@ class Weighing:
         self._agreed.agree(motion)
 
     def look(
-        self, tracks: Sequence[Track], view: ObserverCamera, predicted: Predictions, drones: Sequence[int]
+        self,
+        tracks: Sequence[Track],
+        view: ObserverCamera,
+        predicted: Predictions,
+        drones: Sequence[int],
+        vague: Sequence[int],
     ) -> ScanEvidence:
         """What a scan tells of the observer's own pose. tracks: those that are confirmed; predicted: of all `drones`
-        whose place is known those ahead, whatever has their names."""
+        whose place is known those ahead, whatever has their names; vague: those of whom only the motion is known."""
         mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
         cov = _of_bodies(tracks)
         predicted = predicted.without_heading(view)
@@ -126,13 +131,23 @@ class Weighing:
             [drones.index(drone) for drone in predicted.drone_id],
             self.seen(predicted.drone_id),
             np.array([self._scene.strangers(angle) for angle in _elevations(tracks, view)]),
-            self.told_motion(tracks, drones),
+            self.told_motion(tracks, [*drones, *vague]),
+            np.repeat([False, True], [len(drones), len(vague)]),
         )
 
     def told_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
-        """(n, m): the log ratios by motion, of those that tell how they move."""
-        told = [[self.tells_motion(d) and self.motion(track.id, d) for d in drones] for track in tracks]
-        return np.array(told, dtype=float).reshape(len(tracks), len(drones))
+        """(b, n, m): the log ratios by motion, of those that tell how they move, by each turn that is thought of."""
+        nothing = np.zeros(self._motion.turns)
+        told = [
+            [self._motion.log_ratios(track.id, d) if self.tells_motion(d) else nothing for d in drones]
+            for track in tracks
+        ]
+        return np.moveaxis(np.reshape(told, (len(tracks), len(drones), self._motion.turns)), 2, 0)
+
+    def think_of_turns(self, own: OwnPose | None) -> None:
+        """Motion is compared with the observer's north turned by anything, which is as likely as `own` says; None: with
+        what it is."""
+        self._motion.think_of_turns(own and own.by_turn())
 
     def seen(self, drones: Iterable[int]) -> Array:
         """(k,) that each has a track while it is in view."""
@@ -183,10 +198,11 @@ class Weighing:
             ]
         )
         places[-1][:, np.any(predicted.turn, axis=1)] = -np.inf
-        moves = self._moves_as(tracks, predicted.drone_id)
+        of_each = [*own.components.only(own.likely).turns(self._motion.turns), 0]
+        moves = (self.told_motion(tracks, predicted.drone_id) > MOVES_AS)[of_each]
         # A drone that may be anywhere is no likelier than others that tell how they move, and have no place either.
         told = np.array([self.tells_motion(drone) for drone in predicted.drone_id], dtype=bool)
-        rivals = told & (moves.any(axis=1, keepdims=True) | moves.any(axis=0))
+        rivals = told & (moves[-1].any(axis=1, keepdims=True) | moves[-1].any(axis=0))
         places[-1] = np.where(rivals, LOG_ANYWHERE, places[-1])
         every = np.logaddexp(places, np.where(moves, LOG_ASTRAY, -np.inf))
         by_place = every.max(axis=0)
@@ -208,22 +224,31 @@ class Weighing:
                     ratios[i, j] += math.log(max(track.probability, LEAST_EXISTENCE))
                 if by_place[i, j] > LOG_ASTRAY:
                     ratios[i, j] += self._spans.log_ratio(drone, track.size, distance, sigma)
-                ratios[i, j] += self.motion(track.id, drone)
-        return np.asarray(every + ratios)
+        return np.asarray(every + ratios + self._by_motion(tracks, predicted.drone_id)[of_each])
+
+    def _by_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
+        """(b, n, k): the log ratios by motion, by each turn that is thought of."""
+        found = [[self._motion.log_ratios(track.id, drone) for drone in drones] for track in tracks]
+        return np.moveaxis(np.reshape(found, (len(tracks), len(drones), self._motion.turns)), 2, 0)
 
     def tells_motion(self, drone_id: int) -> bool:
         """Whether it is known how the drone moves, and not only where it is once in a while."""
         return drone_id in self._motion.exact
 
-    def trust(self, track_id: int, drone_id: int) -> float:
-        """The highest probability that may be stated: that of a place, until the drone says how it moves and motion
-        speaks for it."""
-        proof = max(self.motion(track_id, drone_id), 0.0) if self.tells_motion(drone_id) else 0.0
+    def trust(self, track_id: int, drone_id: int, t: float) -> float:
+        """The highest probability that may be stated: that of a place, until motion has proved it for a while. No
+        moment is lucky enough for a code."""
+        lasts = self.is_agreed(drone_id) or self.proofs.lasts(track_id, drone_id, t)
+        proof = max(self.motion(track_id, drone_id), 0.0) if lasts else 0.0
         return 1.0 / (1.0 + math.exp(-proof) * (1.0 - PLACE_ALONE) / PLACE_ALONE)
 
     def sure(self, drone_id: int, probability: float) -> float:
         """How sure a name must be: of a drone that moves as was agreed, as sure as a proof."""
-        return max(probability, PROVED) if drone_id in self._agreed.begun else probability
+        return max(probability, PROVED) if self.is_agreed(drone_id) else probability
+
+    def is_agreed(self, drone_id: int) -> bool:
+        """Whether it is moving as was agreed."""
+        return drone_id in self._agreed.begun
 
     def disproves(self, track_id: int, drone_id: int) -> bool:
         """Whether motion alone says that a track is not a drone, as surely as it ever proves one."""
@@ -238,7 +263,7 @@ class Weighing:
 
     def _moves_as(self, tracks: Sequence[Track], drones: Sequence[int]) -> NDArray[np.bool_]:
         """(n, k): whether its motion speaks for the drone, so that the drone's place may be wrong."""
-        return np.array(self.told_motion(tracks, drones) > MOVES_AS)
+        return np.array((self.told_motion(tracks, drones) > MOVES_AS).any(axis=0))
 
     def _in_view(self, predicted: Predictions) -> list[float]:
         """(k,) that each is in the image if it has not left its place. Of one that has, hardly anything is known, and a
@@ -286,12 +311,12 @@ class Weighing:
         return self.moved_since(held) < CONTRADICTED
 
     def matches(
-        self, track: Track, predicted: Predictions, p_drone: Array, p_seen: Array, ratios: Array
+        self, track: Track, predicted: Predictions, t: float, *, p_drone: Array, p_seen: Array, ratios: Array
     ) -> dict[int, Match]:
         """By drone, what speaks for it as the track. p_drone, ratios (k,) of the track, p_seen (k,) of all tracks."""
         return {
             drone: Match(
-                min(float(p_drone[j]), self.trust(track.id, drone)),
+                min(float(p_drone[j]), self.trust(track.id, drone, t)),
                 float(p_seen[j] - p_drone[j]),
                 float(ratios[j]),
                 float(predicted.distance[j, 0]),

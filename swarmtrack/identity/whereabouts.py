@@ -1,16 +1,20 @@
 """Where teammates said last that they are: by announcements, and by the position in whatever they report since.
 
 The announcement is all that a drone must say. Whoever also reports whom it sees says with it where it stands, once a
-second; then its place is known when it comes into view, and nobody has to ask.
+second; then its place is known when it comes into view, and nobody has to ask. Where sightings have shown how its frame
+stands to ours, and otherwise than it announced, its places are those in our frame: the frame in which we see, however
+our own heading is off.
 """
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import replace
 
 import numpy as np
 
 from swarmtrack.messages import Announcement, Array, SightingReport
+from swarmtrack.relative.alignment import FrameTransform
 
 # m: between the camera, whose position is reported, and the middle of its drone.
 CAMERA_ARM = 0.1
@@ -34,6 +38,7 @@ class Whereabouts:
         self.on_pad: set[int] = set()
         self._pads: dict[int, Announcement] = {}
         self._reported: dict[int, Announcement] = {}
+        self._frames: dict[int, FrameTransform] = {}
         self._off: dict[int, float] = {}
         """By drone that was found elsewhere than it says: how far from there, m."""
 
@@ -54,9 +59,10 @@ class Whereabouts:
         said = self.announced.get(report.observer)
         if said is None or said.boot != report.boot:
             return
-        if report.position_sigma > VAGUE_POSITION or report.t_sigma > VAGUE_T:
+        vague = report.position_sigma > VAGUE_POSITION and report.observer not in self._frames
+        if vague or report.t_sigma > VAGUE_T:
             return
-        before = self.latest(report.observer)
+        before = self.said(report.observer)
         if report.t <= before.t:
             return
         # The announcement tells how well the drone's frame is the team's, which no report can know better.
@@ -77,7 +83,20 @@ class Whereabouts:
         self.announced.pop(drone_id, None)
         self._reported.pop(drone_id, None)
         self._off.pop(drone_id, None)
+        self._frames.pop(drone_id, None)
         self.on_pad.discard(drone_id)
+
+    def align(self, drone_id: int, frame: FrameTransform | None) -> None:
+        """How the frame in which it says where it is stands to ours; None: as it says."""
+        if frame is None:
+            self._frames.pop(drone_id, None)
+        else:
+            self._frames[drone_id] = frame
+
+    @property
+    def aligned(self) -> Set[int]:
+        """Whose places are those that its frame has in ours."""
+        return self._frames.keys()
 
     @property
     def pads(self) -> dict[int, Array]:
@@ -97,6 +116,15 @@ class Whereabouts:
     def latest(self, drone_id: int) -> Announcement:
         """The newest that is known of the place of a drone that has announced itself."""
         place = self.said(drone_id)
+        frame = self._frames.get(drone_id)
+        if frame is not None:
+            position, cov = frame.place(place.position)
+            return replace(
+                place,
+                position=position,
+                world_from_body=frame.rotation @ place.world_from_body,
+                position_cov=cov + CAMERA_ARM**2 * np.eye(3),
+            )
         off = self._off.get(drone_id)
         return place if off is None else replace(place, position_cov=place.position_cov + off**2 * np.eye(3))
 

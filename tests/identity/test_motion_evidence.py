@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from support.observer import CAMERA, FORWARD
+from swarmtrack.geometry import rotation
 from swarmtrack.identity import ray_filters
 from swarmtrack.identity.motion_evidence import (
     CODED,
@@ -14,6 +15,7 @@ from swarmtrack.identity.motion_evidence import (
     PUBLISHED,
     REPORTED,
     TRIED,
+    TURNS,
     MotionEvidence,
     Saying,
 )
@@ -41,6 +43,11 @@ def hovering(seed, size=0.15):
     return flown
 
 
+def level(flown):
+    """The same without its heave."""
+    return lambda t: tuple(value * (1.0, 1.0, 0.0) for value in flown(t))
+
+
 def at_rest(t):
     return STILL, STILL
 
@@ -55,9 +62,11 @@ class Flight:
         self.starts = np.array(starts, dtype=float)
         self.moves, self.observer, self.late_s, self.misses = moves, observer, late_s, misses
 
-    def watched(self, seconds, sayings, *, every=1, arrive_s=0.0, rng=None):
-        """The evidence after so long. sayings: by drone how it says that it moves, at every `every`th scan."""
+    def watched(self, seconds, sayings, *, every=1, arrive_s=0.0, rng=None, thinks_of=None):
+        """The evidence after so long. sayings: by drone how it says that it moves, at every `every`th scan; thinks_of:
+        how likely the observer's north is turned by each of `TURNS`."""
         found, heard = MotionEvidence(), []
+        found.think_of_turns(thinks_of)
         for scan in range(round(seconds / SCAN_S)):
             t = scan * SCAN_S
             if scan % every == 0:
@@ -113,7 +122,7 @@ def test_the_likelihood_of_rays_is_that_of_their_joint_gaussian():
     kappa, kappa_sigma, clock, wander, w, noise = 0.1, 0.04, 0.1, 0.01, 1.2, 2e-5
     rays = np.array([[1.0, *a] for a in seen])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    filters, row = RayFilters(1), np.array([3])
+    filters, row = RayFilters([0.0], used=1), np.array([3])
     looks = [
         Looks(np.array([s]), ray[None], np.zeros((1, 3)), np.array([noise]), q[None, None], v[None, None])
         for s, ray, q, v in zip(t, rays, moved, speed, strict=True)
@@ -142,7 +151,7 @@ def test_a_ray_of_something_else_costs_little_and_teaches_nothing():
     model = Model(*(np.full((1, 1), x) for x in (kappa, 0.04, 0.1, 0.003, 0.5)))
 
     def watched(*east):
-        filters, row = RayFilters(1), np.array([0])
+        filters, row = RayFilters([0.0], used=1), np.array([0])
         for k, a in enumerate(east):
             ray = np.array([[1.0, a, 0.0]]) / math.hypot(1.0, a)
             look = Looks(np.array([0.2 * k]), ray, still, np.array([2e-5]), none, none)
@@ -175,6 +184,39 @@ def test_drones_that_sway_are_told_apart_by_what_they_say_wherever_it_is_counted
         assert np.argmax(ratios) == track - 1
         assert ratios[track - 1] > math.log(1e3)
         assert sorted(ratios)[-2] < ratios[track - 1] - math.log(1e3)
+
+
+def turned(flown, degrees):
+    """The same as a drone tells it whose north is so much further to the left than the observer's."""
+    about = rotation.from_euler(0.0, 0.0, math.radians(degrees))
+    return lambda t: tuple(about @ value for value in flown(t))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 36.0, -108.0, 180.0, 90.0])
+def test_an_observer_whose_north_is_turned_by_anything_finds_out_by_how_much(degrees):
+    """It sees with a heading that is off; what its teammates say, and where itself is, are true."""
+    moves = [level(hovering(1, size=0.5)), level(hovering(2, size=0.5))]
+    said = [published(k + 1, turned(move, -degrees)) for k, move in enumerate(moves)]
+    flight = Flight(starts(2), moves)
+    anything = np.full(len(TURNS), 1.0 / len(TURNS))
+    found = flight.watched(12.0, said, thinks_of=anything)
+    by_turn = found.log_ratios(1, 1) + found.log_ratios(2, 2)
+    away = np.abs((np.degrees(TURNS) - degrees + 180.0) % 360.0 - 180.0)
+    assert away[by_turn.argmax()] <= 36.0
+    assert by_turn[away > 60.0].max() < by_turn.max() - math.log(100.0)
+    assert found.log_ratio(1, 1) > 0.0 > found.log_ratio(1, 2)
+
+
+def test_no_turn_is_thought_of_unasked_and_none_once_it_is_settled():
+    moves = [hovering(1), hovering(2)]
+    flight, said = Flight(starts(2), moves), [published(1, moves[0])]
+    found = flight.watched(6.0, said)
+    assert found.turns == 1
+    asked = flight.watched(6.0, said, thinks_of=np.full(len(TURNS), 1.0 / len(TURNS)))
+    assert asked.turns == len(TURNS)
+    asked.think_of_turns(None)
+    assert asked.turns == 1
+    assert asked.log_ratio(1, 1) == pytest.approx(found.log_ratio(1, 1), abs=1e-9)
 
 
 def test_a_house_and_a_drone_that_hovers_still_are_as_likely_however_long_it_lasts():

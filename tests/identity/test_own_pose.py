@@ -38,6 +38,19 @@ def test_the_prior_of_the_azimuth_is_the_autopilots_with_a_tail(sigma_deg):
     assert weight[np.abs(of.azimuth) >= math.radians(10.0)].sum() > 0.008
 
 
+@pytest.mark.parametrize("sigma_deg", [1.5, 60.0])
+def test_of_compasses_a_few_point_anywhere_which_only_motion_finds(sigma_deg):
+    near = own_pose.components(math.radians(sigma_deg))
+    of = own_pose.components(math.radians(sigma_deg), all_around=True)
+    assert np.exp(of.log_prior).sum() == pytest.approx(np.exp(near.log_prior).sum())
+    far = len(of.azimuth) - len(near.azimuth)
+    assert far == (15 if sigma_deg < 2.0 else 0)
+    # No azimuth is further from a component than that is wide, all the way around.
+    every = np.radians(np.arange(-180.0, 180.0))
+    off = np.abs((every[:, None] - of.azimuth + math.pi) % (2.0 * math.pi) - math.pi)
+    assert far == 0 or (off < 2.0 * of.sigma.max()).any(axis=1).all()
+
+
 @pytest.mark.parametrize("degrees", [-10.0, -5.0, 5.0, 10.0])
 def test_a_heading_that_is_off_shifts_all_teammates_and_two_of_them_reveal_it(observer, degrees):
     """The autopilot's heading is known to 0.6°: one look that took each for itself could explain neither."""

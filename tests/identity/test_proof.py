@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
-from swarmtrack.identity.proof import PROVED
+from swarmtrack.identity.proof import LASTS_S, PROVED
+from swarmtrack.identity.weighing import PLACE_ALONE
 from swarmtrack.messages import MotionReport, SightingReport
 
 SIZE = (24.0, 24.0)
@@ -89,6 +90,17 @@ def test_a_name_that_its_place_gave_is_proved_by_motion_in_seconds_and_says_sinc
         assert proof.probability > PROVED
         assert 1.0 < proof.since < 10.0
     assert flight.told == []
+
+
+def test_a_name_is_stated_more_surely_than_by_place_once_its_proof_has_lasted():
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: RIGHT})
+    surest = {True: 0.0, False: 0.0}
+    while flight.observer.t < 12.0:
+        flight.flies(SCAN_S)
+        for entry in flight.observer.identities.label(flight.observer.tracks):
+            lasts = entry.proof is not None and flight.observer.t - entry.proof.since >= LASTS_S
+            surest[lasts] = max(surest[lasts], entry.identity_probability)
+    assert surest[False] <= PLACE_ALONE < PROVED < surest[True]
 
 
 def test_who_starts_on_the_other_s_pad_gets_its_own_name_by_its_motion_and_that_is_said():

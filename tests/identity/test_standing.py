@@ -24,6 +24,9 @@ IMPOSSIBLE = {
     (Standing.HIDDEN, Event.REFUTED),
     (Standing.HIDDEN, Event.OUT_OF_VIEW),
     (Standing.DOUBTED, Event.DETECTED_AGAIN),
+    (Standing.CHALLENGED, Event.SELF_DOUBTED),
+    (Standing.HIDDEN, Event.SELF_DOUBTED),
+    (Standing.DOUBTED, Event.SELF_DOUBTED),
 }
 # Exact probabilities never give a settled drone to a second track. Those of belief propagation may.
 ONLY_BY_APPROXIMATION = {(Standing.SETTLED, Event.REASSIGNED)}
@@ -51,6 +54,11 @@ def let_happen(observer, standing, event):
     match event:
         case Event.ANNOUNCED:
             observer.hears(2, LEFT, sequence=3)
+        case Event.SELF_DOUBTED:
+            # All teammates are seen 15° beside where they say: the names are right, and the heading is wrong.
+            observer.hears(2, shifted(LEFT, right=-120.0), sequence=3)
+            observer.hears(3, shifted(RIGHT, right=-120.0), sequence=3)
+            observer.sees(3.0, a=LEFT, b=RIGHT)
         case Event.UNDETECTED:
             observer.sees(0.5, coasting="a", a=LEFT, b=RIGHT)
         case Event.DETECTED_AGAIN:
@@ -85,6 +93,8 @@ def expected(standing, event):
     match event:
         case Event.ANNOUNCED:
             return Standing.CHALLENGED if standing is Standing.SETTLED else standing
+        case Event.SELF_DOUBTED:
+            return Standing.CHALLENGED
         case Event.UNDETECTED:
             return Standing.HIDDEN
         case Event.DETECTED_AGAIN:

@@ -52,11 +52,11 @@ class Observer:
             )
         )
 
-    def is_told(self, drone_id, pixel, boot="0000000a", metres=8.0):
-        """The drone reports whom it sees, and with it where it is."""
+    def is_told(self, drone_id, pixel, boot="0000000a", metres=8.0, sigma=0.1):
+        """The drone reports whom it sees, and with it where it is, ± sigma m."""
         self.reports += 1
         self.identities.on_report(
-            SightingReport(drone_id, boot, self.reports, self.t, 0.0, at(pixel, metres), 0.1, (), ())
+            SightingReport(drone_id, boot, self.reports, self.t, 0.0, at(pixel, metres), sigma, (), ())
         )
 
     def turn(self, degrees):

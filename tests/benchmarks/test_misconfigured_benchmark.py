@@ -1,0 +1,29 @@
+"""Names of a team whose configs are wrong, as the benchmark flies it."""
+
+import pytest
+
+from swarmtrack.benchmarks import misconfigured
+from swarmtrack.identity.weighing import PLACE_ALONE
+
+ROWS = {row.name: row for row in misconfigured.rows()}
+
+
+def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise():
+    flight = misconfigured.fly(ROWS["nothing"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
+    assert flight.score.wrong == 0.0
+    assert flight.later.correct == 1.0
+    assert flight.falsely == 0
+
+
+def test_a_team_with_turned_compasses_that_tells_how_it_moves_finds_its_names():
+    flight = misconfigured.fly(ROWS["compass, all 30°"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
+    assert flight.score.wrong == 0.0
+    assert flight.later.correct > 0.75
+
+
+@pytest.mark.long
+def test_a_team_that_looks_to_the_other_side_names_hardly_anybody_wrongly_and_never_surely():
+    flight = misconfigured.fly(ROWS["compass, all 180°"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
+    assert flight.score.wrong < 0.005
+    assert not flight.score.wrong_max_probability > PLACE_ALONE
+    assert flight.later.correct > 0.5
