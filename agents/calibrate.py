@@ -15,7 +15,7 @@ from swarmtrack.agents.calibrate_intrinsics import add_board_command, add_intrin
 from swarmtrack.agents.calibrate_intrinsics import run as run_intrinsics
 from swarmtrack.agents.calibrate_size import add_size_command
 from swarmtrack.agents.calibrate_size import run as run_size
-from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds
+from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds, page
 from swarmtrack.log_lines import log_to_stderr
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ LIVE_REACH, RECORDED_REACH = 0.3, 3.0  # s
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "Step by step, with pictures: docs/calibration.md"
+    parser.epilog = f"Step by step, with pictures: {page('calibration.md')}"
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     add_board_command(steps)
     add_intrinsics_command(steps)

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_flag, add_seconds
+from swarmtrack.arguments import add_file, add_flag, add_seconds, page
 from swarmtrack.log_lines import log_to_stderr
 
 if TYPE_CHECKING:
@@ -97,4 +97,4 @@ def verdict(findings: Sequence[Finding]) -> str:
     counted = [
         f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((failures, "failure"), (warnings, "warning")) if n
     ]
-    return f"{' and '.join(counted)}. More on each: docs/troubleshooting.md"
+    return f"{' and '.join(counted)}. More on each: {page('troubleshooting.md')}"

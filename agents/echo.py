@@ -16,10 +16,13 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.listening import hint_at, other_teams
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.records import as_record
+
+SILENT_S = 3.0  # s of silence, after which other teams are named
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"swarmtrack echo: {error}", file=sys.stderr)
         return 2
     try:
-        heard = asyncio.run(echo(listener, args.count, args.seconds))
+        heard, hint = asyncio.run(echo(listener, network.team, args.count, args.seconds))
     except TransportError as error:
         print(f"swarmtrack echo: {error}", file=sys.stderr)
         return 1
@@ -56,16 +59,26 @@ def run(args: argparse.Namespace) -> int:
         after = "" if args.seconds is None else f" in {args.seconds:g} s"
         print(
             f"swarmtrack echo: heard {wanted} on {expression}{after}; "
-            f"does an agent of team {network.team!r} run here, or is --connect missing?",
+            f"does an agent of team {network.team!r} run here, or is --connect missing?"
+            f"{f' {hint[0].upper()}{hint[1:]}' if hint else ''}",
             file=sys.stderr,
         )
     return 1 if heard < (args.count or 0) else 0
 
 
-async def echo(listener: ZenohListener, count: int | None, seconds: float | None) -> int:
-    """Print until enough was heard or time is up; how many were."""
-    heard = 0
+async def echo(
+    listener: ZenohListener, team: str, count: int | None, seconds: float | None
+) -> tuple[int, str]:
+    """Print until enough was heard or time is up; how many were, and where nothing was, whom one could hear instead."""
+    heard, hint = 0, ""
+
+    async def tell_of_silence() -> None:
+        await asyncio.sleep(SILENT_S)
+        if not heard and (hint := hint_at(await other_teams(listener, team))):
+            print(f"swarmtrack echo: nothing of team {team!r} yet; {hint}", file=sys.stderr)
+
     await listener.open()
+    telling = asyncio.create_task(tell_of_silence(), name="silence")
     try:
         async with asyncio.timeout(seconds):
             async for sample in listener.samples():
@@ -76,13 +89,16 @@ async def echo(listener: ZenohListener, count: int | None, seconds: float | None
     except TimeoutError:
         pass
     finally:
+        telling.cancel()
+        if not heard:
+            hint = hint_at(await other_teams(listener, team))
         await listener.close()
         if listener.dropped:
             print(
                 f"swarmtrack echo: {listener.dropped} messages came too fast and were dropped",
                 file=sys.stderr,
             )
-    return heard
+    return heard, hint
 
 
 def line(sample: Sample) -> Mapping[str, Any]:

@@ -9,31 +9,51 @@ from importlib import import_module
 
 from swarmtrack import __version__
 from swarmtrack.agents.ending import end_at_once_if_stuck
-from swarmtrack.arguments import add_commands
+from swarmtrack.arguments import add_commands, unknown
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.log_lines import plain_warnings
+from swarmtrack.plain_text import plain
 
-COMMANDS = {
-    "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent per drone, a verdict"),
-    "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
-    "calibrate": ("swarmtrack.agents.calibrate", "measure a camera, and how it sits on its drone"),
-    "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),
-    "monitor": ("swarmtrack.agents.monitor", "serve the web page of a running swarm"),
-    "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
-    "config": ("swarmtrack.agents.config", "write, check and explain configs"),
-    "judge": ("swarmtrack.agents.judge", "watch a simulated swarm that others started, and give a verdict"),
-    "healthy": ("swarmtrack.agents.healthy", "tell whether an agent does its work, for health checks"),
-    "mission": ("swarmtrack.agents.mission", "write what autopilots fly so that teammates know each other"),
-    "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
-    "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
-    "train": ("swarmtrack.agents.train", "train a detector"),
-    "label": ("swarmtrack.agents.label", "make training labels of a recorded flight"),
-    "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
-    "record": ("swarmtrack.agents.record", "record what a running swarm says"),
-    "replay": ("swarmtrack.agents.replay", "fly a recording again, as fast as it goes"),
-    "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
-    "import": ("swarmtrack.agents.import_flight", "make a recording of a telemetry log and a video"),
+GROUPS = {
+    "try it": {
+        "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent per drone, a verdict"),
+    },
+    "set up": {
+        "config": ("swarmtrack.agents.config", "write, check and explain configs"),
+        "calibrate": ("swarmtrack.agents.calibrate", "measure a camera, and how it sits on its drone"),
+        "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
+        "mission": (
+            "swarmtrack.agents.mission",
+            "write what autopilots fly so that teammates know each other",
+        ),
+    },
+    "fly": {
+        "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),
+        "healthy": ("swarmtrack.agents.healthy", "tell whether an agent does its work, for health checks"),
+        "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
+    },
+    "look": {
+        "monitor": ("swarmtrack.agents.monitor", "serve the web page of a running swarm"),
+        "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
+        "record": ("swarmtrack.agents.record", "record what a running swarm says"),
+    },
+    "afterwards": {
+        "replay": ("swarmtrack.agents.replay", "fly a recording again, as fast as it goes"),
+        "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
+        "import": ("swarmtrack.agents.import_flight", "make a recording of a telemetry log and a video"),
+    },
+    "develop": {
+        "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
+        "train": ("swarmtrack.agents.train", "train a detector"),
+        "label": ("swarmtrack.agents.label", "make training labels of a recorded flight"),
+        "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
+        "judge": (
+            "swarmtrack.agents.judge",
+            "watch a simulated swarm that others started, and give a verdict",
+        ),
+    },
 }
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 
 EXAMPLES = """where to begin:
   swarmtrack sim                           # three drones, without any hardware
@@ -56,14 +76,29 @@ def parse(words: list[str]) -> argparse.Namespace:
     """What a command line asks for; ends the program with a usage message where it is wrong."""
     parser = argparse.ArgumentParser(
         prog="swarmtrack",
-        description="Relative perception for drone swarms. One drone's agent: swarmtrack-agent.",
+        usage="swarmtrack [-h] [--version] COMMAND ...",
+        description="Relative perception for drone swarms. One drone's agent: swarmtrack-agent.\n\n"
+        + _listed(),
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
-    add_commands(parser, COMMANDS, dest="command", metavar="COMMAND")
+    # The list of commands stands above, in groups.
+    add_commands(
+        parser, COMMANDS, dest="command", metavar="COMMAND", help=argparse.SUPPRESS, prog="swarmtrack"
+    )
+    named = words[0] if words and not words[0].startswith("-") else None
+    if named is not None and named not in COMMANDS:
+        parser.error(f"there is no command {plain(named, 40)}, {unknown('command', named, COMMANDS)}")
     return parser.parse_args(words)
+
+
+def _listed() -> str:
+    lines = []
+    for group, commands in GROUPS.items():
+        lines += [f"{group}:", *(f"  {name:10} {summary}" for name, (_, summary) in commands.items()), ""]
+    return "\n".join(lines)
 
 
 def _run(arguments: argparse.Namespace) -> int:

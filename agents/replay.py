@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_flag, add_list, count
+from swarmtrack.arguments import add_file, add_flag, add_list, count, one_of
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -39,7 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|DIR",
         nargs="+",
     )
-    parser.add_argument("--tracker", choices=list(TRACKERS), help="replay with this tracker instead")
+    parser.add_argument(
+        "--tracker",
+        type=one_of(TRACKERS, "tracker"),
+        metavar="NAME",
+        help=f"replay with this tracker instead: {', '.join(TRACKERS)}",
+    )
     add_list(
         parser,
         "--set",

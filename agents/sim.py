@@ -11,7 +11,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds, add_seed, port
+from swarmtrack.arguments import (
+    add_file,
+    add_flag,
+    add_folder,
+    add_seconds,
+    add_seed,
+    one_of,
+    page,
+    port,
+)
 from swarmtrack.errors import SourceError
 from swarmtrack.localswarm.machine_load import BUSY, MachineLoad, lighter_flights
 
@@ -43,14 +52,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
     parser.add_argument(
-        "--scenario",
-        metavar="NAME|FILE",
-        help=f"who flies where, and what goes wrong (default: {DEFAULT_SCENARIO})",
+        "named",
+        nargs="?",
+        metavar="SCENARIO",
+        help=f"who flies where, and what goes wrong: a name of --list, or a file (default: {DEFAULT_SCENARIO})",
     )
+    parser.add_argument("--scenario", metavar="NAME|FILE", help="the same")
     add_file(
         parser,
         "--world",
-        "instead of a scenario: drones that others fly, in ArduPilot's or PX4's own simulator (docs/rehearse.md)",
+        "instead of a scenario: drones that others fly, in ArduPilot's or PX4's own simulator ("
+        + page("rehearse.md")
+        + ")",
     )
     parser.add_argument("--list", nargs=0, action=_ListScenarios, help="list the scenarios, then exit")
     parser.add_argument(
@@ -61,8 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tracker",
         default=DEFAULT_TRACKER,
-        choices=list(TRACKERS),
-        help="of every agent (default: %(default)s)",
+        type=one_of(TRACKERS, "tracker"),
+        metavar="NAME",
+        help=f"of every agent: {', '.join(TRACKERS)} (default: %(default)s)",
     )
     parser.add_argument(
         "--detector",
@@ -70,6 +84,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=["onnx", "oracle"],
         help="onnx: rendered images, the shipped network; oracle: synthetic detections, for large swarms "
         "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--team", metavar="NAME", help="of the agents, for who listens to them (default: a new one each time)"
     )
     add_file(parser, "--json", "write the verdict and all figures to this file")
     add_folder(parser, "--record", "record every agent, the truth and the verdict there")
@@ -99,14 +116,19 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.localswarm.radio import RadioError
     from swarmtrack.localswarm.recording import check_empty
     from swarmtrack.localswarm.world_file import check_alone
+    from swarmtrack.transport import settings
+    from swarmtrack.transport.settings import NetworkSettings
 
+    scenario = _scenario(args)
     if args.world is not None:
-        check_alone(args.world, scenario=args.scenario, drones=args.drones)
+        check_alone(args.world, scenario=scenario, drones=args.drones)
+    if args.team is not None:
+        settings.check(NetworkSettings(team=args.team))
     if args.json is not None:
         check_writable(args.json)
     monitor_port = args.monitor_port if args.monitor_port is not None else 0 if args.monitor else None
     plan = FlightPlan(
-        args.scenario or DEFAULT_SCENARIO,
+        scenario or DEFAULT_SCENARIO,
         args.drones,
         args.seconds,
         args.seed,
@@ -116,6 +138,7 @@ def run(args: argparse.Namespace) -> int:
         args.record,
         monitor_port,
         args.world,
+        args.team,
     )
     if plan.record is not None:
         check_empty(plan.record)
@@ -144,6 +167,13 @@ def run(args: argparse.Namespace) -> int:
             soft_wrap=True,
         )
     return code
+
+
+def _scenario(args: argparse.Namespace) -> str | None:
+    if args.named is not None and args.scenario is not None:
+        raise SourceError(f"{args.named} and --scenario {args.scenario}, expected one scenario")
+    named: str | None = args.named or args.scenario
+    return named
 
 
 def conclude(report: SwarmReport, console: Console, file: Path | None) -> int:

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+import difflib
+import os
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 
 def add_commands(
-    parser: argparse.ArgumentParser, table: Mapping[str, tuple[str, str]], *, dest: str, metavar: str
+    parser: argparse.ArgumentParser,
+    table: Mapping[str, tuple[str, str]],
+    *,
+    dest: str,
+    metavar: str,
+    **more: Any,
 ) -> None:
-    """A command for each name in the table of (module, summary), one of which a command line must name.
+    """A command for each name in the table of (module, summary), one of which a command line must name. more: as
+    `add_subparsers` takes it.
 
     Its module is imported when a command line names it, not before, so `--help` answers at once; it then adds its own
     arguments by `add_arguments(parser)`.
     """
-    commands = parser.add_subparsers(dest=dest, required=True, metavar=metavar, parser_class=_Command)
+    commands = parser.add_subparsers(dest=dest, required=True, metavar=metavar, parser_class=_Command, **more)
     for name, (module, summary) in table.items():
         add_action(commands, name, summary).module = module
 
@@ -106,6 +114,33 @@ def seed(text: str) -> int:
     if not (text.isascii() and text.isdigit()):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 0 or more")
     return int(text)
+
+
+def one_of(names: Iterable[str], what: str) -> Callable[[str], str]:
+    """For `type=`: one of the names; a word that is none is answered with the nearest. what: what they are names of."""
+    known = list(names)
+
+    def name(text: str) -> str:
+        if text not in known:
+            raise argparse.ArgumentTypeError(f"found {text}, {unknown(what, text, known)}")
+        return text
+
+    return name
+
+
+def unknown(what: str, word: str, known: Iterable[str]) -> str:
+    """What to say of a word that names nothing."""
+    names = list(known)
+    close = difflib.get_close_matches(word, names, n=1)
+    return f"did you mean {close[0]}?" if close else f"expected a {what}: {', '.join(names)}"
+
+
+def page(name: str) -> str:
+    """How a page of the documentation is named to somebody who may have installed the program without it."""
+    file = Path(__file__).parents[1] / "docs" / name
+    if not file.is_file():
+        return f"docs/{name} in swarmtrack's source"
+    return os.path.relpath(file) if file.is_relative_to(Path.cwd()) else str(file)
 
 
 def port(text: str) -> int:

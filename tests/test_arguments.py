@@ -1,10 +1,14 @@
 """Command lines: what is said of a command, and what is not guessed."""
 
 import argparse
+import re
+from pathlib import Path
 
 import pytest
 
-from swarmtrack.arguments import add_action
+from swarmtrack import arguments
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.arguments import add_action, one_of, page
 
 
 @pytest.fixture
@@ -30,3 +34,52 @@ def test_an_option_that_is_cut_short_is_not_guessed(parser, capsys):
     with pytest.raises(SystemExit):
         parser.parse_args(["list", "--te", "red"])
     assert "--te" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [("jpdf", "found jpdf, did you mean jpdaf?"), ("x", "found x, expected a tracker: kalman, jpdaf")],
+)
+def test_a_name_that_is_none_is_answered_with_the_nearest(word, said):
+    tracker = one_of(["kalman", "jpdaf"], "tracker")
+    assert tracker("jpdaf") == "jpdaf"
+    with pytest.raises(argparse.ArgumentTypeError, match=re.escape(said)):
+        tracker(word)
+
+
+@pytest.mark.parametrize(
+    ("word", "said"), [("sin", "did you mean sim?"), ("\x1b[2J", "expected a command: sim, ")]
+)
+def test_a_command_that_is_none_is_answered_with_the_nearest(capsys, word, said):
+    with pytest.raises(SystemExit) as end:
+        swarmtrack.parse([word])
+    complained = capsys.readouterr().err
+    assert end.value.code == 2
+    assert said in complained
+    assert "\x1b" not in complained
+
+
+def test_the_help_has_every_command_once_and_in_a_group(capsys):
+    with pytest.raises(SystemExit):
+        swarmtrack.parse(["--help"])
+    said = capsys.readouterr().out
+    listed = re.findall(r"^  (\w+) {2,}[a-z]", said.partition("options:")[0], re.MULTILINE)
+    assert listed == list(swarmtrack.COMMANDS)
+    assert [
+        line[:-1] for line in said.splitlines() if line in {f"{group}:" for group in swarmtrack.GROUPS}
+    ] == list(swarmtrack.GROUPS)
+
+
+def test_the_help_of_a_command_begins_with_its_name(capsys):
+    with pytest.raises(SystemExit):
+        swarmtrack.parse(["log", "--help"])
+    assert capsys.readouterr().out.startswith("usage: swarmtrack log ")
+
+
+def test_a_page_is_named_by_a_path_that_is_there_or_by_where_it_is(monkeypatch, tmp_path):
+    assert Path(page("security.md")).is_file()
+    monkeypatch.chdir(tmp_path)
+    assert Path(page("security.md")).is_file()
+    # As installed from a wheel, which has no pages.
+    monkeypatch.setattr(arguments, "__file__", str(tmp_path / "swarmtrack" / "arguments.py"))
+    assert page("security.md") == "docs/security.md in swarmtrack's source"

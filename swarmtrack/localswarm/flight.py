@@ -76,6 +76,8 @@ class FlightPlan:
     monitor_port: int | None = None
     """Of the web page, 0: any; None: no page."""
     world: Path | None = None
+    team: str | None = None
+    """Its name; None: a new one."""
 
     def load(self) -> FlownPlan:
         """Raises ConfigError."""
@@ -116,7 +118,7 @@ async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
             emulator.impair(loss=radio.loss, latency_s=radio.latency_s, jitter_s=radio.jitter_s)
         folder = Path(tempfile.mkdtemp(prefix="swarmtrack-sim-"))
         if plan.keep:
-            spectator.note(f"configs and logs: {folder}")
+            spectator.keep(f"configs and logs: {folder}")
         children = await stack.enter_async_context(Children(folder, keep=plan.keep))
         return await _SwarmFlight(
             plan, flown, folder=folder, children=children, emulator=emulator, spectator=spectator
@@ -141,7 +143,7 @@ class _SwarmFlight:
         self._children = children
         self._emulator = emulator
         self._spectator = spectator
-        self._team = f"sim-{secrets.token_hex(4)}"
+        self._team = plan.team or f"sim-{secrets.token_hex(4)}"
         self._clock = SystemClock()
         self._seconds = plan.seconds or scenario.seconds
         self._cores = len(os.sched_getaffinity(0))
@@ -174,6 +176,8 @@ class _SwarmFlight:
             for drone_id in self._flown.followed:
                 where = ready["drones"][str(drone_id)]["ground"]
                 self._spectator.note(f"drone {drone_id}: a ground station flies it at {where}")
+        for line in self._how_to_listen():
+            self._spectator.keep(line)
         if self._plan.monitor_port is not None:
             await self._start_monitor(self._plan.monitor_port)
         listener = ZenohListener(self._listening(), keys.all_but_video(self._team), self._clock)
@@ -285,7 +289,7 @@ class _SwarmFlight:
             line = await monitor.process.stdout.readline()
         if not line:
             raise ProcessDied((await self._children.died).describe_end())
-        self._spectator.note(f"{line.decode().strip()} (until the flight ends)")
+        self._spectator.keep(f"{line.decode().strip()} (until the flight ends)")
 
     def _simulator_arguments(self) -> list[str]:
         """What decides what is flown."""
@@ -320,6 +324,15 @@ class _SwarmFlight:
             return NetworkSettings(team=self._team)
         cables = tuple(_endpoint(self._emulator.drone_wire_address(d)) for d in self._scenario.members)
         return NetworkSettings(team=self._team, connect=cables, insecure=True)
+
+    def _how_to_listen(self) -> Iterator[str]:
+        """The commands that hear this team, for a second terminal."""
+        network = ["--team", self._team]
+        if self._emulator is not None:
+            cables = self._listening().connect
+            network += [word for end in cables for word in ("--connect", end)] + ["--insecure"]
+        yield f"listen: swarmtrack echo 'identities/*' {shlex.join(network)}"
+        yield f"look:   swarmtrack monitor {shlex.join(network)}"
 
     async def _start_agents(self) -> None:
         """As many at a time as there are cores: an agent that starts takes one for itself."""

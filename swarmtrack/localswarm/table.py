@@ -29,6 +29,9 @@ class Spectator(Protocol):
     def note(self, text: str) -> None:
         """What is being done, before and after the flight."""
 
+    def keep(self, text: str) -> None:
+        """What somebody may want to copy while the flight goes on."""
+
     def show(self, watch: Watch) -> None:
         """A few times a second."""
 
@@ -46,6 +49,9 @@ class LiveTable:
     def note(self, text: str) -> None:
         self._live.update(Text(text, style="dim"), refresh=True)
 
+    def keep(self, text: str) -> None:
+        self._live.console.print(text, highlight=False, soft_wrap=True)
+
     def show(self, watch: Watch) -> None:
         self._live.update(Group(flight_table(watch, self._title), team_line(watch)), refresh=True)
 
@@ -62,6 +68,8 @@ class PlainLines:
 
     def note(self, text: str) -> None:
         self._console.print(text, highlight=False, soft_wrap=True)
+
+    keep = note
 
     def show(self, watch: Watch) -> None:
         second = math.floor(watch.t)
@@ -81,6 +89,7 @@ class NoTable:
     """For programs."""
 
     def note(self, text: str) -> None: ...
+    def keep(self, text: str) -> None: ...
     def show(self, watch: Watch) -> None: ...
     def close(self) -> None: ...
 

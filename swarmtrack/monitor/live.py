@@ -12,8 +12,11 @@ from swarmtrack.monitor.server import STATE_HZ, Audience
 from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.listening import hint_at, other_teams
 
 log = logging.getLogger(__name__)
+
+SILENT_S = 3.0  # between two looks at who else is there
 
 
 class Listener(Protocol):
@@ -22,6 +25,7 @@ class Listener(Protocol):
     def samples(self) -> AsyncIterator[Sample]: ...
     async def listen_to(self, key_expression: str) -> None: ...
     async def leave(self, key_expression: str) -> None: ...
+    async def teams(self) -> set[str]: ...
 
 
 class LiveFeed:
@@ -43,6 +47,7 @@ class LiveFeed:
             others = [
                 tasks.create_task(self._tell_state(audience), name="state"),
                 tasks.create_task(self._follow_wishes(audience), name="wishes"),
+                tasks.create_task(self._look_around(), name="others"),
             ]
             await self._hear(audience)
             for task in others:
@@ -73,6 +78,18 @@ class LiveFeed:
                 audience.tell(self._team.state())
             due = max(due + 1.0 / STATE_HZ, loop.time())
             await asyncio.sleep(due - loop.time())
+
+    async def _look_around(self) -> None:
+        """While nobody of the team is there, find out who is; said on the page, and once on the terminal."""
+        said = False
+        while True:
+            await asyncio.sleep(SILENT_S)
+            if self._team.drones:
+                continue
+            self._team.hint = hint = hint_at(await other_teams(self._listener, self._team.name))
+            if hint and not said:
+                said = True
+                log.warning("no drone of team %s is heard; %s", self._team.name, hint)
 
     async def _follow_wishes(self, audience: Audience) -> None:
         """Subscribe to the video that somebody watches, and to no other."""

@@ -25,6 +25,7 @@ from swarmtrack.wire.sightings import SightingsMessage, report_from
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
+START_ONE = "start one: swarmtrack sim --monitor; another team: --team"
 MAX_DRONES = 1024  # beyond it is an attack or a mistake
 SILENT_S = 2.0  # s without a word: gone, whatever its token says
 FORGOTTEN_S = 600.0  # s after which a drone that went is listed no more
@@ -65,6 +66,8 @@ class MonitoredTeam:
     def __init__(self, name: str, clock: Clock) -> None:
         self.name = name
         self.unreadable = 0
+        self.hint = ""
+        """Whom one could hear instead, while nobody of this team is there."""
         self._clock = clock
         self._drones: dict[int, Drone] = {}
         self._reports = Reports()
@@ -261,7 +264,7 @@ class MonitoredTeam:
             return "bad" if bad else "warn", said[0], said[1:]
         here = len(self._drones)
         if not here:
-            return "idle", f"no drone of team {self.name} is heard", []
+            return "idle", f"no drone of team {self.name} is heard", [self.hint or START_ONE]
         drones = "1 drone" if here == 1 else f"{here} drones"
         if not any(look.right for look in verdict.looks):
             return "idle", f"{drones} here, no names to compare yet", []

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection, load_team_config
 from swarmtrack.errors import KeysError, TransportError
+from swarmtrack.plain_text import plain
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.security.names import Role
 from swarmtrack.transport import topology
 from swarmtrack.transport.settings import NetworkSettings
+
+MOST_NAMED = 5  # teams
 
 
 def network_of_listener(
@@ -82,6 +86,29 @@ def _section(
     if connect:  # just these
         changes |= {"topology": "mesh", "peers": {}, "connect": tuple(connect)}
     return section.model_copy(update=changes), credentials
+
+
+class HasTeams(Protocol):
+    """Something that can tell whose drones live within its reach."""
+
+    async def teams(self) -> set[str]: ...
+
+
+async def other_teams(listener: HasTeams, team: str) -> tuple[str, ...]:
+    """Whom we could hear instead of a team that says nothing."""
+    try:
+        return tuple(sorted(await listener.teams() - {team}))
+    except TransportError:
+        return ()
+
+
+def hint_at(others: Sequence[str]) -> str:
+    """Words for somebody who named the wrong team, or nothing."""
+    if not others:
+        return ""
+    named = ", ".join(plain(other, 64) for other in others[:MOST_NAMED])
+    more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
+    return f"heard are drones of {named}{more}: --team {plain(others[0], 64)}"
 
 
 def credentials_in(folder: Path, role: Role) -> Credentials:

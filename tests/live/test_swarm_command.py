@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -209,6 +210,37 @@ def test_kept_configs_are_those_of_real_agents(watched):
     assert load_config(folder / "drone-2.toml").drone.id == 2
 
 
+def test_a_flight_says_how_to_listen_to_it_and_who_listens_elsewhere_is_told_of_it(tmp_path):
+    team = f"test-{os.getpid()}-{time.monotonic_ns()}"
+    _, scenario = pair(tmp_path)
+    flight = start(tmp_path, scenario, "--detector", "oracle", "--seconds", "600", "--team", team)
+    told = [flight.stdout.readline() for _ in range(4)]
+    (listen,) = (line for line in told if line.startswith("listen: "))
+    (look,) = (line for line in told if line.startswith("look: "))
+    assert look.split() == ["look:", "swarmtrack", "monitor", "--team", team]
+    program, *words = shlex.split(listen.removeprefix("listen: "))
+    assert (program, team in words) == ("swarmtrack", True)
+    heard = echo(*words, "--count", "1")
+    assert heard.returncode == 0, heard.stderr
+    assert json.loads(heard.stdout)["key"].startswith(f"swarmtrack/{team}/v1/identities/")
+    deaf = echo("tracks/*", "--team", f"{team}-not", "--seconds", "4")
+    assert f"nothing of team '{team}-not' yet; heard are drones of " in deaf.stderr
+    assert "Heard are drones of " in deaf.stderr.splitlines()[-1]
+    assert team in deaf.stderr.replace(f"{team}-not", "")
+    flight.send_signal(signal.SIGINT)
+    finish(flight)
+
+
+def echo(*words):
+    command = [
+        sys.executable,
+        "-m",
+        "swarmtrack.agents.main",
+        *(words if words[0] == "echo" else ("echo", *words)),
+    ]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT, check=False)
+
+
 # --- what goes wrong ------------------------------------------------------------------------------
 
 
@@ -221,6 +253,10 @@ def test_kept_configs_are_those_of_real_agents(watched):
         (("--seconds", "-3"), "expected a number of seconds above 0"),
         (("--json", "no/such/folder/out.json"), "expected a file in a folder that exists"),
         (("--detector", "eyes"), "onnx"),
+        (("crosing",), 'did you mean "crossing"'),
+        (("crossing", "--scenario", "pair"), "expected one scenario"),
+        (("--tracker", "jpdf"), "did you mean jpdaf?"),
+        (("--team", "a b"), "expected 1 to 64 letters"),
     ],
 )
 def test_wrong_usage_says_what_was_expected_and_starts_nothing(tmp_path, arguments, named):
