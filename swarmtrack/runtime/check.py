@@ -17,8 +17,8 @@ from swarmtrack.sensors.mavlink.address import parse_address as link_address
 DANGERS = {
     "camera_tracking": "one box for all teammates; QGroundControl draws it only beside a MAVLink camera that tracks, "
     "which the agent is not",
-    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it hears of; places are the teammates' own "
-    "word, checked by the camera's direction only",
+    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it hears of; places that "
+    "are not known in metres are the teammates' own word, checked by the camera's direction only",
 }
 
 

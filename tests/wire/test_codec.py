@@ -14,6 +14,17 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from support.golden_bytes import (
+    ANNOUNCEMENT_BYTES,
+    CAMERA_BYTES,
+    HEALTH_BYTES,
+    MOTION_BYTES,
+    PLACED_TRACKS_BYTES,
+    RANGE_BYTES,
+    SIGHTINGS_BYTES,
+    TRACKS_BYTES,
+    VIDEO_BYTES,
+)
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -209,6 +220,11 @@ def placed(**changes: Any) -> TracksMessage:
     return msgspec.structs.replace(TRACKS, tracks=(track,), relatives=(relative,))
 
 
+def placed_and_proved() -> TracksMessage:
+    message = placed()
+    return msgspec.structs.replace(message, proofs=(ProofMessage(message.tracks[0].id, 0.9995, 12.0),))
+
+
 def signed() -> bytes:
     return sign_announcement(announced(), "some/key", lambda text: bytes(64))
 
@@ -228,49 +244,6 @@ MESSAGES = [
 # --- pinned -----------------------------------------------------------------------------
 
 
-ANNOUNCEMENT_BYTES = (
-    "9b0107a8303132336162636402cb41d954fc42800000cb3fd0000000000000"
-    "93cb3ff0000000000000cb4000000000000000cbc008000000000000"
-    "94cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000cb3fe0000000000000"
-    "96cb3fe0000000000000cb0000000000000000cb0000000000000000"
-    "cb3fe0000000000000cb0000000000000000cb4000000000000000cb4010000000000000c0"
-)
-TRACKS_BYTES = (
-    "9601cb41d954fc40000000cb3fe000000000000003cb3fc0000000000000919d01a7666f726569676e"
-    "cb3fe8000000000000cb4074000000000000cbc010000000000000cb4070000000000000cb0000000000000000"
-    "9acb4010000000000000cb0000000000000000cb0000000000000000cb0000000000000000cb4022000000000000"
-    "cb0000000000000000cb0000000000000000cb4010000000000000cb0000000000000000cb4022000000000000"
-    "cb4030000000000000cb4020000000000000a9636f6e6669726d6564cb3ff0000000000000c0"
-)
-MOTION_BYTES = (
-    "9b0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd000000000000093cb3ff000000000"
-    "0000cb4000000000000000cbc00800000000000096cb3fe0000000000000cb0000000000000000cb0000000000000000"
-    "cb3fe0000000000000cb0000000000000000cb400000000000000093cb3fd0000000000000cb0000000000000000cbbf"
-    "f000000000000096cb3fd0000000000000cb0000000000000000cb0000000000000000cb3fd0000000000000cb000000"
-    "0000000000cb3fe0000000000000"
-)
-SIGHTINGS_BYTES = (
-    "9b0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd0000000000000"
-    "93cb3ff0000000000000cb4000000000000000cbc008000000000000cb3fd0000000000000"
-    "9202cd012c919402cb3fe800000000000093cb0000000000000000cb0000000000000000cbbff0000000000000"
-    "cb3fc0000000000000"
-)
-RANGE_BYTES = (
-    "9a0107a8303132336162636409cb41d954fc43700000cb3fe0000000000000cb3fd0000000000000cd012c"
-    "cb4021000000000000cb3fc0000000000000"
-)
-# Until something is added at its end.
-HEALTH_BYTES = (
-    "dc001201cb41d954fc40000000a83031323361626364cb404e000000000000cb4016000000000000cb40580000000000"
-    "0082a3696d7592cb4069000000000000cb4068e00000000000a663616d65726192c0cb403e00000000000081a6646574"
-    "65637493cb3f847ae147ae147bcb3f947ae147ae147bcb3fe0000000000000cbbfe0000000000000cb3f50624dd2f1a9"
-    "fc9194a663616d657261c3a633302066707381a3667073cb403e00000000000081a66672616d65730491b063616d6572"
-    "612063616d65206261636b93cb3fb0000000000000cb3f50000000000000cb000000000000000093c0c093cb3fe00000"
-    "00000000cb0000000000000000cbbfd000000000000093cb4002000000000000cb3ff8000000000000cb400400000000"
-    "000092c291a76e6f206779726f94cb3fd0000000000000c0b2646574656374696f6e732073636174746572a46c6f6f6b"
-)
-
-
 @pytest.mark.parametrize(
     ("encoded", "pinned"),
     [
@@ -279,6 +252,8 @@ HEALTH_BYTES = (
         pytest.param(reported(), SIGHTINGS_BYTES, id="sightings"),
         pytest.param(moving(), MOTION_BYTES, id="motion"),
         pytest.param(ranged(), RANGE_BYTES, id="range"),
+        pytest.param(described(), CAMERA_BYTES, id="camera"),
+        pytest.param(codec.encode(placed_and_proved()), PLACED_TRACKS_BYTES, id="tracks with a place"),
         pytest.param(codec.encode(HEALTH), HEALTH_BYTES, id="health"),
     ],
 )
@@ -853,8 +828,7 @@ def test_the_bytes_of_a_video_message_are_pinned():
     data = codec.encode(VIDEO)
     assert msgpack.unpackb(data) == fields
     assert data == msgpack.packb(fields)
-    golden = "9a01cb41d954fc40000000cb3fe00000000000000ccd0140cd0100c404ffd8ffd998cd0280cd0200cb4082c0"
-    assert data.hex().startswith(golden)
+    assert data.hex() == VIDEO_BYTES
     assert codec.decode(VideoMessage, data) == VIDEO
 
 
