@@ -70,6 +70,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.relative",
         "where teammates are in metres, and whether that is known",
     ),
+    "relative-cost": (
+        "swarmtrack.benchmarks.relative_cost",
+        "what places in metres cost to read and to publish",
+    ),
     "relative-flights": (
         "swarmtrack.benchmarks.relative_flights",
         "the same in whole flights, with trackers and names",

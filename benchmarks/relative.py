@@ -34,7 +34,8 @@ from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.log_range import across
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.relative.states import OwnMotion, RelativeStates
+from swarmtrack.relative.reading import OwnMotion
+from swarmtrack.relative.states import RelativeStates
 
 NAME = "relative"
 SEEDS, QUICK_SEEDS = 100, 10

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
@@ -38,6 +39,15 @@ def _hold(record: object, attribute: str, shape: tuple[int, ...], *, finite: boo
         raise ValueError(f"{type(record).__name__}.{attribute}: holds NaN or infinity")
     if value.dtype != np.float64 or not value.flags.c_contiguous:
         object.__setattr__(record, attribute, np.ascontiguousarray(value, dtype=np.float64))
+
+
+def _check(value: Array, shape: tuple[int, ...], what: str) -> None:
+    """Shape, order and finiteness of an array that is made here, in the form that it is to have."""
+    if value.shape != shape or value.dtype != np.float64 or not value.flags.c_contiguous:
+        raise ValueError(f"{what}: expected float64 of shape {shape} in C order, got {value.shape}")
+    # The sum of squares is not finite where any of them is not: half of the time that asking each takes.
+    if not math.isfinite(float(np.vdot(value, value))):
+        raise ValueError(f"{what}: holds NaN or infinity")
 
 
 class StampKind(enum.Enum):
@@ -236,6 +246,36 @@ class RelativeState:
         _hold(self, "position", (3,))
         _hold(self, "velocity", (3,))
         _hold(self, "cov", (6, 6))
+
+    @classmethod
+    def of_rows(
+        cls,
+        t: float,
+        keys: Sequence[tuple[int, int]],
+        mean: Array,
+        cov: Array,
+        *,
+        range_sigma_log: Sequence[float],
+        sources: Sequence[tuple[RelativeSource, ...]],
+    ) -> list[RelativeState]:
+        """Of n teammates at once: keys, drone and track of each; mean (n, 6) m and m/s, cov (n, 6, 6). Checked as a
+        whole, which takes a tenth of the time."""
+        n = len(keys)
+        _check(mean, (n, 6), f"{cls.__name__}.of_rows: mean")
+        _check(cov, (n, 6, 6), f"{cls.__name__}.of_rows: cov")
+        states, put = [], object.__setattr__
+        for i, (drone_id, _) in enumerate(keys):
+            state = object.__new__(cls)
+            row = mean[i]
+            put(state, "drone_id", drone_id)
+            put(state, "t", t)
+            put(state, "position", row[:3])
+            put(state, "velocity", row[3:])
+            put(state, "cov", cov[i])
+            put(state, "range_sigma_log", range_sigma_log[i])
+            put(state, "sources", sources[i])
+            states.append(state)
+        return states
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -63,7 +63,8 @@ from swarmtrack.relative.frames import FrameNews, Frames
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews, RangeWatch
-from swarmtrack.relative.states import OwnMotion, RelativeStates
+from swarmtrack.relative.reading import OwnMotion
+from swarmtrack.relative.states import RelativeStates
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
@@ -403,9 +404,9 @@ class Onboard:
         observer = self._ego.at(now) if any(isinstance(entry.identity, int) for entry in tracks) else None
         if observer is None:
             return tracks
-        camera = observer.pose @ self._mounting.body_from_camera
+        camera = observer.position + observer.world_from_body @ self._mounting.body_from_camera.position
         way, velocity, velocity_cov = self._ego.flown_on(now)
-        own = OwnMotion(camera.position + way, velocity, velocity_cov, observer.attitude_cov)
+        own = OwnMotion(camera + way, velocity, velocity_cov, observer.attitude_cov)
         return _with_places(tracks, self._relative.at(now, own))
 
 
@@ -414,7 +415,7 @@ def _with_places(
 ) -> tuple[IdentifiedTrack, ...]:
     """states: by track; a place ends with the name that it was found for."""
     return tuple(
-        replace(entry, relative=state)
+        IdentifiedTrack(entry.track, entry.identity, entry.identity_probability, entry.proof, state)
         if (state := states.get(entry.track.id)) is not None and state.drone_id == entry.identity
         else entry
         for entry in tracks

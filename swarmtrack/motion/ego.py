@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, insort
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +23,9 @@ HELD_POSITION_SIGMA = 0.3
 LEVEL_SIGMA = 0.05  # rad: how far a hovering drone tilts
 # An estimator that finds its heading, or finds it anew, jumps; a drone turns no faster than this.
 YAW_JUMP, FASTEST_YAW, YAW_STEP = 0.2, 4.0, 0.5  # rad, rad/s, s between two poses that are compared
+
+_EYE = np.eye(3)
+_EYE.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +103,8 @@ class EgoHistory:
         self._first_place: Array | None = None
         self._placed: TeamPose | None = None  # the last whose position the autopilot knew
         self._poses: list[TeamPose] = []
+        self._newest_velocity: tuple[Array, Array] | None = None
+        """At the newest pose; None: not asked for since that came."""
 
     @property
     def counters(self) -> dict[str, int]:
@@ -126,6 +131,7 @@ class EgoHistory:
         turned = turn @ pose.world_from_body
         placed = TeamPose(pose.t, position, turned, cov, np.diag([tilt, tilt, heading]))
         insort(self._poses, placed, key=lambda kept: kept.t)
+        self._newest_velocity = None
         if pose.position is not None:
             self._placed = placed
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
@@ -156,15 +162,18 @@ class EgoHistory:
                 return None
             held, level = HELD_POSITION_SIGMA**2 * np.eye(3), LEVEL_SIGMA**2 * np.eye(3)
             return TeamPose(t, self.start.position, self.start.rotation, held, level)
-        k = bisect_left(self._poses, t, key=lambda kept: kept.t)
+        newest = self._poses[-1]
+        # Who publishes asks for now: that is past the newest pose, and asked for most often.
+        k = len(self._poses) if t > newest.t else bisect_left(self._poses, t, key=lambda kept: kept.t)
         if k in (0, len(self._poses)):
             nearest = self._poses[min(k, len(self._poses) - 1)]
             age = abs(t - nearest.t)
-            return replace(
-                nearest,
-                t=t,
-                position_cov=nearest.position_cov + (SPEED_SIGMA * age) ** 2 * np.eye(3),
-                attitude_cov=nearest.attitude_cov + (RATE_SIGMA * age) ** 2 * np.eye(3),
+            return TeamPose(
+                t,
+                nearest.position,
+                nearest.world_from_body,
+                nearest.position_cov + (SPEED_SIGMA * age) ** 2 * _EYE,
+                nearest.attitude_cov + (RATE_SIGMA * age) ** 2 * _EYE,
             )
         before, after = self._poses[k - 1], self._poses[k]
         fraction = (t - before.t) / (after.t - before.t) if after.t > before.t else 1.0
@@ -216,23 +225,33 @@ class EgoHistory:
     def flown_on(self, t: float) -> tuple[Array, Array, Array]:
         """What came after the newest pose: the way from there to t, straight on (3,) m; and `velocity` at t. No way
         where t is within the history."""
-        ahead = max(0.0, t - self._poses[-1].t) if self._poses else 0.0
-        velocity, cov = self.velocity(t - ahead)
-        return ahead * velocity, velocity, cov + (ACCELERATION_SIGMA * ahead) ** 2 * np.eye(3)
+        ahead = t - self._poses[-1].t if self._poses else 0.0
+        if ahead <= 0.0:
+            return np.zeros(3), *self.velocity(t)
+        if self._newest_velocity is None:
+            self._newest_velocity = self.velocity(self._poses[-1].t)
+        velocity, cov = self._newest_velocity
+        return ahead * velocity, velocity, cov + (ACCELERATION_SIGMA * ahead) ** 2 * _EYE
 
     def _line(self, begin: float, end: float) -> tuple[float, Array, Array, Array] | None:
         """A straight line through the poses of that time: its middle [s] and place there, its slope (3,) m/s and the
         slope's covariance (3, 3). None of fewer than two."""
-        within = [pose for pose in self._poses if begin <= pose.t <= end]
+        within = []
+        for pose in reversed(self._poses):
+            if pose.t < begin:
+                break
+            if pose.t <= end:
+                within.append(pose)
         if len(within) < 2:
             return None
-        places, times = np.array([pose.position for pose in within]), np.array([pose.t for pose in within])
-        middle = float(times.mean())
-        spread = float(((times - middle) ** 2).sum())
+        times, places = [pose.t for pose in within], np.array([pose.position for pose in within])
+        middle = math.fsum(times) / len(times)
+        off = np.array(times) - middle
+        spread = float(off @ off)
         if spread <= 0.0:
             return None
-        slope = (times - middle) @ places / spread
-        return middle, places.mean(axis=0), slope, POSITION_JITTER**2 / spread * np.eye(3)
+        slope = off @ places / spread
+        return middle, places.sum(axis=0) / len(times), slope, POSITION_JITTER**2 / spread * _EYE
 
     def _place(self, pose: EgoPose) -> tuple[Array, Array] | None:
         """Position in the team frame and its covariance (3, 3); None where nobody can tell."""

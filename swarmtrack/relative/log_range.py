@@ -86,18 +86,39 @@ class Decay(NamedTuple):
     vv: Array
 
 
+class UnitDecay(NamedTuple):
+    """The same for a velocity whose change has the density of 1 m²/s³."""
+
+    phi: float
+    left: float
+    pp: float
+    pv: float
+    vv: float
+
+
 def decay(dt: float, wander: VelocityPrior) -> Decay:
-    """Over dt s. Bar-Shalom, Li & Kirubarajan (2001), section 8.2, without the acceleration."""
-    tau = wander.forget_s
+    """Over dt s."""
+    unit = unit_decay(dt, wander.forget_s)
+    q = density(wander)
+    return Decay(unit.phi, unit.left, q * unit.pp, q * unit.pv, q * unit.vv)
+
+
+def density(wander: VelocityPrior) -> Array:
+    """(n,) m²/s³ of the white noise that keeps velocities as fast as they are."""
+    return np.asarray(2.0 * wander.speed_sigma**2 / wander.forget_s)
+
+
+def unit_decay(dt: float, tau: float) -> UnitDecay:
+    """Over dt s, of a velocity that forgets itself within tau s. Bar-Shalom, Li & Kirubarajan (2001), section 8.2,
+    without the acceleration."""
     left = math.exp(-dt / tau)
     phi = -tau * math.expm1(-dt / tau)
-    q = 2.0 * wander.speed_sigma**2 / tau
     x = dt / tau
     # Of short steps the closed form is a difference of nearly equal numbers.
     way = dt**3 * (1.0 / 3.0 - x / 4.0 + 7.0 * x * x / 60.0)
     if x > SHORT:
         way = tau**2 * (dt - 2.0 * phi + 0.5 * tau * (1.0 - left * left))
-    return Decay(phi, left, q * way, q * phi * phi / 2.0, -0.5 * q * tau * math.expm1(-2.0 * x))
+    return UnitDecay(phi, left, way, phi * phi / 2.0, -0.5 * tau * math.expm1(-2.0 * x))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

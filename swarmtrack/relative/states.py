@@ -57,6 +57,7 @@ from swarmtrack.relative.log_range import (
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.measurements import Carried, Measured, SizedRange
 from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.reading import OwnMotion, Reading
 
 # s of scans whose beliefs are kept for what comes late; and how far ahead of the last scan a message may be.
 HISTORY_S, AHEAD_S = 1.0, 0.5
@@ -78,16 +79,6 @@ UNTOLD_PLACE = 0.5
 VAGUE_PLACE = 3.0
 # That a third drone's ray is to whom it says.
 SURE = 0.9
-
-
-class OwnMotion(NamedTuple):
-    """The own camera at some time: camera (3,) m and velocity (3,) m/s along the team's axes, velocity_cov (3, 3),
-    attitude_cov (3, 3) rad² about these axes."""
-
-    camera: Array
-    velocity: Array
-    velocity_cov: Array
-    attitude_cov: Array
 
 
 class _SaidPlace(NamedTuple):
@@ -130,6 +121,8 @@ class RelativeStates:
         """s: since when its sizes have been unexpected."""
         self._rays: dict[tuple[int, int], float] = {}
         """By observer and drone: when it last told a ray."""
+        self._reading: Reading | None = None
+        """None: to be made when somebody reads."""
         self.refused = 0
         self.surprised = 0
         self.late = 0
@@ -147,6 +140,7 @@ class RelativeStates:
 
     def observe(self, look: TeamLook) -> None:
         """A scan, later than the one before."""
+        self._reading = None
         kept = self._carry(look) if self._now is not None else nobody()
         known = () if self._now is None else tuple(key for key in self._now.keys if key in look.keys)
         self._sources = {key: self._sources[key] for key in known}
@@ -360,6 +354,7 @@ class RelativeStates:
     def forget(self, drone_id: int) -> None:
         """What a teammate said turned out to be in another frame: its state begins anew, with its next ray."""
         self._said.pop(drone_id, None)
+        self._reading = None
         now = self._now
         if now is not None:
             stay = [i for i, key in enumerate(now.keys) if key[0] != drone_id]
@@ -404,6 +399,7 @@ class RelativeStates:
         now.beliefs = now.beliefs.with_row(row, better)
         self._exact_since[key] = now.t
         self._sources[key].add(source)
+        self._reading = None
         return True
 
     def _chain(self, key: tuple[int, int], t: float) -> list[_Moment] | None:
@@ -423,28 +419,23 @@ class RelativeStates:
     # --- what is known ---
 
     def at(self, t: float, own: OwnMotion) -> dict[int, RelativeState]:
-        """By track: the states carried on to t, seen from where the own camera is then; of those whose range
-        is known at all. The attitude's error, which bears on all of them alike, comes in here and nowhere else."""
-        now = self._now
-        if now is None or not now.keys:
+        """By track: the states carried on to t, seen from where the own camera is then; of those whose range is known
+        at all."""
+        if self._now is None:
             return {}
-        later = t > now.t
-        found = cartesian(now.beliefs, decay(t - now.t, self._prior(now.keys)) if later else None)
-        r = found.r - (own.camera - now.camera)
-        v = found.v - own.velocity
-        by_turn = np.zeros((len(r), 6, 3))
-        _hat(r, by_turn[:, :3])
-        _hat(v, by_turn[:, 3:])
-        cov = found.cov + by_turn @ own.attitude_cov @ by_turn.swapaxes(1, 2)
-        for i in (0, 1, 2):
-            cov[:, i, i] += self._p.jitter_m**2
-        cov[:, 3:, 3:] += own.velocity_cov
-        states = {}
-        for i, (key, sigma) in enumerate(zip(now.keys, found.range_sigma_log.tolist(), strict=True)):
-            if sigma < VAGUE:
-                sources = tuple(name for name in RELATIVE_SOURCES if name in self._sources[key])
-                states[key[1]] = RelativeState(key[0], t, r[i], v[i], cov[i], sigma, sources)
-        return states
+        if self._reading is None:
+            self._reading = self._read(self._now)
+        return self._reading.at(t, own)
+
+    def _read(self, now: _Moment) -> Reading:
+        """For all readers until something changes."""
+        stated = np.flatnonzero(now.beliefs.P[:, RANGE, RANGE] < VAGUE**2).tolist()
+        keys = [now.keys[i] for i in stated]
+        sources = [tuple(name for name in RELATIVE_SOURCES if name in self._sources[key]) for key in keys]
+        return Reading(
+            now.t, now.camera, keys, now.beliefs.rows(stated), self._prior(keys),
+            sources=sources, jitter_m=self._p.jitter_m,
+        )  # fmt: skip
 
 
 def _ray(
@@ -467,9 +458,3 @@ def _along(said: _SaidPlace, look: TeamLook, i: int, drift_speed: float) -> tupl
     if float(aside @ aside) > GATE[2] * (spread + 0.03**2 * distance**2):
         return None
     return math.log(distance), spread / distance**2
-
-
-def _hat(v: Array, into: Array) -> None:
-    """Writes into (n, 3, 3) the matrices of the cross product with v (n, 3)."""
-    into[:, 2, 1], into[:, 0, 2], into[:, 1, 0] = v[:, 0], v[:, 1], v[:, 2]
-    into[:, 1, 2], into[:, 2, 0], into[:, 0, 1] = -v[:, 0], -v[:, 1], -v[:, 2]

@@ -13,9 +13,11 @@ from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, MotionReport, RangeReport, Sighting, SightingReport
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.gates import GATE
+from swarmtrack.relative.log_range import cartesian, decay
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.relative.states import OwnMotion, RelativeStates
+from swarmtrack.relative.reading import OwnMotion
+from swarmtrack.relative.states import RelativeStates
 
 DT = 1.0 / 7.0
 STILL = OwnMotion(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
@@ -32,7 +34,7 @@ def look(t, *places, track=7, width=0.5, camera=(0.0, 0.0, 0.0), rng=None, sigma
     if rng is not None:
         ray = ray + sigma * rng.normal(size=ray.shape)
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    keys = tuple((2 + i, track) for i in range(len(away)))
+    keys = tuple((2 + i, track + i) for i in range(len(away)))
     cov = np.tile(sigma**2 * np.eye(3), (len(away), 1, 1))
     return TeamLook(
         t, np.array(camera, float), np.zeros(3), keys, ray, cov, width / rho, gain * np.ones_like(rho)
@@ -355,3 +357,45 @@ def test_the_same_flight_gives_the_same_bits():
 
 def test_the_gates_are_the_quantiles_that_scipy_gives():
     assert {n: pytest.approx(chi2.ppf(0.9999, n), abs=1e-3) for n in GATE} == GATE
+
+
+def test_reading_again_is_reading_the_same_and_never_what_was_before_a_change():
+    """A reading is kept between changes: after a scan, a word, or a name that is forgotten there is another."""
+    states = RelativeStates(TOLD)
+    t = watched(states, [PLACE] * 5)
+    first, again = only(states, t + 0.05), only(states, t + 0.05)
+    assert (first.cov == again.cov).all()
+    assert (first.position == again.position).all()
+    states.hear_range(RangeReport(1, 2, t, 0.0, float(np.linalg.norm(PLACE)), 0.1))
+    told = only(states, t + 0.05)
+    assert told.range_sigma_log < 0.5 * first.range_sigma_log
+    assert "range" in told.sources
+    states.observe(look(t + DT, PLACE))
+    assert np.trace(only(states, t + DT).cov) < np.trace(told.cov) + 1.0
+    assert only(states, t + DT + 0.05).t == t + DT + 0.05
+    states.forget(2)
+    assert states.at(t + DT, STILL) == {}
+
+
+@pytest.mark.parametrize("ahead", [0.0, 1e-3, 0.1, 1.0])
+def test_many_are_read_as_each_of_them_is_alone(ahead):
+    """By the table of eight numbers, as by the closed form for one teammate after the other."""
+    rng = np.random.default_rng(4)
+    places = [PLACE + 3.0 * rng.normal(size=3) for _ in range(6)]
+    states = RelativeStates(TOLD)
+    for k in range(12):
+        states.observe(look(k * DT, *(place + 0.1 * k for place in places), rng=rng))
+    t = 11 * DT
+    own = OwnMotion(rng.normal(size=3), rng.normal(size=3), 0.1 * np.eye(3), np.diag([1e-4, 2e-4, 9e-4]))
+    now = states._now
+    step = decay(ahead, states._prior(now.keys))
+    found = cartesian(now.beliefs, step)
+    for i, state in enumerate(states.at(t + ahead, own).values()):
+        r, v = found.r[i] - own.camera, found.v[i] - own.velocity
+        by_turn = np.concatenate([np.cross(np.eye(3), r).T, np.cross(np.eye(3), v).T])
+        cov = found.cov[i] + by_turn @ own.attitude_cov @ by_turn.T
+        cov[:3, :3] += TOLD.jitter_m**2 * np.eye(3)
+        cov[3:, 3:] += own.velocity_cov
+        assert state.position == pytest.approx(r)
+        assert state.velocity == pytest.approx(v)
+        assert state.cov == pytest.approx(cov, rel=1e-9, abs=1e-12)

@@ -1,0 +1,242 @@
+"""What places in metres cost a drone: reading them, folding a scan in, and publishing them at 100 Hz.
+
+* Reading: `RelativeStates.at`, of 1, 5 and 10 teammates, between two scans.
+* Scan: `RelativeStates.observe` of as many.
+* Publishing: a whole `Onboard` that tracks five drones, asked for its tracks a hundred times a second while poses come
+  at 50 Hz, and its message encoded; once of teammates with names and places, once of five that nobody announced. The
+  difference is what metres (and names) cost.
+
+    swarmtrack bench relative-cost [--quick] --out DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.messages import Announcement, Array, Detections, EgoPose, FlightState, ImuSample, TrackList
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
+from swarmtrack.relative.looks import TeamLook
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.reading import OwnMotion
+from swarmtrack.relative.states import RelativeStates
+from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracker
+from swarmtrack.wire import codec
+from swarmtrack.wire.tracks import tracks_message
+
+NAME = "relative-cost"
+REPEATS, QUICK_REPEATS = 3000, 200
+TEAMMATES = (1, 5, 10)
+READ_BUDGET_US, SCAN_BUDGET_MS, PUBLISH_BUDGET_MS = 60.0, 1.0, 0.1
+SPAN_M = 0.5
+POSE_HZ, FPS, PUBLISH_HZ = 50.0, 15.0, 100.0
+WARM_UP_S = 4.0
+IN_VIEW = 5
+CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
+STILL = OwnMotion(np.zeros(3), np.zeros(3), 0.01 * np.eye(3), 1e-4 * np.eye(3))
+
+
+class Cost(NamedTuple):
+    """One figure, and what it may be."""
+
+    what: str
+    value: float
+    unit: str
+    budget: float | None = None
+
+
+def places(n: int) -> Array:
+    """(n, 3) m: teammates side by side, north of the drone."""
+    return np.column_stack([np.full(n, 8.0), np.linspace(-4.0, 4.0, n) if n > 1 else [0.0], np.zeros(n)])
+
+
+def watching(n: int) -> tuple[RelativeStates, float]:
+    """Relative states of n teammates that were seen for two seconds, and the time of the last scan."""
+    states = RelativeStates(RelativeParameters(airframe_span_m=SPAN_M))
+    scans = 14
+    for k in range(scans):
+        states.observe(look(n, k / 7.0))
+    return states, (scans - 1) / 7.0
+
+
+def look(n: int, t: float) -> TeamLook:
+    """What is seen of n teammates at t."""
+    away = places(n)
+    rho = np.linalg.norm(away, axis=1)
+    return TeamLook(
+        t,
+        np.zeros(3),
+        np.zeros(3),
+        tuple((i + 2, i) for i in range(n)),
+        away / rho[:, None],
+        np.tile(1e-5 * np.eye(3), (n, 1, 1)),
+        1.14 * SPAN_M / rho,
+        np.ones(n),
+    )
+
+
+def median_cpu(function: Callable[[], object], repeats: int) -> float:
+    """s: of a call's processor time."""
+    spent = []
+    for _ in range(repeats):
+        began = time.process_time_ns()
+        function()
+        spent.append(time.process_time_ns() - began)
+    return 1e-9 * float(np.median(spent))
+
+
+def reading(n: int, repeats: int) -> Cost:
+    """Of all n states at once, at ever another time."""
+    states, t = watching(n)
+    ahead = count()
+    spent = median_cpu(lambda: states.at(t + 1e-3 * (next(ahead) % 100), STILL), repeats)
+    assert len(states.at(t, STILL)) == n
+    return Cost(f"read {n}", 1e6 * spent, "µs", READ_BUDGET_US if n == max(TEAMMATES) else None)
+
+
+def scanning(n: int, repeats: int) -> Cost:
+    """One scan of n teammates folded in."""
+    states, t = watching(n)
+    looks = iter([look(n, t + (k + 1) / 7.0) for k in range(repeats)])
+    spent = median_cpu(lambda: states.observe(next(looks)), repeats)
+    return Cost(f"scan of {n}", 1e3 * spent, "ms", SCAN_BUDGET_MS if n == max(TEAMMATES) else None)
+
+
+class Hovering:
+    """A drone that sees five others. announced: whether they are its teammates."""
+
+    def __init__(self, *, announced: bool) -> None:
+        self.onboard = Onboard(
+            1,
+            camera=CAMERA,
+            mounting=Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
+            tracker=create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
+            gyro=GyroHistory(),
+            ego=EgoHistory(origin=np.zeros(3)),
+            identity=IdentityParameters(),
+            relative=RelativeParameters(airframe_span_m=SPAN_M),
+        )
+        self.t = 0.0
+        self._chance = np.random.default_rng(1)
+        self._pixels, _, _ = CAMERA.project(places(IN_VIEW) @ BODY_FROM_FORWARD_CAMERA)
+        self._numbers = count()
+        self.onboard.tell(FlightState(0.0, -60.0))
+        self._pose()
+        for i in range(IN_VIEW if announced else 0):
+            self.onboard.tell(
+                Announcement(i + 2, "0000000a", 0, 0.0, 0.0, places(IN_VIEW)[i], np.eye(3), 0.01 * np.eye(3))
+            )
+        for k in range(1, int(WARM_UP_S * POSE_HZ)):
+            self.t = k / POSE_HZ
+            self._pose()
+            if k % round(POSE_HZ / FPS) == 0:
+                self._scan()
+            self.onboard.events()
+
+    def fly_on(self) -> None:
+        """A hundredth of a second goes by; every other time a pose comes, and now and then a scan."""
+        number = next(self._numbers)
+        self.t += 1.0 / PUBLISH_HZ
+        if number % round(PUBLISH_HZ / POSE_HZ) == 0:
+            self._pose()
+        if number % round(PUBLISH_HZ / FPS) == 0:
+            self._scan()
+        self.onboard.events()
+
+    def tracks(self) -> TrackList:
+        """As of some milliseconds after the last pose."""
+        return self.onboard.tracks(self.t + 4e-3)
+
+    def message(self) -> bytes:
+        """As it goes over the network."""
+        return codec.encode(tracks_message(self.tracks(), 1, 0.0, 1e-3))
+
+    def _pose(self) -> None:
+        position = 0.01 * self._chance.standard_normal(3)
+        self.onboard.tell(EgoPose(t=self.t, position=position, world_from_body=np.eye(3)))
+        self.onboard.tell(ImuSample(self.t, np.zeros(3), np.full(3, np.nan)))
+
+    def _scan(self) -> None:
+        centre = self._pixels + self._chance.standard_normal((IN_VIEW, 2))
+        size = np.tile([30.0, 12.0], (IN_VIEW, 1))
+        self.onboard.tell(Detections(self.t, int(1e3 * self.t), centre, size, np.full(IN_VIEW, 0.9)))
+
+
+def publishing(repeats: int) -> list[Cost]:
+    """Of five teammates, beside five that are nobody."""
+    spent = {}
+    for announced in (False, True):
+        drone = Hovering(announced=announced)
+        placed = [entry.relative is not None for entry in drone.tracks().tracks]
+        assert placed == [announced] * IN_VIEW, "tracks are what this is to measure"
+        durations = []
+        for _ in range(repeats):
+            drone.fly_on()
+            began = time.process_time_ns()
+            drone.message()
+            durations.append(time.process_time_ns() - began)
+        spent[announced] = 1e-6 * float(np.mean(durations))
+    return [
+        Cost(f"message with {IN_VIEW} tracks that are nobody", spent[False], "ms"),
+        Cost(f"message with {IN_VIEW} teammates in metres", spent[True], "ms"),
+        Cost("metres in a message", spent[True] - spent[False], "ms", PUBLISH_BUDGET_MS),
+        Cost(
+            f"metres in {PUBLISH_HZ:g} messages per second",
+            0.1 * PUBLISH_HZ * (spent[True] - spent[False]),
+            "%",
+            1.0,
+        ),
+    ]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    publish(args.out, QUICK_REPEATS if args.quick else REPEATS)
+
+
+def publish(out: Path, repeats: int) -> dict[str, Any]:
+    """Measure everything, write relative-cost.json and .md into `out`, and return what is in the JSON."""
+    parts = [partial(reading, n, repeats) for n in TEAMMATES]
+    parts += [partial(scanning, n, max(repeats // 10, 20)) for n in TEAMMATES]
+    costs: list[Cost] = []
+    with report.progress(NAME, len(parts) + 1) as advance:
+        for part in parts:
+            costs.append(part())
+            advance(costs[-1].what)
+        costs += publishing(repeats)
+        advance("")
+    result = {"costs": [cost._asdict() for cost in costs]}
+    report.write(out, NAME, result, _markdown(costs))
+    return result
+
+
+def _markdown(costs: list[Cost]) -> str:
+    rows = [
+        [
+            cost.what,
+            f"{report.number(cost.value, 3 if cost.unit == 'ms' else 1)} {cost.unit}",
+            "" if cost.budget is None else f"{cost.budget:g} {cost.unit}",
+        ]
+        for cost in costs
+    ]
+    words = "Processor time; medians, and means of messages."
+    return "\n\n".join(["# What metres cost", words, report.table(["", "found", "at most"], rows)])

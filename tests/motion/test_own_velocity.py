@@ -1,0 +1,43 @@
+"""How this drone itself moves, by its autopilot's poses: the same whenever it is asked for, and never an old one."""
+
+import numpy as np
+import pytest
+
+from swarmtrack.messages import EgoPose
+from swarmtrack.motion.ego import EgoHistory
+
+HZ = 50.0
+
+
+def flown(velocity, seconds=2.0, ego=None, begin=0.0, at=(0.0, 0.0, 0.0)):
+    ego = ego or EgoHistory(origin=np.zeros(3))
+    for k in range(1, int(seconds * HZ) + 1):
+        t = begin + k / HZ
+        place = np.array(at) + (k / HZ) * np.array(velocity)
+        ego.append(EgoPose(t=t, position=place, world_from_body=np.eye(3)))
+    return ego
+
+
+def test_it_goes_on_straight_beyond_the_newest_pose():
+    ego = flown([1.0, -2.0, 0.5])
+    for ahead in (0.01, 0.02, 0.01, 0.3):
+        way, velocity, cov = ego.flown_on(2.0 + ahead)
+        assert velocity == pytest.approx([1.0, -2.0, 0.5])
+        assert way == pytest.approx(ahead * np.array([1.0, -2.0, 0.5]))
+        assert np.trace(cov) > np.trace(ego.velocity(2.0)[1])
+
+
+def test_a_pose_that_comes_changes_it():
+    ego = flown([1.0, 0.0, 0.0])
+    before = ego.flown_on(2.01)[1]
+    flown([0.0, 3.0, 0.0], 1.0, ego, 2.0, (2.0, 0.0, 0.0))
+    assert before == pytest.approx([1.0, 0.0, 0.0])
+    assert ego.flown_on(3.01)[1] == pytest.approx([0.0, 3.0, 0.0])
+
+
+def test_within_the_history_there_is_no_way_and_the_velocity_of_then():
+    ego = flown([1.0, 0.0, 0.0], 1.0)
+    flown([0.0, 1.0, 0.0], 1.0, ego, 1.0, (1.0, 0.0, 0.0))
+    way, velocity, _ = ego.flown_on(0.5)
+    assert (way == 0.0).all()
+    assert velocity == pytest.approx([1.0, 0.0, 0.0])
