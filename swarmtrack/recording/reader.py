@@ -8,28 +8,44 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Collection, Iterable, Iterator
+import zlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.records import Attachment, Channel, Schema
 
 from swarmtrack.errors import RecordingError
+from swarmtrack.plain_text import plain
+from swarmtrack.recording.records import (
+    LARGEST_RECORD,
+    check_end,
+    read_attachment,
+    read_channel,
+    read_metadata,
+    read_schema,
+    unpacked_chunk,
+)
 from swarmtrack.recording.writer import ACTIVE, PREFACE, SUFFIX
 
 MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
 READ_AHEAD = 1 << 20  # bytes: of a file, which is read from one end to the other
-LARGEST_RECORD = 256 << 20  # bytes: a length beyond it is no length but garbage
+# Of one file: our largest swarms declare some hundreds.
+MOST_DECLARED = 20_000  # schemas and channels, the same one again included
+MOST_NOTES = 64  # metadata and attachments
+LARGEST_NOTES = 32 << 20  # bytes of all of them
 FLIGHT_PLAN = "flight_plan.json"  # attached to the recording of a simulated flight
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _IS_MESSAGE = int(Opcode.MESSAGE)
+# A footer is none of them: it stands behind the end of the data.
+_KNOWN = frozenset(map(int, Opcode)) - {int(Opcode.FOOTER)}
+PRIVATE = 0x80  # from here on, opcodes are an application's own
+_UNREADABLE = (ValueError, struct.error, OverflowError, MemoryError, zstandard.ZstdError)
 
 
 class Message(NamedTuple):
@@ -55,6 +71,8 @@ class Segment:
     attachments: dict[str, Attachment] = field(default_factory=dict)
     damage: str | None = None
     """What is wrong with the file, in words; None: nothing, it is complete."""
+    _declared: int = 0
+    _noted: int = 0
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """In the order of writing, of these topics (None: of all). Raises RecordingError for what is no MCAP file."""
@@ -65,10 +83,11 @@ class Segment:
         with file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RecordingError(f"{self.path}: is no MCAP file, expected a recording")
-            self.damage = None
+            self.damage, self._declared, self._noted = None, 0, 0
             yield from self._records(file, topics)
 
     def _records(self, file: IO[bytes], topics: Collection[str] | None) -> Iterator[Message]:
+        checksum, chunked = zlib.crc32(MAGIC), False
         while True:
             at = file.tell()
             head = file.read(_HEAD.size)
@@ -83,15 +102,24 @@ class Segment:
             if len(body) < length:
                 self.damage = f"is cut off after {at} bytes"
                 return
-            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                return  # what follows is an index of what we read
             try:
+                if opcode == Opcode.DATA_END:
+                    check_end(body, checksum)
+                    return  # what follows is an index of what we read
+                if opcode not in _KNOWN and opcode < PRIVATE:
+                    raise ValueError("a record of no known kind")
+                if opcode == Opcode.MESSAGE and chunked:  # who writes chunks writes all messages into them
+                    raise ValueError("a message between chunks")
+                checksum = zlib.crc32(body, zlib.crc32(head, checksum))
                 if opcode == Opcode.CHUNK:
-                    yield from self._chunk(_unpacked(Chunk.read(_stream(body))), topics)
+                    chunked = True
+                    yield from self._chunk(unpacked_chunk(body), topics)
                 else:
                     yield from self._record(opcode, body, topics)
-            except (ValueError, KeyError, struct.error, zstandard.ZstdError, RuntimeError, EOFError) as error:
-                self.damage = f"holds what cannot be read at byte {at} ({error or type(error).__name__})"
+            except _UNREADABLE as error:
+                self.damage = (
+                    f"holds what cannot be read at byte {at} ({plain(str(error)) or type(error).__name__})"
+                )
                 return
 
     def _chunk(self, data: bytes, topics: Collection[str] | None) -> Iterator[Message]:
@@ -109,35 +137,37 @@ class Segment:
         """The message in it, if it is one that is wanted."""
         if opcode == _IS_MESSAGE:  # nearly all are
             number, _, log_time, _ = _MESSAGE.unpack_from(body)
-            channel = self.channels[number]
+            channel = self.channels.get(number)
+            if channel is None:
+                raise ValueError(f"a message of channel {number}, which was not declared")
             if topics is None or channel.topic in topics:
                 return (Message(channel, log_time, body[_MESSAGE.size :]),)
-        elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(_stream(body))
-            self.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(_stream(body))
-            self.channels[channel.id] = channel
-        elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(_stream(body))
-            self.metadata[metadata.name] = metadata.metadata
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(_stream(body))
-            self.attachments[attachment.name] = attachment
+        else:
+            self._note(opcode, body)
         return ()
 
-
-def _stream(body: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(body))
-
-
-def _unpacked(chunk: Chunk) -> bytes:
-    match chunk.compression:
-        case "zstd":
-            return bytes(zstandard.decompress(chunk.data, chunk.uncompressed_size))
-        case "":
-            return bytes(chunk.data)
-    raise ValueError(f"compressed by {chunk.compression!r}")
+    def _note(self, opcode: int, body: bytes) -> None:
+        """Take in what explains the messages."""
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._declared += 1
+            if self._declared > MOST_DECLARED:
+                raise ValueError(f"more than {MOST_DECLARED} schemas and channels")
+            if opcode == Opcode.SCHEMA:
+                schema = read_schema(body)
+                self.schemas[schema.id] = schema
+            else:
+                channel = read_channel(body)
+                self.channels[channel.id] = channel
+        elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            self._noted += len(body)
+            if self._noted > LARGEST_NOTES or len(self.metadata) + len(self.attachments) >= MOST_NOTES:
+                raise ValueError(f"more than {MOST_NOTES} notes, or {LARGEST_NOTES} bytes of them")
+            if opcode == Opcode.METADATA:
+                metadata = read_metadata(body)
+                self.metadata[metadata.name] = metadata.metadata
+            else:
+                attachment = read_attachment(body)
+                self.attachments[attachment.name] = attachment
 
 
 @dataclass(slots=True)
@@ -182,7 +212,7 @@ class Recording:
         """An attachment in JSON. Raises RecordingError."""
         try:
             return json.loads(self.attachments[name].data)
-        except (KeyError, ValueError):
+        except (KeyError, ValueError, RecursionError, MemoryError):
             raise RecordingError(
                 f"{self.segments[0].path}: its attachment {name} is missing or no JSON, expected that of an agent"
             ) from None
@@ -221,4 +251,30 @@ def _opened(segments: list[Segment]) -> Recording:
     found = recording.preface.get("format")
     if found != FORMAT:
         raise RecordingError(f"{segments[0].path}: is of format {found}, this program reads format {FORMAT}")
+    _check_preface(segments[0].path, recording.preface)
     return recording
+
+
+def _check_preface(path: Path, preface: Mapping[str, str]) -> None:
+    """What all who read a recording count on. Raises RecordingError."""
+    for key, expected, judge in _PREFACE:
+        if key in ("drone_id", "boot") and preface.get("kind") == "swarm":
+            continue
+        try:
+            right = judge(preface[key])
+        except (KeyError, ValueError):
+            right = False
+        if not right:
+            found = f'"{preface[key]}"' if key in preface else "missing"
+            raise RecordingError(f"{path}: {PREFACE}.{key}: {found}, expected {expected}")
+
+
+_PREFACE: tuple[tuple[str, str, Callable[[str], bool]], ...] = (
+    ("kind", "drone or swarm", lambda text: text in ("drone", "swarm")),
+    ("drone_id", "1 … 65535", lambda text: 1 <= int(text) <= 65535),
+    ("team", "the team's name", lambda text: True),
+    ("boot", "which life of the process it is", lambda text: True),
+    ("segment", "a number from 1 on", lambda text: 1 <= int(text) < 2**31),
+    ("utc_s", "UTC of its beginning, s", lambda text: 0.0 <= float(text) <= 2.0**32),
+    ("monotonic_s", "the clock at its beginning, s", lambda text: abs(float(text)) <= 2.0**33),
+)

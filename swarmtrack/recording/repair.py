@@ -57,9 +57,11 @@ def rewrite(segment: Segment, target: Path) -> int:
             channel = message.channel
             if channel.id not in channels:
                 if channel.schema_id not in schemas:
-                    schema = segment.schemas[channel.schema_id]
-                    schemas[channel.schema_id] = writer.register_schema(
-                        schema.name, schema.encoding, schema.data
+                    schema = segment.schemas.get(channel.schema_id)
+                    schemas[channel.schema_id] = (
+                        0
+                        if schema is None
+                        else writer.register_schema(schema.name, schema.encoding, schema.data)
                     )
                 channels[channel.id] = writer.register_channel(
                     channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata

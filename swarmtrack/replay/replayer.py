@@ -190,10 +190,11 @@ class Replayer:
             if recorded.relative_digest is not None:
                 self._states.recorded.append(recorded.relative_digest)
             self._result.recorded_scans.append(recorded.report)
-        elif topic == FRAMES_TOPIC:
-            self._exact_times = msgspec.json.decode(message.data)
-        elif topic == IMAGES_TOPIC:
-            self._keep_frame(message.data)
+        elif topic in (FRAMES_TOPIC, IMAGES_TOPIC):
+            try:
+                self._take_frame(topic, message.data)
+            except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
+                raise RecordingError(f"{topic}: no frame of ours: {error}") from None
 
     def _count(self, n: int) -> None:
         self._result.inputs += 1
@@ -232,19 +233,32 @@ class Replayer:
         if detections is not None:
             yield detections
 
-    def _keep_frame(self, data: bytes) -> None:
+    def _take_frame(self, topic: str, data: bytes) -> None:
+        """First come a frame's exact times, then its picture."""
         import cv2  # noqa: PLC0415
         import numpy as np  # noqa: PLC0415
 
+        from swarmtrack.sensors.decode import check_pixels  # noqa: PLC0415
+        from swarmtrack.sensors.frame_slot import BadImage  # noqa: PLC0415
+
+        if topic == FRAMES_TOPIC:
+            self._exact_times = msgspec.json.decode(data)
+            return
         exact, self._exact_times = self._exact_times, None
         jpeg = jpeg_of(data)
         if exact is None or jpeg is None:
+            return
+        try:
+            check_pixels(jpeg)
+        except BadImage:
             return
         image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
             return
         pixels = np.asarray(image, np.uint8)
-        frame = Frame(exact["t_s"], exact["t_sigma_s"], exact["sequence"], pixels, StampKind.MEDIA)
+        frame = Frame(
+            float(exact["t_s"]), float(exact["t_sigma_s"]), int(exact["sequence"]), pixels, StampKind.MEDIA
+        )
         self._frames[frame.sequence] = frame
         while len(self._frames) > FRAMES_KEPT:
             del self._frames[min(self._frames)]

@@ -43,9 +43,7 @@ def _lines(data: memoryview, used: int, height: int, stride: int) -> Image:
 def decode_jpeg(data: bytes | memoryview, grey: bool = False) -> Image:
     """A whole baseline or progressive JPEG. Returns (h, w, 3) BGR, or (h, w) if it is grey or `grey` is asked."""
     data = bytes(data)
-    width, height = jpeg_size(data)
-    if width * height > MAX_PIXELS:
-        raise BadImage(f"JPEG claims {width}x{height}")
+    check_pixels(data)
     # libjpeg fills what is missing with grey and OpenCV does not tell, so the end is looked for. Drivers pad behind it.
     if b"\xff\xd9" not in data[-1024:] and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
         raise BadImage("JPEG is cut short")
@@ -56,6 +54,14 @@ def decode_jpeg(data: bytes | memoryview, grey: bool = False) -> Image:
     if image is None:
         raise BadImage("JPEG cannot be decoded")
     return np.asarray(image, np.uint8)
+
+
+def check_pixels(data: bytes) -> tuple[int, int]:
+    """(width, height) of a JPEG; BadImage where no camera has so many."""
+    width, height = jpeg_size(data)
+    if width * height > MAX_PIXELS:
+        raise BadImage(f"JPEG claims {width}x{height}")
+    return width, height
 
 
 def jpeg_size(data: bytes) -> tuple[int, int]:

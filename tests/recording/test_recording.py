@@ -53,7 +53,12 @@ from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, VERDICT_TOPIC, SwarmR
 TOPIC = Topic.of_json(
     "/x", {"title": "swarmtrack.X", "type": "object", "properties": {"k": {"type": "integer"}}}
 )
-PREFACE = Preface({"format": "1", "kind": "drone", "drone_id": "7", "boot": "0000000a", "team": "t"})
+PREFACE = Preface(
+    {
+        **{"format": "1", "kind": "drone", "drone_id": "7", "boot": "0000000a", "team": "t"},
+        **{"monotonic_s": "12.5", "utc_s": "1700000000.0"},
+    }
+)
 EYE = np.eye(3)
 AWKWARD = [0.1, 1e-300, -0.0, 2.0**53 + 2, math.pi]
 
