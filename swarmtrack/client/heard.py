@@ -21,6 +21,8 @@ M = TypeVar("M", CameraMessage, HealthMessage, TracksMessage)
 
 # An ID that no drone has: we are of no team.
 NOBODY = 0
+# s: whoever has had two boots for longer has not restarted (with the default lease).
+CLASH_S = 2.5
 
 
 class HeardTeam:
@@ -29,7 +31,7 @@ class HeardTeam:
     def __init__(self, team: str, axes: Axes) -> None:
         self._team = team
         self._axes = axes
-        self._membership = Membership(NOBODY, "")
+        self._membership = Membership(NOBODY, "", CLASH_S)
         self._cameras: dict[tuple[int, str], DroneCamera] = {}
         self._counters: Counter[str] = Counter()
 
@@ -42,7 +44,7 @@ class HeardTeam:
     def without_camera(self) -> tuple[int, ...]:
         """Whose camera is to be asked for."""
         return tuple(
-            i for i in self.drones if any((i, b) not in self._cameras for b in self._membership.alive(i))
+            i for i in self.drones if any((i, b) not in self._cameras for b in self._membership.speaking(i))
         )
 
     @property
@@ -52,10 +54,10 @@ class HeardTeam:
 
     def camera(self, drone_id: int) -> DroneCamera | None:
         """None while it is not known, or two processes speak as this drone."""
-        boots = self._membership.alive(drone_id)
+        boots = self._membership.speaking(drone_id)
         return self._cameras.get((drone_id, boots[0])) if len(boots) == 1 else None
 
-    def on_token(self, key: str, alive: bool) -> None:
+    def on_token(self, key: str, alive: bool, arrived: float) -> None:
         address = keys.parse(key)
         if (
             address is None
@@ -66,9 +68,13 @@ class HeardTeam:
             self._counters["tokens_malformed"] += 1
             return
         drone_id, boot = address.drone_id, address.rest[0]
-        events = (self._membership.arrived if alive else self._membership.departed)(drone_id, boot)
-        if any(isinstance(event, PeerDeparted) for event in events):
-            self._cameras.pop((drone_id, boot), None)
+        if alive:
+            events = self._membership.arrived(drone_id, boot, arrived)
+        else:
+            events = self._membership.departed(drone_id, boot)
+        for event in events:
+            if isinstance(event, PeerDeparted):
+                self._cameras.pop((drone_id, event.boot), None)
 
     def on_camera(self, sample: Sample) -> None:
         drone_id, message = self._read(CameraMessage, Kind.CAMERA, sample)
@@ -94,6 +100,7 @@ class HeardTeam:
 
     def _read(self, message: type[M], kind: Kind, sample: Sample) -> tuple[int, M | None]:
         """Whose it is, by its key; and what it says, if it counts."""
+        self._membership.settle(sample.arrived)
         address = keys.parse(sample.key)
         if address is None or address.team != self._team or address.kind is not kind or address.rest:
             self._counters["messages_on_no_key"] += 1

@@ -149,7 +149,7 @@ class Swarm:
             return
         match address.kind:
             case Kind.ALIVE:
-                self._heard.on_token(sample.key, sample.alive)
+                self._heard.on_token(sample.key, sample.alive, sample.arrived)
             case Kind.CAMERA:
                 self._heard.on_camera(sample)
             case Kind.TRACKS if self._sights.wanted(address.drone_id):

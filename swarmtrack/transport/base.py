@@ -70,7 +70,9 @@ class Transport(Protocol):
     def events(self) -> AsyncIterator[PeerEvent]:
         """What teammates said and whether they live, in order of arrival. Ends when closed.
 
-        An `IdClash` lasts until a `PeerDeparted` leaves one boot alone, whose announcement is then told again.
+        A new boot of a drone ends the one before. Where both live on for longer than a restart takes, that is an
+        `IdClash`, and both live. It lasts until a `PeerDeparted` leaves one boot alone, whose announcement is then told
+        again.
         """
         ...
 

@@ -1,15 +1,17 @@
 """Who is in the team right now. Told of liveliness tokens and messages; answers with events.
 
 Theory of operation. A process is alive from the moment its token `alive/<id>/<boot>` is seen until it goes. The boot
-names one life of the process, so a restart is a new boot, and two boots of one ID at the same time are two
-processes that speak as one drone: an `IdClash`, told again for each further one, which ends with the `PeerDeparted` of
-all but one. A message counts once its boot is alive, and if its sequence is higher than the last of that boot; whoever
-is alive without an announcement is `missing` and to be asked, again and again, because whatever was put before the
-links stood is lost. Whoever departs is forgotten, so that after a healed partition its announcement is asked for and
-told anew.
+names one life of the process. A second boot of an ID is a restart, so the first has departed: of a process that was
+killed the token stays for as long as its links take to notice. Where both tokens stand for longer, or the first boot is
+heard again, it is no restart but two processes that speak as one drone: an `IdClash`, told again for each further one,
+which ends with the `PeerDeparted` of all but one.
 
-While two clash both their announcements are told. When one is left, its announcement is told once more: whoever
-believed neither during the clash has something to start from, and whoever believed the later one is put right.
+A message counts once its boot is alive, and if its sequence is higher than the last of that boot; whoever is alive
+without an announcement is `missing` and to be asked, again and again, because whatever was put before the links stood
+is lost. Whoever departs is forgotten, so that after a healed partition its announcement is asked for and told anew.
+
+Of two boots both announcements are told. When one is left, its announcement is told once more: whoever believed neither
+during a clash has something to start from, and whoever believed the later one is put right.
 
 A clone of our own ID is reported as clash and departure only: we have no teammate of our own name.
 """
@@ -31,6 +33,8 @@ MAX_PEERS = 1024  # live IDs; beyond it is an attack or a mistake
 # As counters name them.
 _NAMES = {AnnouncementMessage: "announcements", SightingsMessage: "sightings", MotionMessage: "motion"}
 MAX_BOOTS = 4  # of one ID at a time
+# s after a newer boot's token: what an older one still says was not on its way already.
+ON_ITS_WAY_S = 0.5
 
 
 @dataclass(slots=True)
@@ -46,14 +50,21 @@ class LiveBoot:
 class Membership:
     """Pure state. `counters` holds, by reason, how often something was refused."""
 
-    def __init__(self, drone_id: int, boot: str) -> None:
+    def __init__(self, drone_id: int, boot: str, clash_s: float) -> None:
+        """clash_s: after so long two boots of one ID are two processes."""
         self._drone_id = drone_id
         self._boot = boot
+        self._clash_s = clash_s
         self._lives: dict[int, dict[str, LiveBoot]] = {}  # by ID, by boot
+        self._believed: dict[int, str] = {}
+        """By ID, the boot that was told to be alive; of a clash the last."""
+        self._contested: dict[int, float] = {}
+        """By ID of several boots that may be one restart: when the last one came [s]."""
+        self._clashing: set[int] = set()
         self.counters: Counter[str] = Counter()
 
-    def arrived(self, drone_id: int, boot: str) -> list[PeerEvent]:
-        """A token was seen."""
+    def arrived(self, drone_id: int, boot: str, t: float) -> list[PeerEvent]:
+        """A token was seen at t [s], by any clock."""
         ours = drone_id == self._drone_id
         if ours and boot == self._boot:
             return []
@@ -64,10 +75,16 @@ class Membership:
             self.counters["tokens_beyond_limit"] += 1
             return []
         self._lives[drone_id] = {**lives, boot: LiveBoot()}
-        events: list[PeerEvent] = [] if ours else [PeerArrived(drone_id, boot)]
-        alive = self.alive(drone_id)
-        if len(alive) > 1:
-            events.append(IdClash(drone_id, alive, ours))
+        events: list[PeerEvent] = []
+        if not ours:
+            if lives and drone_id not in self._clashing:
+                events.append(PeerDeparted(drone_id, self._believed[drone_id]))
+            events.append(PeerArrived(drone_id, boot))
+            self._believed[drone_id] = boot
+        if drone_id in self._clashing:
+            events.append(self._clash(drone_id))
+        elif len(self.alive(drone_id)) > 1:
+            self._contested[drone_id] = t
         return events
 
     def departed(self, drone_id: int, boot: str) -> list[PeerEvent]:
@@ -78,15 +95,49 @@ class Membership:
         del lives[boot]
         if not lives:
             del self._lives[drone_id]
+        clashed = drone_id in self._clashing
+        if len(self.alive(drone_id)) < 2:
+            self._clashing.discard(drone_id)
+            self._contested.pop(drone_id, None)
+        believed = self._believed.get(drone_id)
+        if not clashed and boot != believed:
+            return []  # a life that had ended, or one of our own ID
         events: list[PeerEvent] = [PeerDeparted(drone_id, boot)]
-        if len(lives) == 1 and drone_id != self._drone_id:
-            (left,) = lives.values()
-            if left.announcement is not None:
-                events.append(left.announcement)
+        if drone_id == self._drone_id:
+            return events
+        if not lives:
+            del self._believed[drone_id]
+            return events
+        left = self._believed[drone_id] = list(lives)[-1]
+        if not clashed:
+            events.append(PeerArrived(drone_id, left))
+        announcement = lives[left].announcement
+        if announcement is not None and len(lives) == 1:
+            events.append(announcement)
         return events
 
-    def life(self, key_id: int, message: Numbered) -> LiveBoot | None:
-        """Whose message it is that came on a key of `key_id`; None where it does not count, and is counted."""
+    def settle(self, t: float) -> list[PeerEvent]:
+        """By t [s]: whoever has had several boots for too long is no restart."""
+        clashes = [drone for drone, since in self._contested.items() if t - since >= self._clash_s]
+        for drone_id in clashes:
+            del self._contested[drone_id]
+            self._clashing.add(drone_id)
+        return [self._clash(drone_id) for drone_id in clashes]
+
+    @property
+    def settles_at(self) -> float | None:
+        """When `settle` will next have something to say [s]; None: it has nothing."""
+        return min(self._contested.values()) + self._clash_s if self._contested else None
+
+    def _clash(self, drone_id: int) -> IdClash:
+        return IdClash(drone_id, self.alive(drone_id), drone_id == self._drone_id)
+
+    def life(self, key_id: int, message: Numbered, t: float) -> LiveBoot | None:
+        """Whose message it is that came on a key of `key_id` at t [s]; None where it does not count, and is counted."""
+        since = self._contested.get(key_id, t)
+        is_older = message.boot != self._believed.get(key_id) and message.boot in self._lives.get(key_id, {})
+        if is_older and t - since > ON_ITS_WAY_S:
+            self._contested[key_id] = t - self._clash_s
         reason = self._refusal(key_id, message)
         if reason is not None:
             self.counters[f"{_NAMES[type(message)]}_{reason}"] += 1
@@ -110,6 +161,12 @@ class Membership:
         """The live boots of one ID, our own among them."""
         boots = tuple(self._lives.get(drone_id, {}))
         return (self._boot, *boots) if drone_id == self._drone_id else boots
+
+    def speaking(self, drone_id: int) -> tuple[str, ...]:
+        """The boots of one ID that are believed to live: one, or all of a clash."""
+        if drone_id in self._clashing:
+            return self.alive(drone_id)
+        return (self._believed[drone_id],) if drone_id in self._believed else ()
 
     @property
     def peers(self) -> tuple[int, ...]:

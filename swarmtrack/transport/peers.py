@@ -17,7 +17,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.messages import AnnouncementRequested, PeerEvent
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
-from swarmtrack.transport.membership import Membership
+from swarmtrack.transport.membership import LiveBoot, Membership, Numbered
 from swarmtrack.transport.outgoing import REQUEST_S
 from swarmtrack.transport.ranging_radios import RangingRadios
 from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
@@ -55,12 +55,15 @@ def subscriptions(team: str, drone_id: int) -> list[str]:
 class Peers:
     """What the team told us, until the agent takes it. Only the event loop may call."""
 
-    def __init__(self, team: str, drone_id: int, boot: str, clock: Clock, verify: Verify | None) -> None:
+    def __init__(
+        self, team: str, drone_id: int, boot: str, clock: Clock, verify: Verify | None, *, clash_s: float
+    ) -> None:
+        """clash_s: after so long two boots of one ID are no restart."""
         self._team = team
         self._drone_id = drone_id
         self._clock = clock
         self._verify = verify
-        self._membership = Membership(drone_id, boot)
+        self._membership = Membership(drone_id, boot, clash_s)
         self._radios = RangingRadios()
         self._events: deque[PeerEvent] = deque()
         self._news = asyncio.Event()
@@ -79,9 +82,12 @@ class Peers:
         ):
             self._counters["tokens_malformed"] += 1
             return
-        tell = self._membership.arrived if alive else self._membership.departed
-        self._tell(tell(address.drone_id, address.rest[0]))
-        if self._membership.missing:
+        drone_id, boot = address.drone_id, address.rest[0]
+        if alive:
+            self._tell(self._membership.arrived(drone_id, boot, asyncio.get_running_loop().time()))
+        else:
+            self._tell(self._membership.departed(drone_id, boot))
+        if self._membership.missing or self._membership.settles_at is not None:
             self._newcomer.set()
 
     def on_message(self, key: str, payload: bytes, arrived: float) -> None:
@@ -118,7 +124,7 @@ class Peers:
 
     def _on_announcement(self, drone_id: int, key: str, payload: bytes, arrived: float) -> None:
         message = codec.decode(AnnouncementMessage, payload)
-        life = self._membership.life(drone_id, message)
+        life = self._life(drone_id, message)
         if life is None or not self._is_genuine(drone_id, key, payload):
             return
         t, t_sigma = life.clock.time_of(
@@ -132,7 +138,7 @@ class Peers:
         self, drone_id: int, message: R, understood: Callable[[R, float, float], PeerEvent], arrived: float
     ) -> None:
         """understood: the report in a message, by when it held on our clock [s], and how well we know when [s]."""
-        life = self._membership.life(drone_id, message)
+        life = self._life(drone_id, message)
         if life is None:
             return
         life.reported[type(message)] = message.sequence
@@ -140,6 +146,12 @@ class Peers:
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )
         self._tell([understood(message, t, t_sigma)])
+
+    def _life(self, drone_id: int, message: Numbered) -> LiveBoot | None:
+        life = self._membership.life(drone_id, message, asyncio.get_running_loop().time())
+        if self._membership.settles_at is not None:
+            self._newcomer.set()
+        return life
 
     def _on_range(self, address: keys.Address, message: RangeMessage, arrived: float) -> None:
         """Of our own ranging radio."""
@@ -174,7 +186,8 @@ class Peers:
         return True
 
     async def ask_for_missing(self, ask: Callable[[int], None]) -> None:
-        """Until cancelled: a moment after each newcomer, then every `RECONCILE_S` while its announcement is missing."""
+        """Until cancelled: a moment after each newcomer, then every `RECONCILE_S` while its announcement is missing.
+        What looked like a restart and is none is told as well."""
         loop = asyncio.get_running_loop()
         due: dict[int, float] = {}
         while True:
@@ -183,9 +196,12 @@ class Peers:
             for drone_id in [drone_id for drone_id, t in due.items() if t <= now]:
                 ask(drone_id)
                 due[drone_id] = now + RECONCILE_S
+            self._tell(self._membership.settle(now))
             self._newcomer.clear()
+            settles_at = self._membership.settles_at
+            wakes = [*due.values(), *([] if settles_at is None else [settles_at])]
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(min(due.values()) - now if due else None):
+                async with asyncio.timeout(min(wakes) - now if wakes else None):
                     await self._newcomer.wait()
 
     async def events(self) -> AsyncIterator[PeerEvent]:

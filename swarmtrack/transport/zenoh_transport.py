@@ -40,6 +40,8 @@ from swarmtrack.transport.zenoh_session import (
 log = logging.getLogger(__name__)
 
 PUT_S: Final = 3.0
+# Beyond the lease: of a process that was killed, the token is gone by then.
+CLASH_MARGIN_S: Final = 0.5
 REJOIN_S: Final = 1.0  # between two attempts to reach a router
 
 _MAX_TOKENS: Final = 65536
@@ -82,7 +84,8 @@ class ZenohTransport:
         self._drone_id = drone_id
         self._boot = boot
         self._clock = clock
-        self._peers = Peers(network.team, drone_id, boot, clock, verify)
+        clash_s = network.lease_s + CLASH_MARGIN_S
+        self._peers = Peers(network.team, drone_id, boot, clock, verify, clash_s=clash_s)
         self._outgoing = Outgoing(network.team, drone_id, boot, clock, sign)
         self._session: zenoh.Session | None = None
         self._publishers: dict[Kind, zenoh.Publisher] = {}

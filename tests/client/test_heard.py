@@ -35,7 +35,7 @@ def described(boot=BOOT, drone_id=1, key_id=1):
 @pytest.fixture
 def team():
     team = HeardTeam("red", Axes.NED)
-    team.on_token(token(), True)
+    team.on_token(token(), True, 0.0)
     return team
 
 
@@ -69,7 +69,7 @@ def test_names_and_places_come_with_their_certainty(team):
 
 def test_in_enu_the_world_is_east_north_up_and_the_body_forward_left_up():
     team = HeardTeam("red", Axes.ENU)
-    team.on_token(token(), True)
+    team.on_token(token(), True, 0.0)
     team.on_camera(described())
     two = team.on_tracks(sample(Kind.TRACKS, seen())).of(2)
     np.testing.assert_allclose(two.relative.position, [6.0, 8.0, 1.0])
@@ -106,18 +106,28 @@ def test_a_camera_counts_only_of_its_own_drone_and_while_its_boot_lives(team):
     assert team.camera(1) is None
     assert team.counters == {"camera_on_wrong_key": 1, "camera_before_token": 1, "camera_malformed": 1}
     team.on_camera(described())
-    team.on_token(token(), False)
-    team.on_token(token(), True)
+    team.on_token(token(), False, 0.0)
+    team.on_token(token(), True, 0.0)
     assert team.camera(1) is None  # a healed partition: it is asked for again
     assert team.without_camera == (1,)
 
 
+def test_after_a_restart_the_camera_of_the_new_life_counts_at_once(team):
+    team.on_camera(described())
+    team.on_token(token(OTHER), True, 12.0)
+    assert (team.camera(1), team.without_camera) == (None, (1,))
+    team.on_camera(described(boot=OTHER))
+    assert team.camera(1) is not None
+    team.on_token(token(), False, 14.0)  # what the killed process left behind
+    assert team.camera(1) is not None
+
+
 def test_while_two_processes_speak_as_one_drone_nobody_knows_through_which_lens(team):
     team.on_camera(described())
-    team.on_token(token(OTHER), True)
+    team.on_token(token(OTHER), True, 0.0)
     team.on_camera(described(boot=OTHER))
     assert team.camera(1) is None
-    team.on_token(token(), False)
+    team.on_token(token(), False, 0.0)
     assert team.camera(1) is not None
 
 
@@ -135,10 +145,10 @@ def test_nothing_counts_of_who_does_not_live_nor_what_cannot_be_read(team):
 
 def test_tokens_that_cannot_be_and_more_than_a_team_has_are_refused(team):
     for key in ("swarmtrack/blue/v1/alive/3/0123abcd", "swarmtrack/red/v1/alive/3", "nonsense", token("XYZ")):
-        team.on_token(key, True)
+        team.on_token(key, True, 0.0)
     assert team.counters["tokens_malformed"] == 4
     for k in range(2, MAX_PEERS + 10):
-        team.on_token(token(drone_id=k), True)
+        team.on_token(token(drone_id=k), True, 0.0)
     assert len(team.drones) == MAX_PEERS
     assert team.counters["tokens_beyond_limit"] == 9
 

@@ -31,6 +31,7 @@ LOSSES_S = (15.0, pytest.param(40.0, marks=LONG))  # 7 and 20 leases
 # Of world time. The first that comes after everybody was named is the one that is watched, on however slow a machine.
 REBOOTS_AT_S = (12.0, 32.0, 52.0, 92.0, 132.0, 172.0)
 REBOOT_S = 2.0
+CRASHES = 3
 TWO_HOURS = 7200.0
 STANDSTILL_S = 1.0  # half a lease: what an agent that gets no CPU does to the links, no radio need do
 
@@ -151,6 +152,29 @@ async def test_a_killed_agent_is_missed_and_met_and_named_again_when_it_comes_ba
     named = await team.until_known(team.drones, since=max(back))
     report("everybody named again, also by the new one, after its start", named - restarted)
     assert team.wrong(team.drones, since=killed, until=named) == 0
+
+
+async def test_an_agent_that_crashes_again_and_again_is_no_clone_and_keeps_its_name(gather: Gather) -> None:
+    """Each life ends before the links of the one before are missed."""
+    team = await gather(TRIANGLE)
+    agents = {drone: await team.start(drone) for drone in team.drones}
+    await team.until_known(team.drones, since=time.monotonic())
+
+    began = time.monotonic()
+    for _ in range(CRASHES):
+        await agents[2].end(signal.SIGKILL)
+        agents[2] = await team.start(2)
+        await agents[1].until("drone 2 announced itself", time.monotonic() - 0.1)
+    await team.until_known(team.drones, since=time.monotonic())
+    ended = time.monotonic()
+    for observer in (1, 3):
+        assert agents[observer].times("two agents speak", began) == []
+        looks = team.looks_between((observer,), began, ended, lambda look: look.calls_somebody(2))
+        report(
+            f"drone {observer} had no name for it in", 100.0 * (1.0 - sum(looks) / len(looks)), "% of looks"
+        )
+        assert sum(looks) > 0.9 * len(looks)
+    assert team.wrong(team.drones, since=began, until=ended) == 0
 
 
 async def test_an_autopilot_that_reboots_in_flight_costs_no_identity(gather: Gather) -> None:

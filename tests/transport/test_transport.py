@@ -481,6 +481,7 @@ async def test_when_a_clash_ends_the_one_that_is_left_is_told_again(start: Start
     await clone.announce()
     await witness.hears(2, drone.boot)
     await witness.hears(2, clone.boot)
+    await witness.until(lambda told: any(isinstance(e, IdClash) for e in told))
     await clone.leave()
     await witness.until(lambda told: heard(told[-1:]) == [(2, drone.boot, 0)])
     assert witness.told[-2] == PeerDeparted(2, clone.boot)
@@ -693,16 +694,22 @@ def test_a_wall_clock_that_is_set_in_flight_is_followed_at_once() -> None:
 
 # --- membership, pure -------------------------------------------------------------------
 
+CLASH_S = 2.5
 boots = st.sampled_from(["0000000a", "0000000b", "0000000c"])
 happenings = st.lists(
-    st.tuples(st.sampled_from(["arrived", "departed", "heard"]), st.integers(1, 3), boots, st.integers(0, 3))
+    st.tuples(
+        st.sampled_from(["arrived", "departed", "heard", "settle"]),
+        st.integers(1, 3),
+        boots,
+        st.integers(0, 3),
+    )
 )
 
 
-def hear(membership: Membership, key_id: int, said: Announcement) -> list[PeerEvent]:
+def hear(membership: Membership, key_id: int, said: Announcement, t: float = 0.0) -> list[PeerEvent]:
     """As the transport does once an announcement is decoded."""
     message = codec.decode(AnnouncementMessage, codec.encode(announcement_message(said, 1.7e9, 0.0)))
-    life = membership.life(key_id, message)
+    life = membership.life(key_id, message, t)
     if life is None:
         return []
     life.announcement = said
@@ -712,56 +719,130 @@ def hear(membership: Membership, key_id: int, said: Announcement) -> list[PeerEv
 @settings(deadline=None)
 @given(happenings)
 def test_whatever_happens_events_tell_a_consistent_story(story: list[tuple[str, int, str, int]]) -> None:
-    """A listener who only believes the events knows exactly who is alive, and never hears old news."""
-    membership = Membership(drone_id=1, boot="0000000a")
-    alive: dict[tuple[int, str], int] = {}
-    tokens: set[tuple[int, str]] = set()
-    for what, drone_id, boot, sequence in story:
-        clash_was = drone_id != 1 and len(membership.alive(drone_id)) > 1
-        if what == "heard":
-            events = hear(membership, drone_id, announcement(drone_id, boot, sequence))
-        else:
-            events = getattr(membership, what)(drone_id, boot)
-            (tokens.add if what == "arrived" else tokens.discard)((drone_id, boot))
+    """A listener who only believes the events knows who is alive, as which boot, and never hears old news."""
+    membership = Membership(drone_id=1, boot="0000000a", clash_s=CLASH_S)
+    believed: dict[int, set[str]] = {}
+    tokens: dict[tuple[int, str], int] = {}  # the sequence that was told of each
+    for t, (what, drone_id, boot, number) in enumerate(story):
+        match what:
+            case "heard":
+                events = hear(membership, drone_id, announcement(drone_id, boot, number), t)
+            case "settle":
+                events = membership.settle(t)
+            case "arrived":
+                events = membership.arrived(drone_id, boot, t)
+                tokens.setdefault((drone_id, boot), -1)
+            case _:
+                events = membership.departed(drone_id, boot)
+                tokens.pop((drone_id, boot), None)
         for event in events:
-            if isinstance(event, PeerArrived):
-                assert (event.drone_id, event.boot) not in alive
-                alive[event.drone_id, event.boot] = -1
-            elif isinstance(event, PeerDeparted):
-                alive.pop((event.drone_id, event.boot), None)
-            elif isinstance(event, Announcement):
-                if what == "departed":  # told again, because a clash is over
-                    assert clash_was
-                    assert membership.alive(drone_id) == (event.boot,)
-                    assert event.sequence == alive[event.drone_id, event.boot]
-                else:
-                    assert event.sequence > alive[event.drone_id, event.boot]
-                alive[event.drone_id, event.boot] = event.sequence
-            else:
-                assert isinstance(event, IdClash)
-                assert len(event.boots) > 1
-                assert event.ours == (event.drone_id == 1)
-    assert set(alive) == {(i, b) for i, b in tokens if i != 1}
-    assert set(membership.missing) == {i for (i, _), sequence in alive.items() if sequence < 0}
+            match event:
+                case PeerArrived():
+                    assert event.boot not in believed.get(event.drone_id, set())
+                    believed.setdefault(event.drone_id, set()).add(event.boot)
+                case PeerDeparted():
+                    believed.get(event.drone_id, set()).discard(event.boot)
+                case Announcement():
+                    told = tokens[event.drone_id, event.boot]
+                    # Told again where another boot went.
+                    assert event.sequence == told if what == "departed" else event.sequence > told
+                    tokens[event.drone_id, event.boot] = event.sequence
+                case IdClash():
+                    assert len(event.boots) > 1
+                    assert event.ours == (event.drone_id == 1)
+                    if not event.ours:
+                        believed[event.drone_id] = set(event.boots)
+    for drone_id in (2, 3):
+        alive = {b for i, b in tokens if i == drone_id}
+        told = believed.get(drone_id, set())
+        # One that came last, or all once they clash; never none of those who live, and nobody else.
+        assert told <= alive
+        assert bool(told) == bool(alive)
+        assert len(told) in (0, 1, len(alive))
+    assert set(membership.missing) == {i for (i, _), sequence in tokens.items() if i != 1 and sequence < 0}
+
+
+def test_a_boot_that_comes_while_the_last_one_s_token_stands_is_a_restart() -> None:
+    membership = Membership(1, "0000000a", CLASH_S)
+    assert membership.arrived(2, "0000000b", 0.0) == [PeerArrived(2, "0000000b")]
+    restarted = [PeerDeparted(2, "0000000b"), PeerArrived(2, "0000000c")]
+    assert membership.arrived(2, "0000000c", 10.0) == restarted
+    assert membership.departed(2, "0000000b") == []
+    assert membership.settles_at is None
+    assert membership.settle(99.0) == []
+
+
+def test_two_boots_that_live_on_beside_each_other_are_two_processes() -> None:
+    membership = Membership(1, "0000000a", CLASH_S)
+    membership.arrived(2, "0000000b", 0.0)
+    membership.arrived(2, "0000000c", 10.0)
+    assert membership.settle(10.0 + CLASH_S - 0.1) == []
+    assert membership.settles_at == 10.0 + CLASH_S
+    assert membership.settle(10.0 + CLASH_S) == [IdClash(2, ("0000000b", "0000000c"), ours=False)]
+    assert membership.settle(99.0) == []
+    assert membership.departed(2, "0000000b") == [PeerDeparted(2, "0000000b")]
+
+
+def test_a_boot_that_is_heard_again_after_a_newer_one_came_has_not_restarted() -> None:
+    membership = Membership(1, "0000000a", CLASH_S)
+    membership.arrived(2, "0000000b", 0.0)
+    membership.arrived(2, "0000000c", 10.0)
+    hear(membership, 2, announcement(2, "0000000b", 1), 10.3)  # it may have been on its way
+    hear(membership, 2, announcement(2, "0000000c", 1), 11.0)
+    assert membership.settle(11.0) == []
+    hear(membership, 2, announcement(2, "0000000b", 2), 11.0)
+    assert membership.settle(11.0) == [IdClash(2, ("0000000b", "0000000c"), ours=False)]
+
+
+def test_a_process_that_restarts_again_and_again_is_no_clone_however_long_it_goes_on() -> None:
+    membership, told = Membership(1, "0000000a", CLASH_S), list[PeerEvent]()
+    boots = [f"{k:08x}" for k in range(1, 8)]
+    for k, boot in enumerate(boots):
+        told += membership.arrived(2, boot, 1.6 * k)
+        if k > 0:  # it goes a lease after its process was killed
+            told += membership.departed(2, boots[k - 1])
+        told += membership.settle(1.6 * k + 1.5)
+    assert not [event for event in told if isinstance(event, IdClash)]
+    assert told[-1] == PeerArrived(2, boots[-1])
+
+
+def test_the_boot_that_was_there_first_is_believed_again_when_the_newer_one_goes() -> None:
+    membership = Membership(1, "0000000a", CLASH_S)
+    membership.arrived(2, "0000000b", 0.0)
+    hear(membership, 2, announcement(2, "0000000b"))
+    membership.arrived(2, "0000000c", 1.0)
+    gone, back, said = membership.departed(2, "0000000c")
+    assert (gone, back) == (PeerDeparted(2, "0000000c"), PeerArrived(2, "0000000b"))
+    assert isinstance(said, Announcement)
+    assert said.boot == "0000000b"
+
+
+def test_a_process_that_restarts_does_not_call_its_own_last_life_a_clone() -> None:
+    membership = Membership(1, "0000000a", CLASH_S)
+    assert membership.arrived(1, "0000000b", 0.0) == []
+    assert membership.departed(1, "0000000b") == []
+    membership.arrived(1, "0000000c", 3.0)
+    assert membership.settle(3.0 + CLASH_S) == [IdClash(1, ("0000000a", "0000000c"), ours=True)]
+    assert membership.departed(1, "0000000c") == [PeerDeparted(1, "0000000c")]
 
 
 def test_a_flood_of_names_is_bounded_and_counted() -> None:
-    membership = Membership(1, "0000000a")
+    membership = Membership(1, "0000000a", CLASH_S)
     for drone_id in range(2, 2 + MAX_PEERS + 10):
-        membership.arrived(drone_id, "0000000b")
+        membership.arrived(drone_id, "0000000b", 0.0)
     for i in range(MAX_BOOTS + 10):
-        membership.arrived(2, f"{100 + i:08x}")
+        membership.arrived(2, f"{100 + i:08x}", 0.0)
     assert len(membership.peers) == MAX_PEERS
     assert len(membership.alive(2)) == MAX_BOOTS
     assert membership.counters["tokens_beyond_limit"] == 10 + 11
 
 
 def test_refused_announcements_are_counted_by_reason() -> None:
-    membership = Membership(1, "0000000a")
+    membership = Membership(1, "0000000a", CLASH_S)
     hear(membership, 2, announcement(3, "0000000b"))
     hear(membership, 2, announcement(2, "0000000b"))
     hear(membership, 1, announcement(1, "0000000b"))
-    membership.arrived(2, "0000000b")
+    membership.arrived(2, "0000000b", 0.0)
     hear(membership, 2, announcement(2, "0000000b"))
     hear(membership, 2, announcement(2, "0000000b"))
     assert membership.counters == {

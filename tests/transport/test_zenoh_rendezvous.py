@@ -204,10 +204,11 @@ async def test_a_bridge_of_newest_keeps_the_last_word_on_each_key() -> None:
 
 
 async def test_a_link_lost_and_found_within_a_moment_does_not_look_as_if_it_had_stood() -> None:
-    membership, told = Membership(1, "0000000a"), list[object]()
+    membership, told = Membership(1, "0000000a", 2.5), list[object]()
 
     def on_token(sample: Sample) -> None:
-        told.extend((membership.arrived if sample.alive else membership.departed)(2, "0000000b"))
+        boot = "0000000b"
+        told.extend(membership.arrived(2, boot, 0.0) if sample.alive else membership.departed(2, boot))
 
     bridge = Bridge(on_token, newest_per_key=2, clock=ManualClock())
     for moment, expected in (([True], 1), ([False, True], 3), ([False, True, False, True], 5)):
