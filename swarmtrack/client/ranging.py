@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from swarmtrack.clock import UTC_SIGMA, SystemClock
+from swarmtrack.clock import SystemClock
 from swarmtrack.messages import RangeReport
 from swarmtrack.transport import keys as wire_keys
 from swarmtrack.transport.base import Kind
@@ -17,6 +17,8 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.ranging import range_message
 
 OLDEST_S: Final = 1.0
+# s: of a driver that stamps what it reads, on the agent's own computer.
+STAMP_SIGMA_S: Final = 0.005
 
 
 class Ranging:
@@ -76,18 +78,27 @@ class Ranging:
         """What the link did not take."""
         return self._speaker.unsent
 
-    async def say(self, other: int, distance_m: float, sigma_m: float, *, age_s: float = 0.0) -> None:
+    async def say(
+        self,
+        other: int,
+        distance_m: float,
+        sigma_m: float,
+        *,
+        age_s: float = 0.0,
+        t_sigma_s: float = STAMP_SIGMA_S,
+    ) -> None:
         """A distance to drone `other`, and its standard deviation, as the radio has them.
 
-        age_s: how long ago it was measured; what is older than a second is of no use and refused. sigma_m should cover
-        how far the antennas are from the camera here and from the middle of the drone there.
+        age_s: how long ago it was measured; what is older than a second is of no use and refused. t_sigma_s: how well
+        that is known by the agent's clock; more than a few ms where the radio is read on another computer. sigma_m
+        should cover how far the antennas are from the camera here and from the middle of the drone there.
 
         Raises ValueError where no drone would believe it: distances from 0 to 10 km, of another drone.
         """
         if not 0.0 <= age_s <= OLDEST_S:
             raise ValueError(f"age_s: found {age_s}, expected 0 … {OLDEST_S:g} s")
         now = self._clock.now()
-        report = RangeReport(self._drone_id, other, now - age_s, UTC_SIGMA, distance_m, sigma_m)
+        report = RangeReport(self._drone_id, other, now - age_s, t_sigma_s, distance_m, sigma_m)
         sequence = self._said[other] = self._said.get(other, 0) + 1
         offset = self._clock.utc() - now
         payload = codec.encode(range_message(report, self._boot, sequence, offset, now))

@@ -29,6 +29,7 @@ from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import FOREIGN, EgoPose, Frame, Identity, Input, ScanReport
 from swarmtrack.recording import schemas
 from swarmtrack.recording.writer import Topic
+from swarmtrack.relative.read_out import read_out
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 from swarmtrack.runtime.palette import colour_of
 
@@ -123,6 +124,13 @@ def _box(track: SeenTrack, when: Timestamp) -> PointsAnnotation:
     )
 
 
+def _away(track: SeenTrack) -> str:
+    state = track.entry.relative
+    if state is None:
+        return ""
+    return f" {read_out(state.position, state.velocity, state.cov).distance:.1f} m"
+
+
 def _label(track: SeenTrack, when: Timestamp) -> TextAnnotation:
     identity = track.entry.identity
     name = "?" if identity is None else str(identity)
@@ -130,7 +138,7 @@ def _label(track: SeenTrack, when: Timestamp) -> TextAnnotation:
     return TextAnnotation(
         timestamp=when,
         position=Point2(x=u, y=v),
-        text=f"{name}  (track {track.entry.track.id}, {track.entry.track.status})",
+        text=f"{name}{_away(track)}  (track {track.entry.track.id}, {track.entry.track.status})",
         font_size=12.0,
         text_color=_colour(identity),
         background_color=Color(r=0.0, g=0.0, b=0.0, a=0.5),
