@@ -1,12 +1,12 @@
-"""Where an observer sees its teammates, in metres, as the page shows it on its map and in its pictures."""
+"""Where an observer sees its teammates, in metres, as the page shows it on its map."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.relative.read_out import flat_ellipse, read_out
+from swarmtrack.relative.read_out import flat_ellipses, read_outs
 from swarmtrack.wire.checks import symmetric
 from swarmtrack.wire.tracks import TracksMessage
 
@@ -14,28 +14,34 @@ SIGMAS = 3.0  # of an ellipse
 MAPPED = 8  # drones, of whom all metres are told; of more those that somebody watches
 
 
-def metres(tracks: TracksMessage | None) -> list[dict[str, Any]]:
-    """Of each teammate with a known place. place_m: north and east of the observer's camera; ellipse: radii m and the
-    bearing of the longer one, rad."""
-    if tracks is None or not tracks.relatives:
+class SeenInMetres(NamedTuple):
+    """To the page a plain array. called: by which name; north_m, east_m: of the observer's camera; long_m, short_m:
+    radii of the ellipse, bearing rad of the long one; distance_m with sigma_m; closing_m_s."""
+
+    called: int
+    north_m: float
+    east_m: float
+    long_m: float
+    short_m: float
+    bearing: float
+    distance_m: float
+    sigma_m: float
+    closing_m_s: float
+
+
+def metres(tracks: TracksMessage | None) -> list[SeenInMetres]:
+    """Of each teammate with a known place."""
+    if tracks is None:
+        return []
+    placed = [said for said in tracks.relatives if any(said.position_m)]
+    if not placed:
         return []
     called = {track.id: track.identity for track in tracks.tracks}
-    covs = symmetric(np.array([said.cov for said in tracks.relatives]), 6)
-    found = []
-    for said, cov in zip(tracks.relatives, covs, strict=True):
-        position = np.array(said.position_m)
-        if not position.any():
-            continue
-        read = read_out(position, np.array(said.velocity_m_s), cov)
-        found.append(
-            {
-                "track": said.track_id,
-                "called": called[said.track_id],
-                "place_m": [round(x, 2) for x in said.position_m[:2]],
-                "ellipse": [round(x, 3) for x in flat_ellipse(cov, SIGMAS)],
-                "distance_m": round(read.distance, 2),
-                "sigma_m": round(read.sigma, 2),
-                "closing_m_s": round(read.closing, 2),
-            }
-        )
-    return found
+    position = np.array([said.position_m for said in placed])
+    cov = symmetric(np.array([said.cov for said in placed]), 6)
+    read = read_outs(position, np.array([said.velocity_m_s for said in placed]), cov)
+    numbers = np.concatenate([position[:, :2], flat_ellipses(cov, SIGMAS), read], axis=1)
+    return [
+        SeenInMetres(int(called[said.track_id] or 0), *row)
+        for said, row in zip(placed, numbers.round(2).tolist(), strict=True)
+    ]

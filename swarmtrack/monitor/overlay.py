@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
-from swarmtrack.monitor.metres import metres
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TracksMessage, track_cov
@@ -14,6 +14,7 @@ from swarmtrack.wire.video import VideoMessage
 
 AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
 SIGMAS = 3.0  # of an ellipse
+ORIGIN = (0.0, 0.0, 0.0)
 
 
 def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, Any]]:
@@ -31,7 +32,7 @@ def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, An
     undo = camera.undistort_jacobian(centre)
     share = view.width / view.lens.width
     proved = {proof.track_id: round(proof.proved_s, 1) for proof in tracks.proofs}
-    away = {one["track"]: one["distance_m"] for one in metres(tracks)}
+    away = {said.track_id: round(math.dist(said.position_m, ORIGIN), 2) for said in tracks.relatives}
     found = []
     for track, uv, J, v in zip(shown, centre, undo, velocity, strict=True):
         if not (np.isfinite(uv).all() and np.isfinite(J).all()):

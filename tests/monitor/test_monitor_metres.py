@@ -24,12 +24,11 @@ def test_a_teammate_has_its_distance_its_place_and_how_fast_it_comes():
     """8 m north, 6 m east, 1 m up, with 0.2, 0.3 and 0.1 m of uncertainty; it flies 0.5 m/s north and rises."""
     (one,) = metres(seen())
     distance = math.sqrt(101.0)
-    assert one["called"] == 2
-    assert one["place_m"] == [8.0, 6.0]
-    assert one["distance_m"] == pytest.approx(distance, abs=0.005)
-    assert one["sigma_m"] == pytest.approx(math.sqrt(64 * 0.04 + 36 * 0.09 + 0.01) / distance, abs=0.005)
-    assert one["closing_m_s"] == pytest.approx(-(4.0 + 0.25) / distance, abs=0.005)
-    assert one["ellipse"] == pytest.approx([0.9, 0.6, math.pi / 2], abs=0.001)
+    assert (one.called, one.north_m, one.east_m) == (2, 8.0, 6.0)
+    assert one.distance_m == pytest.approx(distance, abs=0.005)
+    assert one.sigma_m == pytest.approx(math.sqrt(64 * 0.04 + 36 * 0.09 + 0.01) / distance, abs=0.005)
+    assert one.closing_m_s == pytest.approx(-(4.0 + 0.25) / distance, abs=0.005)
+    assert (one.long_m, one.short_m, one.bearing) == pytest.approx((0.9, 0.6, math.pi / 2), abs=0.005)
 
 
 def test_without_a_place_there_are_no_metres():
@@ -65,7 +64,7 @@ class Heard:
 def test_metres_are_told_though_nobody_looks_at_the_pictures_and_end_with_the_tracks():
     heard = Heard(2)
     heard.say(Kind.TRACKS, 1, codec.encode(seen()))
-    assert [one["called"] for one in heard.metres()] == [2]
+    assert [one.called for one in heard.metres()] == [2]
     assert heard.metres(2) == []
     heard.clock.set(100.0 + VIEW_S + 0.1)
     assert heard.metres() == []
@@ -77,7 +76,7 @@ def test_of_a_large_team_only_those_who_are_watched_tell_metres():
     heard.say(Kind.VIDEO, 2, codec.encode(view()))
     heard.say(Kind.TRACKS, 2, codec.encode(seen()))
     assert heard.metres(1) == []
-    assert [one["called"] for one in heard.metres(2)] == [2]
+    assert [one.called for one in heard.metres(2)] == [2]
 
 
 def test_tracks_that_cannot_be_read_are_counted_once():

@@ -164,11 +164,11 @@ def test_the_map_has_the_metres_of_that_time(flown):
     state = at(playback, 5.0)
     places = load_scenario("hover-triangle").initial_poses
     for drone in state["drones"]:
-        assert {one["called"] for one in drone["metres"]} == {1, 2, 3} - {drone["id"]}
+        assert {one.called for one in drone["metres"]} == {1, 2, 3} - {drone["id"]}
         for one in drone["metres"]:
-            away = places[one["called"]].position - places[drone["id"]].position
-            assert one["distance_m"] == pytest.approx(np.linalg.norm(away), abs=4.0 * one["sigma_m"] + 0.3)
-            assert one["ellipse"][0] < 2.0
+            away = places[one.called].position - places[drone["id"]].position
+            assert one.distance_m == pytest.approx(np.linalg.norm(away), abs=4.0 * one.sigma_m + 0.3)
+            assert one.long_m < 2.0
     for drone in (1, 2, 3):
         shown = boxes(*playback.seen(drone))
         assert all(box["distance_m"] > 1.0 for box in shown)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.relative.read_out import flat_ellipse, read_out
+from swarmtrack.relative.read_out import flat_ellipses, read_out
 
 
 def test_a_distance_is_as_sure_as_the_position_along_the_line_of_sight():
@@ -27,7 +27,7 @@ def test_the_ellipse_lies_along_the_largest_spread(bearing_deg):
     turn = np.array([[c, -s], [s, c]])
     cov = np.zeros((6, 6))
     cov[:2, :2] = turn @ np.diag([4.0, 0.25]) @ turn.T
-    long, short, bearing = flat_ellipse(cov, 3.0)
+    long, short, bearing = flat_ellipses(cov[None], 3.0)[0]
     assert (long, short) == pytest.approx((6.0, 1.5))
     assert math.degrees(bearing) == pytest.approx(bearing_deg)
 
@@ -37,7 +37,7 @@ def test_nearly_all_of_what_is_drawn_lies_in_the_ellipse():
     A = rng.normal(size=(6, 6))
     cov = A @ A.T
     drawn = rng.multivariate_normal(np.zeros(6), cov, 20000)[:, :2]
-    long, short, bearing = flat_ellipse(cov, 3.0)
+    long, short, bearing = flat_ellipses(cov[None], 3.0)[0]
     along = drawn @ (math.cos(bearing), math.sin(bearing))
     aside = drawn @ (-math.sin(bearing), math.cos(bearing))
     inside = (along / long) ** 2 + (aside / short) ** 2 < 1.0
