@@ -1,7 +1,9 @@
 """The agent as a user runs it: real processes, real files, real sockets."""
 
+import asyncio
 import json
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -11,6 +13,7 @@ import time
 from contextlib import contextmanager
 
 import cv2
+import numpy as np
 import pytest
 
 from support.clips import shorten
@@ -20,6 +23,7 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
+from swarmtrack.scenario_file import load_scenario
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import GyroBiasHealth, HealthMessage, TimeOffsetHealth
 
@@ -161,6 +165,48 @@ def test_the_simulation_shows_every_teammate_by_its_id(tmp_path):
     named = [{track["identity"] for track in tracks} >= {2, 3} for tracks in scans]
     # In front of a house a name may be doubted for a moment.
     assert sum(named) > 0.5 * len(named)
+
+
+async def test_what_a_ranging_radio_says_is_in_the_metres_that_the_agent_writes(tmp_path):
+    pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    from swarmtrack.client import Ranging  # noqa: PLC0415
+
+    team = f"test-{secrets.token_hex(4)}"
+    places = {i: pose.position for i, pose in load_scenario("hover-triangle").initial_poses.items()}
+    drones = ", ".join(
+        f"{i} = {{ position_m = {place.tolist()}, position_sigma_m = 0.3 }}" for i, place in places.items()
+    )
+    output = tmp_path / "tracks.jsonl"
+    config = write(
+        tmp_path,
+        f"""
+        extends = "{ROOT}/configs/sim.toml"
+        output.jsonl = "{output}"
+        [network]
+        transport = "zenoh"
+        team = "{team}"
+        [team]
+        announce = false
+        drones = {{ {drones} }}
+        """,
+    )
+
+    def sources():
+        if not output.exists():
+            return set()
+        tracks = [
+            track for line in output.read_text().splitlines()[:-1] for track in json.loads(line)["tracks"]
+        ]
+        said = [(t["identity"], t["relative"]["sources"]) for t in tracks if t["relative"] is not None]
+        return {identity for identity, names in said if "range" in names}
+
+    distance = float(np.linalg.norm(places[2] - places[1]))
+    with Flying(config):
+        async with Ranging(1, team) as ranging, asyncio.timeout(PATIENCE):
+            while 2 not in sources():
+                await ranging.say(2, distance, 0.3)
+                await asyncio.sleep(0.1)
+    assert sources() == {2}
 
 
 def test_sigterm_ends_it_cleanly_and_systemd_is_told(tmp_path):

@@ -328,6 +328,25 @@ async def test_two_viewers_share_one_position(heard):
 
 @needs_chromium
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+async def test_the_map_of_a_recording_has_the_ellipses_of_the_chosen_drone(flown, width, height):
+    async with playing(flown) as url, browser_page(width, height) as (page, misdeeds):
+        await page.goto(url)
+        await page.wait_for_selector("#player:not([hidden])")
+        await page.evaluate("() => {say({play: false}); seek(5)}")
+        await page.wait_for_function("() => state.playback.t_s === 5 && ellipses.length === 6")
+        await page.locator("#matrix .head").nth(2).click()
+        await page.wait_for_function("() => ellipses.length === 2 && ellipses.every(e => e.observer === 2)")
+        off = await page.evaluate(
+            "ellipses.map(e => {const [, u, v] = spots.find(s => s[0] === e.called);"
+            " return Math.hypot(u - e.x, v - e.y)})"
+        )
+        assert max(off) < 40.0
+        assert await page.evaluate("document.documentElement.scrollWidth") <= width
+        assert misdeeds == []
+
+
+@needs_chromium
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
 async def test_the_slider_moves_the_time_and_the_sentence(heard, width, height):
     async with playing(heard) as url, browser_page(width, height) as (page, misdeeds):
         await page.goto(url)
