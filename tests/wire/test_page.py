@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from support.golden_bytes import EVERY_MESSAGE
 from support.places import ROOT
 from swarmtrack.transport.keys import MESSAGES
 from swarmtrack.wire import codec
+from swarmtrack.wire.checks import DecodeError
 
 PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
 NAMED = {kind.__name__.removesuffix("Message"): kind for kind in MESSAGES.values()}
@@ -25,6 +27,7 @@ class Field(NamedTuple):
 
     name: str
     type: str
+    says: str
 
 
 Table = list[Field]
@@ -37,11 +40,11 @@ def tables_of(section: str) -> Iterator[tuple[str, Table]]:
         if line.startswith("| # |") or line.startswith("|---"):
             continue
         if line.startswith("|"):
-            _, _, names, kind, *_ = re.split(r"(?<!\\)\|", line)
+            _, _, names, kind, says, *_ = re.split(r"(?<!\\)\|", line)
             fields = re.findall(r"`(\w+)`", names)
             if len(fields) > 1:
                 kind = kind.replace("floats", "float").replace("ints", "int")
-            table += [Field(name, kind.strip()) for name in fields]
+            table += [Field(name, kind.strip(), says) for name in fields]
         elif table:
             yield caption, table
             table = []
@@ -140,6 +143,63 @@ def test_a_field_of_another_type_is_noticed(heading):
         wrong = "wrong" if field.type.startswith("bin") else b"wrong"
         with pytest.raises((AssertionError, TypeError, AttributeError)):
             by_position(heading, [*fields[:i], wrong, *fields[i + 1 :]], MESSAGE_TABLES[heading])
+
+
+NUMBER = r"([0-9]+[⁰¹²³⁴⁵⁶⁷⁸⁹]*(?:−1)?|π)"
+SUPERSCRIPT = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
+
+
+def number(text: str) -> float:
+    """65535, 10⁷, 2³²−1, π."""
+    if text == "π":
+        return math.pi
+    base, power, less = re.fullmatch(r"([0-9]+)([⁰¹²³⁴⁵⁶⁷⁸⁹]*)(−1)?", text).groups()
+    return int(base) ** int(power.translate(SUPERSCRIPT) or 1) - (1 if less else 0)
+
+
+def bounds(field: Field) -> tuple[float, float] | None:
+    """As the page says them first; above a bound means that it is excluded, which is not looked at here."""
+    if found := re.search(rf"within ±{NUMBER}", field.says):
+        return -number(found[1]), number(found[1])
+    if found := re.search(rf"above 0, to {NUMBER}", field.says):
+        return 0.0, number(found[1])
+    if found := re.search(rf"{NUMBER} … {NUMBER}", field.says):
+        return number(found[1]), number(found[2])
+    return None
+
+
+def bounded_fields() -> Iterator[Any]:
+    """Each with the way to it from the message's array, and the value that is allowed at most."""
+    for heading, table in MESSAGE_TABLES.items():
+        for i, field in enumerate(table):
+            if bounds(field):
+                yield pytest.param(heading, (i,), field, id=f"{heading}.{field.name}")
+            inner = RECORD_TABLES.get(field.name, ()) if "record" in field.type else ()
+            for k, part in enumerate(inner):
+                way = (i, k) if field.type == "record" else (i, 0, k)
+                if bounds(part):
+                    yield pytest.param(heading, way, part, id=f"{heading}.{field.name}.{part.name}")
+
+
+@pytest.mark.parametrize(("heading", "way", "field"), list(bounded_fields()))
+def test_beyond_the_bounds_of_the_page_nothing_is_believed(heading, way, field):
+    low, high = bounds(field)
+    step = 1 if field.type == "int" or field.type.startswith("int,") else 1e-3 * (high - low)
+    for value in (low - step, high + step):
+        fields = msgpack.unpackb(bytes.fromhex(EVERY_MESSAGE[heading]))
+        place = fields
+        for k in way[:-1]:
+            place = place[k]
+        if field.type.startswith("["):
+            place[way[-1]] = [value, *place[way[-1]][1:]]
+        else:
+            place[way[-1]] = value
+        with pytest.raises(DecodeError):
+            codec.decode(NAMED[heading], msgpack.packb(fields))
+
+
+def test_enough_bounds_are_looked_at():
+    assert len(list(bounded_fields())) > 30
 
 
 def test_the_keys_of_the_page_are_all_there_are():
