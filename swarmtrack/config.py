@@ -261,6 +261,11 @@ class AutopilotSection(Section):
         description="standard deviation of the autopilot's heading, degrees: one number, or { ground, flight }",
         json_schema_extra=_or_one_number,
     )
+    tilt_sigma_deg: Angle = Field(
+        default=0.5,
+        description="standard deviation of the autopilot's roll and pitch, degrees, as places in metres count it; "
+        "0.15 was measured of a simulated ArduPilot in flight",
+    )
     signing_key: Path | None = Field(default=None, description="file with the 32-byte key as 64 hex digits")
     component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
         default=191, description="our own component ID; change it where another onboard computer uses 191"
@@ -291,6 +296,11 @@ class AutopilotSection(Section):
         if isinstance(said, dict | HeadingSigmas):
             return said
         raise ValueError(f"{found(said)}, expected degrees, or {{ ground = 3.0, flight = 1.5 }}")
+
+    @property
+    def tilt_sigma(self) -> float:
+        """rad"""
+        return math.radians(self.tilt_sigma_deg)
 
     @property
     def heading_sigma(self) -> HeadingSigma:

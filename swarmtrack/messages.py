@@ -21,6 +21,9 @@ from swarmtrack.plain_text import plain
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+# rad per axis: of an autopilot that does not say how well it knows its tilt. Names allow for as much.
+ASSUMED_TILT = 0.02
+
 FOREIGN: Literal["foreign"] = "foreign"
 Identity = int | Literal["foreign"] | None
 """A drone's ID, `FOREIGN` (not of the team), or None (unknown)."""
@@ -90,7 +93,7 @@ class EgoPose:
     position: Array | None
     world_from_body: Array
     position_sigma: float = 0.1
-    attitude_sigma: float = 0.02
+    attitude_sigma: float = ASSUMED_TILT
     vertical_sigma: float | None = None
 
     def __post_init__(self) -> None:

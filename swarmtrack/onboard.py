@@ -26,6 +26,7 @@ from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
+    ASSUMED_TILT,
     AgreedMotion,
     Announcement,
     Array,
@@ -133,6 +134,7 @@ class Onboard:
             start_sigma_m=start_sigma_m,
         )
         relative = relative or RelativeParameters()
+        self._tilt_var = relative.tilt_sigma**2
         self._padding_px = relative.box_width.padding_px
         self._relative = RelativeStates(relative)
         self._frames = Frames(drone_id, relative)
@@ -396,7 +398,7 @@ class Onboard:
         look = TeamLook.of(observer.t, boxes, self.camera, camera, velocity, padding_px=self._padding_px)
         self._frames.see(look)
         self._relative.observe(look)
-        own = OwnMotion(camera.position, velocity, velocity_cov, observer.attitude_cov)
+        own = OwnMotion(camera.position, velocity, velocity_cov, self._attitude_cov(observer))
         return _with_places(tracks, self._relative.at(observer.t, own))
 
     def _placed(self, tracks: tuple[IdentifiedTrack, ...], now: float) -> tuple[IdentifiedTrack, ...]:
@@ -406,8 +408,16 @@ class Onboard:
             return tracks
         camera = observer.position + observer.world_from_body @ self._mounting.body_from_camera.position
         way, velocity, velocity_cov = self._ego.flown_on(now)
-        own = OwnMotion(camera + way, velocity, velocity_cov, observer.attitude_cov)
+        own = OwnMotion(camera + way, velocity, velocity_cov, self._attitude_cov(observer))
         return _with_places(tracks, self._relative.at(now, own))
+
+    def _attitude_cov(self, observer: TeamPose) -> Array:
+        """(3, 3) rad², for places in metres: the tilt is as good as the user says, and not as bad as names allow for.
+        What came by the age of the pose stays."""
+        cov = observer.attitude_cov.copy()
+        for i in (0, 1):
+            cov[i, i] = max(float(cov[i, i]) - ASSUMED_TILT**2, 0.0) + self._tilt_var
+        return cov
 
 
 def _with_places(

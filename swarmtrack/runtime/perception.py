@@ -52,6 +52,7 @@ def make_onboard(
         relative=RelativeParameters(
             airframe_span_m=config.team.airframe_span_m,
             box_width=config.detector.box_width.over(box_width or BoxWidth()),
+            tilt_sigma=config.autopilot.tilt_sigma,
         ),
         start_sigma_m=config.drone.start.frame_sigma_m,
         estimate_gyro_bias=motion.estimate_gyro_bias,

@@ -143,6 +143,26 @@ def test_a_recording_holds_what_the_detector_said_of_its_boxes_and_a_what_if_may
     assert result.states_compared.same < result.states_compared.recorded
 
 
+def test_a_tilt_that_is_less_sure_makes_places_less_sure_and_changes_no_track(flown):
+    (recording,) = recordings_below(flown[0] / "drone-1")
+    sure, unsure = (
+        Replayer(recording, read_settings(recording, changes=[f"autopilot.tilt_sigma_deg={deg}"])[0]).run()
+        for deg in (0.5, 5.0)
+    )
+    assert sure.scans_compared.same == unsure.scans_compared.same == sure.scans_compared.recorded
+    pairs = [
+        (one.relative, other.relative)
+        for a, b in zip(sure.scans, unsure.scans, strict=True)
+        for one, other in zip(a.tracks.tracks, b.tracks.tracks, strict=True)
+        if one.relative is not None
+    ]
+    assert len(pairs) > 10
+    for one, other in pairs:
+        more = (other.cov - one.cov)[2, 2]
+        level = float(np.linalg.norm(one.position[:2]))
+        assert more == pytest.approx(level**2 * np.radians([5.0, 0.5]) @ np.radians([5.0, -0.5]), rel=1e-3)
+
+
 def test_an_older_recording_had_the_boxes_of_the_shipped_model(flown):
     (recording,) = recordings_below(flown[0] / "drone-1")
     calibration = {
