@@ -339,3 +339,11 @@ def test_what_a_config_says_of_the_widths_of_boxes_overrides_what_the_model_says
 def test_a_width_of_boxes_that_cannot_be_is_named(write, said, problem):
     (found,) = problems_of(write(f"{MINIMAL}\n[detector.box_width]\n{said}\n"))
     assert problem in found
+
+
+@pytest.mark.parametrize("span", ["0", "100", "-0.5", "nan"])
+def test_a_span_that_no_airframe_has_is_named(write, span):
+    (found,) = problems_of(write(f"{MINIMAL}\n[team]\nairframe_span_m = {span}\n"))
+    assert found.startswith("drone.toml:")
+    assert "team.airframe_span_m: " in found
+    assert "expected" in found

@@ -15,6 +15,7 @@ from swarmtrack.messages import Array
 from swarmtrack.relative.log_range import (
     ACROSS,
     LASTING,
+    NEAREST,
     PLACE,
     RANGE,
     SPEED,
@@ -145,7 +146,8 @@ def ranged(at: Carried, distance: float, sigma: float, own_way: Array) -> Measur
     """A distance [m]; its logarithm, in which the state is linear. own_way (3,) m: of the camera since the scan."""
     x = at.x - own_way
     rho = float(np.sqrt(x @ x))
-    variance = (sigma**2 + at.noise_x) / distance**2
+    # Of a distance that is none, the logarithm would be as vague as it is wrong.
+    variance = (sigma**2 + at.noise_x) / max(distance, NEAREST) ** 2
     return Measured(
         np.array([math.log(distance / rho)]), (x / rho**2 @ at.by_x)[None], np.array([[variance]])
     )
@@ -158,7 +160,11 @@ def ray_of_another(
     (3,) unit; sigma rad, of frames that differ too; origin_sigma m per axis."""
     x = at.x - origin
     axes = across(direction[None])[0].T
-    along = max(float(direction @ x), 1e-3)
+    along = float(direction @ x)
+    if along < NEAREST:
+        # It leads the other way: where the teammate is on its line, but behind, that is half a turn off.
+        along = max(float(np.sqrt(x @ x)), NEAREST)
+        x = x + math.pi * along * axes[0]
     variance = sigma**2 + (origin_sigma**2 + at.noise_x) / along**2
     R = variance * np.eye(2) + axes @ at.more_x @ axes.T / along**2
     return Measured(-(axes @ (x + at.bent_x)) / along, axes @ at.by_x / along, R)

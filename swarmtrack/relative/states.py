@@ -268,6 +268,7 @@ class RelativeStates:
         placed = None if said is None else _along(said, look, i, p.drift_speed)
         if placed is not None and math.isfinite(range_by_size):
             apart = (placed[0] - range_by_size) ** 2 / (placed[1] + by_size)
+            self.refused += apart >= GATE[1]
             placed = placed if placed[1] < by_size and apart < GATE[1] else None
         if placed is not None:
             log_range, variance = placed
@@ -310,8 +311,8 @@ class RelativeStates:
             # It doubts its own place.
             self._said.pop(said.drone_id, None)
             return
-        self._said[said.drone_id] = _SaidPlace(said.t, said.position, lasting, "announcement")
-        self._hear_place(said.drone_id, said.t, said.t_sigma, said.position, "announcement")
+        place = _SaidPlace(said.t, said.position, lasting, "announcement")
+        self._hear_place(said.drone_id, place, said.t_sigma)
 
     def hear_motion(self, said: MotionReport) -> None:
         """A teammate's own velocity, at its own time."""
@@ -338,8 +339,7 @@ class RelativeStates:
         drone = said.observer
         known = self._said.get(drone)
         lasting = UNTOLD_PLACE**2 if known is None else known.lasting
-        self._said[drone] = _SaidPlace(said.t, said.position, lasting, "pose")
-        self._hear_place(drone, said.t, said.t_sigma, said.position, "pose")
+        self._hear_place(drone, _SaidPlace(said.t, said.position, lasting, "pose"), said.t_sigma)
         for seen in said.sightings:
             if seen.probability < SURE or self._row(seen.drone_id) is None:
                 continue
@@ -360,13 +360,24 @@ class RelativeStates:
             stay = [i for i, key in enumerate(now.keys) if key[0] != drone_id]
             now.keys, now.beliefs = tuple(now.keys[i] for i in stay), now.beliefs.rows(stay)
 
-    def _hear_place(self, drone: int, t: float, t_sigma: float, place: Array, source: RelativeSource) -> None:
+    def _hear_place(self, drone: int, said: _SaidPlace, t_sigma: float) -> None:
+        """Fold it in; and keep it for when the name comes back, unless it contradicts what is believed, or is of no
+        time that can be: a liar must not spoil what was said before."""
         cov = (PLACE_WHITE**2 + (self._p.speed_sigma * t_sigma) ** 2) * np.eye(3)
 
         def measured(at: Carried, then: _Moment) -> Measured:
-            return measurements.said_place(at, place - then.camera, cov)
+            return measurements.said_place(at, said.position - then.camera, cov)
 
-        self._fold(drone, t, source, measured)
+        refused = self.refused
+        self._fold(drone, said.t, said.source, measured)
+        if self.refused == refused and self._is_newer(drone, said.t):
+            self._said[drone] = said
+
+    def _is_newer(self, drone: int, t: float) -> bool:
+        """Whether a word of t is newer than what that drone said, and not yet to come."""
+        latest = math.inf if self._now is None else self._now.t + AHEAD_S
+        known = self._said.get(drone)
+        return t < latest and (known is None or self._now is None or not t < known.t <= latest)
 
     def _row(self, drone_id: int) -> int | None:
         keys = () if self._now is None else self._now.keys
