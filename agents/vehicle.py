@@ -23,6 +23,8 @@ from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 # s, for the interpreter's own end: together with CLOSE_TIMEOUT below the 2 s that a supervisor is promised
 LAST_WORD = 0.3
+# systemd has started us.
+_IS_SERVICE = "INVOCATION_ID" in os.environ
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -107,14 +109,15 @@ def _fly(arguments: argparse.Namespace) -> int:
         cv2.setNumThreads(1)  # its pool costs more than it gains on images of this size
 
     async def fly() -> None:
-        agent = Agent(
-            parts, console=Console(parts.lens, quiet=arguments.quiet or "INVOCATION_ID" in os.environ)
-        )
+        agent = Agent(parts, console=Console(parts.lens, quiet=arguments.quiet or _IS_SERVICE))
         loop = asyncio.get_running_loop()
-        # SIGHUP: the terminal has gone (ssh over a weak radio). Files are closed before the end; nohup keeps us flying.
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                loop.add_signal_handler(number, agent.stop)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, agent.stop)
+        if _IS_SERVICE:
+            loop.add_signal_handler(signal.SIGHUP, agent.look_at_keys)
+        elif signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            # The terminal has gone (ssh over a weak radio). Files are closed before the end; nohup keeps us flying.
+            loop.add_signal_handler(signal.SIGHUP, agent.stop)
         await agent.run(arguments.seconds)
         agent.summarise()
         _end_soon()

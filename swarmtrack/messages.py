@@ -388,6 +388,13 @@ class IdClash:
 
 
 @dataclass(frozen=True, slots=True)
+class PeerExpelled:
+    """A drone is no member of the team any more, by a newer roster."""
+
+    drone_id: int
+
+
+@dataclass(frozen=True, slots=True)
 class AnnouncementRequested:
     """Somebody wants our pose anew: a track of theirs may be us, and our last announcement is too old to tell."""
 
@@ -505,13 +512,14 @@ PeerEvent = (
     | PeerArrived
     | PeerDeparted
     | IdClash
+    | PeerExpelled
     | AnnouncementRequested
     | SightingReport
     | MotionReport
     | RangeReport
 )
 
-Membership = PeerArrived | PeerDeparted | IdClash
+Membership = PeerArrived | PeerDeparted | IdClash | PeerExpelled
 Input = (
     ImuSample
     | EgoPose

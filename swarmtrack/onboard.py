@@ -43,6 +43,7 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
+    PeerExpelled,
     PoseWanted,
     RangeReport,
     RelativeState,
@@ -185,9 +186,9 @@ class Onboard:
                         self._relative.hear_announcement(event)
                 else:
                     self.counters.announcements_refused += 1
-            case PeerArrived() | PeerDeparted() | IdClash():
+            case PeerArrived() | PeerDeparted() | IdClash() | PeerExpelled():
                 self._identities.on_membership(event)
-                if isinstance(event, IdClash):
+                if isinstance(event, IdClash | PeerExpelled):
                     self._relative.forget(event.drone_id)
             case AutopilotRebooted():
                 self._ego.restart()

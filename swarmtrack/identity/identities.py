@@ -43,6 +43,7 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     Membership,
     MotionReport,
+    PeerExpelled,
     SightingReport,
     Track,
     TrackStatus,
@@ -148,6 +149,8 @@ class Identities:
     def on_membership(self, event: Membership) -> None:
         """Who lives. While two processes speak as one drone, nobody can tell which pose is its own."""
         self._teammates.on_membership(event)
+        if isinstance(event, PeerExpelled):
+            self._names.withdraw(event.drone_id, Event.OVERRULED)
         if event.drone_id in self._teammates.clashing:
             self._names.withdraw(event.drone_id, Event.CLASHED)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Set
 
 from swarmtrack.identity.whereabouts import Whereabouts
-from swarmtrack.messages import Announcement, IdClash, Membership, PeerArrived, PeerDeparted
+from swarmtrack.messages import Announcement, IdClash, Membership, PeerArrived, PeerDeparted, PeerExpelled
 
 # s after which a drone whose process is gone is no candidate any more.
 DEPARTED_S = 60.0
@@ -66,6 +66,10 @@ class Teammates:
             case IdClash(boots=boots, ours=False):
                 self._clashing[drone] = set(boots)
                 self.whereabouts.forget(drone)
+            case PeerExpelled():
+                self.whereabouts.forget(drone)
+                self._unannounced.discard(drone)
+                self._departed.discard(drone)
             case PeerDeparted(boot=boot):
                 clash = self._clashing.get(drone, set())
                 clash.discard(boot)

@@ -28,6 +28,7 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
+    PeerExpelled,
     RangeReport,
     Sighting,
     SightingReport,
@@ -137,6 +138,7 @@ FORMS: tuple[Form, ...] = (
     ),
     Form("/peers/arrived", "swarmtrack.PeerArrived", PeerArrived, (_DRONE, _BOOT)),
     Form("/peers/departed", "swarmtrack.PeerDeparted", PeerDeparted, (_DRONE, _BOOT)),
+    Form("/peers/expelled", "swarmtrack.PeerExpelled", PeerExpelled, (_DRONE,)),
     Form(
         "/peers/clash",
         "swarmtrack.IdClash",

@@ -61,7 +61,7 @@ class Agent:
         self._camera, self._detector, self._autopilot = parts.camera, parts.detector, parts.autopilot
         self._lens, self._start = parts.lens, parts.start
         self._door, self._recorder = parts.door, parts.recorder
-        self._transport = parts.transport
+        self._transport, self._renewal = parts.transport, parts.renewal
         self._simulated = parts.simulated_teammates
         self._console = console
         self._supervisor = supervisor or Notifier()
@@ -119,6 +119,7 @@ class Agent:
                     tasks.create_task(self._publish_health(), name="health"),
                     tasks.create_task(self._feel_lag(), name="lag"),
                     tasks.create_task(self._notices.run(), name="tell"),
+                    tasks.create_task(self._renew_keys(), name="keys"),
                 ]
                 stop = tasks.create_task(self._stop.wait(), name="stop")
                 await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
@@ -127,6 +128,15 @@ class Agent:
         finally:
             self._supervisor.stopping()
             await self._close()
+
+    def look_at_keys(self) -> None:
+        """A newer roster may have been copied here."""
+        if self._renewal is not None:
+            self._renewal.look_now()
+
+    async def _renew_keys(self) -> None:
+        if self._renewal is not None:
+            await self._renewal.run()
 
     def _begin_recording(self) -> None:
         if self._recorder is not None:

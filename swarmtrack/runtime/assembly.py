@@ -36,6 +36,7 @@ from swarmtrack.transport.zenoh_transport import ZenohTransport
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
     from swarmtrack.runtime.flight_recorder import FlightRecorder
+    from swarmtrack.runtime.key_renewal import KeyRenewal
     from swarmtrack.sensors.simulated import Simulation
 
 
@@ -60,6 +61,8 @@ class Parts:
     """The way into its Onboard, and what may be read of it."""
     recorder: FlightRecorder | None
     transport: Transport
+    renewal: KeyRenewal | None
+    """None: there are no keys."""
     start: Pose | None
     """Where the drone says it starts, in the team frame; None: wherever its autopilot says it is."""
     simulated_teammates: list[tuple[Transport, Announcement]]
@@ -99,7 +102,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         detector = make_detector(config, wall)
     hub = MemoryHub()
     with config.blamed("network"):
-        transport = _transport(config, boot, clock, hub)
+        transport, renewal = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
     box_width = None if detector is None else detector.description.box_width
     recorder = _recorder(
@@ -118,6 +121,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         door=Door(make_onboard(config, mounted, start, box_width)),
         recorder=recorder,
         transport=transport,
+        renewal=renewal,
         start=start,
         simulated_teammates=_teammates(config, simulation, hub, clock),
         filed=filed_announcements(config, clock.now()),
@@ -215,16 +219,22 @@ def _in_step(link: str) -> str:
     return str(replace(address, speed=1.0)) if is_recording(link) else link
 
 
-def _transport(config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub) -> Transport:
-    network = config.network
+def _transport(
+    config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub
+) -> tuple[Transport, KeyRenewal | None]:
+    network, drone_id = config.network, config.drone.id
     if network.transport == "memory":
-        return MemoryTransport(hub, network.team, config.drone.id, boot, clock)
+        return MemoryTransport(hub, network.team, drone_id, boot, clock), None
     credentials = credentials_of(config, clock)
-    settings = topology.of_drone(network, config.drone.id, credentials)
+    settings = topology.of_drone(network, drone_id, credentials)
     if credentials is None:
-        return ZenohTransport(settings, config.drone.id, boot, clock)
+        return ZenohTransport(settings, drone_id, boot, clock), None
+    from swarmtrack.runtime.key_renewal import KeyRenewal  # noqa: PLC0415
+    from swarmtrack.security.roster_watch import RosterWatch  # noqa: PLC0415
+
     sign, verify = credentials.sign, credentials.verify
-    return ZenohTransport(settings, config.drone.id, boot, clock, sign=sign, verify=verify)
+    transport = ZenohTransport(settings, drone_id, boot, clock, sign=sign, verify=verify)
+    return transport, KeyRenewal(RosterWatch(credentials.ca.parent, credentials, clock), transport)
 
 
 def credentials_of(config: DroneConfig, clock: Clock) -> Credentials | None:

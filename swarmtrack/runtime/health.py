@@ -11,7 +11,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.diagnosis.readiness import Readiness, judge
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.diagnosis.tracking import check_tracking
-from swarmtrack.messages import Array, IdClash, LinkStatus, PeerArrived, PeerDeparted
+from swarmtrack.messages import Array, IdClash, LinkStatus, Membership, PeerDeparted
 from swarmtrack.perceived import Perceived
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.meters import LatencyMeter, ProcessMeter, RateMeter
@@ -122,7 +122,7 @@ class Health:
         self.scans.tick()
         self.tracked_at = self._wall.now()
 
-    def on_membership(self, event: PeerArrived | PeerDeparted | IdClash) -> None:
+    def on_membership(self, event: Membership) -> None:
         """Who speaks as this very drone."""
         if event.drone_id != self._drone_id:
             return

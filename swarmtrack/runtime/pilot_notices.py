@@ -25,6 +25,7 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     PeerDeparted,
     PeerEvent,
+    PeerExpelled,
     ScanReport,
     SightingReport,
     TrackStatus,
@@ -109,6 +110,8 @@ class PilotNotices:
         match event:
             case PeerDeparted(drone_id=drone_id):
                 self.add(Severity.WARNING, f"drone {drone_id} is gone")
+            case PeerExpelled(drone_id=drone_id):
+                self.add(Severity.WARNING, f"drone {drone_id} left the roster")
             case IdClash(drone_id=drone_id, ours=True):
                 self.add(Severity.ERROR, f"another agent is drone {drone_id} too")
             case IdClash(drone_id=drone_id):

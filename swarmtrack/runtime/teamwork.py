@@ -30,6 +30,7 @@ from swarmtrack.messages import (
     PeerArrived,
     PeerDeparted,
     PeerEvent,
+    PeerExpelled,
     RangeReport,
     SightingReport,
 )
@@ -149,7 +150,7 @@ class Teamwork:
             match event:
                 case Announcement():
                     self._tell(event)
-                case PeerArrived() | PeerDeparted() | IdClash():
+                case PeerArrived() | PeerDeparted() | IdClash() | PeerExpelled():
                     self._tell(event)
                     self._health.on_membership(event)
                 case SightingReport():
@@ -162,7 +163,7 @@ class Teamwork:
                 case AnnouncementRequested():
                     self._asked.set()
             about = 0 if isinstance(event, AnnouncementRequested) else event.drone_id  # who asks is not told
-            level = logging.WARNING if isinstance(event, IdClash) else logging.INFO
+            level = logging.WARNING if isinstance(event, IdClash | PeerExpelled) else logging.INFO
             self._note(about, _describe(event), level)
             self._notices.on_peer(event)
 
@@ -312,6 +313,8 @@ def _describe(event: PeerEvent) -> str:
             return f"drone {drone_id} is alive (boot {boot})"
         case PeerDeparted(drone_id=drone_id, boot=boot):
             return f"drone {drone_id} is gone (boot {boot})"
+        case PeerExpelled(drone_id=drone_id):
+            return f"drone {drone_id} is no longer in the team's roster, and is not heard any more"
         case IdClash(drone_id=drone_id, boots=boots, ours=True):
             said = f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
             return f"{said}: give one another drone.id"

@@ -116,6 +116,16 @@ class Membership:
             events.append(announcement)
         return events
 
+    def part(self) -> list[PeerEvent]:
+        """All links are closed: who is alive is to be heard of anew."""
+        events: list[PeerEvent] = []
+        for drone_id, lives in self._lives.items():
+            boots = list(lives) if drone_id in self._clashing else [self._believed.get(drone_id)]
+            events += [PeerDeparted(drone_id, boot) for boot in boots if boot is not None]
+        for of_each in (self._lives, self._believed, self._contested, self._clashing):
+            of_each.clear()
+        return events
+
     def settle(self, t: float) -> list[PeerEvent]:
         """By t [s]: whoever has had several boots for too long is no restart."""
         clashes = [drone for drone, since in self._contested.items() if t - since >= self._clash_s]

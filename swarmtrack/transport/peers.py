@@ -10,11 +10,11 @@ import asyncio
 import contextlib
 import logging
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from typing import TypeVar
 
 from swarmtrack.clock import Clock
-from swarmtrack.messages import AnnouncementRequested, PeerEvent
+from swarmtrack.messages import AnnouncementRequested, PeerEvent, PeerExpelled
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.membership import LiveBoot, Membership, Numbered
@@ -117,6 +117,13 @@ class Peers:
         except DecodeError as error:
             self._counters[f"{SUBSCRIBED[address.kind]}_malformed"] += 1
             log.debug("message refused key=%s: %s", key, error)
+
+    def renew(self, verify: Verify, expelled: Iterable[int]) -> None:
+        """All links were closed because of a newer roster, by which announcements are checked from now on. expelled:
+        who has left the team."""
+        self._verify = verify
+        self._tell(self._membership.part())
+        self._tell([PeerExpelled(drone_id) for drone_id in expelled])
 
     def on_request(self) -> None:
         """Somebody wants us to announce anew."""

@@ -41,12 +41,16 @@ CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs
 _T = TypeVar("_T")
 
 
-async def open_session(network: NetworkSettings, listening: bool = True) -> zenoh.Session:
+async def open_session(
+    network: NetworkSettings, listening: bool = True, *, again: bool = False
+) -> zenoh.Session:
     """Raises TransportError; also where no router answers a client, which may try again. listening: for others to dial.
+    again: this process had a session before. Zenoh holds the port of its datagrams for half a minute after the end, and
+    listens there once it is free; until then all goes over the other link.
 
     An address that this machine does not have yet (an interface that is down) is listened on as soon as it has.
     """
-    if listening:
+    if listening and not again:
         await wait_for_ports(network.listen)
     return await bounded(partial(_open, network, listening), OPEN_S, "open", too_late=_close)
 

@@ -13,6 +13,7 @@ import itertools
 import logging
 from collections import Counter
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -21,6 +22,7 @@ import zenoh
 from swarmtrack.clock import Clock
 from swarmtrack.errors import TransportError
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
+from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
 from swarmtrack.transport.link_watch import LinkWatch, links_up
@@ -90,6 +92,7 @@ class ZenohTransport:
         self._session: zenoh.Session | None = None
         self._publishers: dict[Kind, zenoh.Publisher] = {}
         self._watched = False
+        self._renewed = False
         self._declared: list[Any] = []
         self._bridges: list[Bridge] = []
         self._watch = LinkWatch(network)
@@ -110,28 +113,41 @@ class ZenohTransport:
         # Clones speak on one key, and each must be heard.
         messages = Bridge(on_message, newest_per_key=MAX_BOOTS, clock=self._clock)
         self._bridges = [tokens, messages]
+        self._tokens, self._messages = tokens, messages
         self._loop = asyncio.get_running_loop()
         if self._network.mode == Mode.CLIENT:  # a router that is not there yet is no reason not to fly
-            self._tasks = [asyncio.create_task(self._keep_joining(tokens, messages), name="joining")]
+            self._tasks = [asyncio.create_task(self._keep_joining(), name="joining")]
             return
         try:
-            await self._join(tokens, messages)
+            await self._join()
         except BaseException:
             await self.close()
             raise
 
-    async def _keep_joining(self, tokens: Bridge, messages: Bridge) -> None:
+    async def renew(self, credentials: Credentials) -> None:
+        """Speak and listen by a newer roster: links are closed and made anew, with who is in it."""
+        before = self._network.credentials
+        assert before is not None, "who had no keys gets none in flight"
+        network = replace(self._network, credentials=credentials)
+        settings.check(network)
+        await self._leave()
+        self._network, self._watch, self._renewed = network, LinkWatch(network), True
+        expelled = sorted(before.roster.drones.keys() - credentials.roster.drones.keys())
+        self._peers.renew(credentials.verify, expelled)
+        self._tasks = [asyncio.create_task(self._keep_joining(), name="joining")]
+
+    async def _keep_joining(self) -> None:
         for attempt in itertools.count():
             try:
-                return await self._join(tokens, messages)
+                return await self._join()
             except TransportError as error:
                 log.log(logging.INFO if attempt else logging.WARNING, "%s; we keep trying", error)
             await asyncio.sleep(REJOIN_S)
 
-    async def _join(self, tokens: Bridge, messages: Bridge) -> None:
-        session = await open_session(self._network)
+    async def _join(self) -> None:
+        session = await open_session(self._network, again=self._renewed)
         try:
-            await bounded(partial(self._declare, session, tokens, messages), OPEN_S, "declare")
+            await bounded(partial(self._declare, session), OPEN_S, "declare")
         except BaseException:
             await close_session(session, [])
             raise
@@ -141,7 +157,7 @@ class ZenohTransport:
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
         ]
 
-    def _declare(self, session: zenoh.Session, tokens: Bridge, messages: Bridge) -> None:
+    def _declare(self, session: zenoh.Session) -> None:
         team, me = self._network.team, self._drone_id
         for kind, carriage in CARRIAGE.items():
             self._publishers[kind] = session.declare_publisher(
@@ -165,16 +181,15 @@ class ZenohTransport:
             ),
             *(
                 session.declare_subscriber(
-                    expression, messages.handler(), allowed_origin=zenoh.Locality.REMOTE
+                    expression, self._messages.handler(), allowed_origin=zenoh.Locality.REMOTE
                 )
                 for expression in subscriptions(team, me)
             ),
             session.liveliness().declare_subscriber(
-                keys.key(team, Kind.ALIVE, "*", "*"), tokens.handler(), history=True
+                keys.key(team, Kind.ALIVE, "*", "*"), self._tokens.handler(), history=True
             ),
             session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
         ]
-        self._messages = messages
         if self._outgoing.camera is not None:
             session.put(
                 self._outgoing.camera_key,
@@ -255,6 +270,10 @@ class ZenohTransport:
         return LinkStatus("zenoh", ok, text, tuple(counters.items()))
 
     async def close(self) -> None:
+        await self._leave()
+        self._peers.close()
+
+    async def _leave(self) -> None:
         for task in self._tasks:
             task.cancel()
         self._tasks = []
@@ -263,7 +282,6 @@ class ZenohTransport:
         self._publishers = {}
         if session is not None:
             await close_session(session, declared)
-        self._peers.close()
 
     def _on_video_listeners(self, status: zenoh.MatchingStatus) -> None:
         """In Zenoh's thread."""

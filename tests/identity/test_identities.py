@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
 from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.teammates import DEPARTED_S
-from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted
+from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted, PeerExpelled
 
 # --- given ---
 
@@ -345,3 +345,10 @@ def test_whatever_happens_nobody_holds_an_id_twice_nor_one_that_several_speak_as
                 clashing[drone] = set(BOOTS)
             case ("is overruled", drone):
                 observer.identities.overrule(drone, observer.t)
+
+
+def test_who_is_no_member_any_more_has_no_name_and_is_forgotten(observer):
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+    observer.identities.on_membership(PeerExpelled(3))
+    assert observer.sees(0.5, a=LEFT, b=RIGHT) == {"a": 2, "b": None}
+    assert observer.identities.announced.keys() == {2}

@@ -223,6 +223,31 @@ async def test_while_two_speak_as_one_nobody_is_given_their_name(gather: Gather,
     assert team.wrong(witnesses, since=ended, until=named) == 0
 
 
+async def test_who_is_revoked_in_flight_loses_its_name_and_nobody_else_does(gather: Gather) -> None:
+    team = await gather(TRIANGLE)
+    agents = {drone: await team.start(drone) for drone in team.drones}
+    await team.until_known(team.drones, since=time.monotonic())
+
+    await asyncio.sleep(SETTLED_S)
+    revoked = time.monotonic()
+    team.revoke(3)
+    dropped = [
+        await agents[drone].until("drone 3 is no longer in the team's roster", revoked) for drone in (1, 2)
+    ]
+    report("dropped after", max(dropped) - revoked)
+    met = [await agents[a].until(f"drone {b} announced itself", revoked) for a, b in ((1, 2), (2, 1))]
+    report("those who stay met again after", max(met) - revoked)
+    nameless = await team.until(
+        lambda look: not look.calls_somebody(3), (1, 2), max(dropped), "nobody is called drone 3"
+    )
+    await asyncio.sleep(3.0)
+    end = time.monotonic()
+    assert not any(team.looks_between((1, 2), nameless, end, lambda look: look.calls_somebody(3)))
+    stayed = team.looks_between((1,), revoked, end, lambda look: look.knows(2) or 2 not in look.in_view)
+    assert sum(stayed) > 0.95 * len(stayed)
+    assert team.wrong((1, 2), since=nameless, until=end) == 0
+
+
 async def test_an_agent_whose_wall_clock_is_two_hours_off_is_named_and_names_all(gather: Gather) -> None:
     """Behind, as of a companion without a clock battery."""
     team = await gather(TRIANGLE)

@@ -37,6 +37,7 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
+    PeerExpelled,
     RangeReport,
     Sighting,
     SightingReport,
@@ -83,6 +84,7 @@ EVENTS = [
     Announcement(65535, "0123abcd", 3, -1.5, 0.05, np.array(AWKWARD[2:]), EYE, EYE / 3),
     PeerArrived(2, "0123abcd"),
     PeerDeparted(2, "0123abcd"),
+    PeerExpelled(2),
     IdClash(3, ("a", "b"), ours=True),
     IdClash(3, (), ours=False),
     SightingReport(

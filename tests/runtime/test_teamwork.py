@@ -21,6 +21,7 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
+    PeerExpelled,
     RangeReport,
 )
 from swarmtrack.relative.range_watch import RangeNews
@@ -77,6 +78,11 @@ def test_each_event_is_a_line_for_people(parts):
         "drone 2 announced itself",
         "drone 2 is gone",
     ]
+
+
+def test_whoever_is_no_member_any_more_is_said_to_be(parts):
+    (line,) = listen(parts, [PeerExpelled(3)]).events
+    assert line == "drone 3 is no longer in the team's roster, and is not heard any more"
 
 
 @pytest.mark.parametrize(

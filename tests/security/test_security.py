@@ -35,7 +35,7 @@ from support.network_of_keys import (
 )
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection
-from swarmtrack.messages import IdClash, PeerArrived, PeerDeparted, PeerEvent
+from swarmtrack.messages import IdClash, PeerArrived, PeerDeparted, PeerEvent, PeerExpelled
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, topology
 from swarmtrack.transport.base import Kind
@@ -251,6 +251,33 @@ async def test_a_certificate_that_is_not_in_our_roster_is_counted_and_not_heard(
         assert await newcomer.ask(1) == []  # nor is it answered
     finally:
         await field.close()
+
+
+async def test_whoever_is_revoked_in_flight_is_dropped_where_the_roster_is_copied_to(tmp_path: Path) -> None:
+    """The links of those who stay are made anew, and they know each other again."""
+    field = Field(Team(tmp_path / "ca", "1", "2", "3"))
+    one, two, three = [await field.drone(drone) for drone in (1, 2, 3)]
+    await one.knows(two, three)
+    await two.knows(one, three)
+    field.team.authority.revoke("drone-3")
+    for drone in (one, two):
+        await drone.transport.renew(field.team.credentials(str(drone.drone_id)))
+        await drone.until(lambda told: PeerExpelled(3) in told)
+    since = {drone: len(drone.told) for drone in (one, two)}
+    for drone, other in ((one, two), (two, one)):
+        known = (other.drone_id, other.boot, 1)
+        await drone.until(
+            lambda told, begin=since[drone], known=known: (
+                known in announcements(told[begin:])  # type: ignore[misc]
+                or announcements(told).count(known) > 1
+            )
+        )
+    await three.announce(2)
+    await two.announce(2)
+    await one.knows(two, sequence=2)
+    assert (3, three.boot, 2) not in announcements(one.told)
+    assert PeerArrived(3, three.boot) not in one.told[one.told.index(PeerExpelled(3)) :]
+    await field.close()
 
 
 async def test_a_link_ends_with_the_certificate(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from swarmtrack.localswarm.configs import Sources, write_configs
 from swarmtrack.localswarm.radio import RadioEmulator
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.security import names
-from swarmtrack.security.authority import create_authority
+from swarmtrack.security.authority import create_authority, open_authority
 from swarmtrack.security.loading import load_credentials
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
@@ -240,6 +240,11 @@ class Team:
         authority = create_authority(folder, self._name, now)
         authority.issue(["monitor", *map(names.drone, self.drones)], now)
         return folder
+
+    def revoke(self, drone: int) -> None:
+        """As `swarmtrack keys revoke` does it on the CA's machine, which copies the roster to all others at once."""
+        assert self._keys is not None
+        open_authority(self._keys).revoke(names.drone(drone))
 
     # --- watching -----------------------------------------------------------------------
 
