@@ -31,6 +31,8 @@ from swarmtrack.geometry.rotation import is_rotation
 from swarmtrack.messages import Array
 
 MAX_BYTES = 1024 * 1024  # a calibration is a page
+MOST_ENTRIES = 200_000
+DEEPEST = 32  # levels
 ROTATION_TOLERANCE = 2e-3  # entries of RRᵀ: files written by hand carry three or four digits
 
 RADTAN = (
@@ -100,7 +102,11 @@ def load_calibration(path: str | Path, camera: str | None = None) -> Calibration
     return calibration
 
 
-class _Loader(yaml.SafeLoader):
+# libyaml's reads a page in a millisecond; that in Python, where libyaml is missing, takes a second for each 30 KB.
+_BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_BASE):  # type: ignore[misc]
     """YAML with OpenCV's matrices, which come out as `_Matrix`."""
 
 
@@ -131,8 +137,9 @@ def _read(path: Path) -> dict[str, Any]:
     # OpenCV, and OpenVINS after it, begin with `%YAML:1.0`, which is not YAML.
     text = re.sub(r"\A\ufeff?%YAML:1\.0\s*\n", "", text)
     try:
+        _check_size(text)
         document = next(yaml.load_all(text, _Loader), None)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError, OverflowError, TypeError, AttributeError) as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "cannot be understood"
@@ -140,6 +147,44 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise CalibrationError(f"{path}: no keys in it, expected a calibration in YAML")
     return document
+
+
+def _check_size(text: str) -> None:
+    """Raise YAMLError for a document that is far larger than its text once its aliases are followed, or too deep.
+
+    Ten lines of aliases to aliases are a document of 10^10 entries, harmless until somebody merges or prints it.
+    """
+    sizes: dict[str, int] = {}  # entries behind each anchor
+    open_nodes: list[tuple[str | None, int]] = [(None, 0)]
+    for event in yaml.parse(text, _Loader):
+        anchor, size = getattr(event, "anchor", None), 1
+        match event:
+            case yaml.DocumentEndEvent():
+                return  # what follows is not read
+            case yaml.AliasEvent():
+                size = sizes.get(anchor or "", MOST_ENTRIES + 1)  # not there yet: it holds itself
+                anchor = None
+            case yaml.CollectionStartEvent():
+                open_nodes.append((anchor, 1))
+                if len(open_nodes) > DEEPEST:
+                    raise _refused(f"nested more than {DEEPEST} deep", event.start_mark)
+                continue
+            case yaml.CollectionEndEvent():
+                anchor, size = open_nodes.pop()
+            case yaml.ScalarEvent():
+                pass
+            case _:
+                continue
+        if anchor is not None:
+            sizes[anchor] = size
+        around, so_far = open_nodes[-1]
+        open_nodes[-1] = (around, so_far + size)
+        if so_far + size > MOST_ENTRIES:
+            raise _refused(f"more than {MOST_ENTRIES} entries, aliases followed", event.start_mark)
+
+
+def _refused(problem: str, mark: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ from swarmtrack.toml.sections import (
     Count,
     Number,
     ParameterSection,
+    Place,
     Positive,
     Probability,
     Section,
@@ -63,7 +64,7 @@ UNWRITTEN_SIGMA_M = 1.0
 class Start(Section):
     """Where the drone stands in the team frame when it announces itself: measured, or from its own autopilot."""
 
-    position_m: Vector = Field(
+    position_m: Place = Field(
         default=ORIGIN, description="[north, east, down] in the team frame, m; up is negative"
     )
     yaw_deg: Number = Field(
@@ -80,7 +81,7 @@ class Start(Section):
         description='"local": the autopilot\'s own local pose, shifted by offset_m; "gps": its global position '
         "relative to the origin in [team], and its heading from true north",
     )
-    offset_m: Vector = Field(
+    offset_m: Place = Field(
         default=ORIGIN, description="origin of the autopilot's local frame, in the team frame, m"
     )
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, Strict, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, Strict, ValidationInfo, field_validator, model_validator
 
 from swarmtrack.errors import ConfigError
 from swarmtrack.evaluation.swarm_verdict import Limits
@@ -62,6 +62,7 @@ from swarmtrack.toml.sections import (
     Count,
     Number,
     ParameterSection,
+    Place,
     Positive,
     Section,
     Switch,
@@ -82,7 +83,15 @@ Share = Annotated[Number, Field(ge=0.0, le=1.0)]
 NotNegative = Annotated[Number, Field(ge=0.0)]
 DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
 DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_DRONES)]
-Range = tuple[Positive, Positive]
+
+
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"{list(ends)}, expected [shortest, longest]")
+    return ends
+
+
+Range = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
 Heights = Annotated[tuple[Positive, ...], Field(min_length=1)]
 # The value of a fault: the largest one, and what it is; kinds that are not listed have none.
 FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
@@ -167,7 +176,7 @@ class LanesSection(Section):
 
 
 class SwaySection(Section):
-    amplitude_m: Vector = Field(description="[north, east, down], m")
+    amplitude_m: Place = Field(description="[north, east, down], m")
     period_s: Range = Field(description="[shortest, longest], s")
 
 
@@ -252,15 +261,15 @@ class FormationSection(Section):
 class OscillationSection(Section):
     """centre + amplitude sin(2π frequency t + phase), each [north, east, down]."""
 
-    centre_m: Vector
-    amplitude_m: Vector
+    centre_m: Place
+    amplitude_m: Place
     frequency_hz: Vector
     phase_rad: Vector = (0.0, 0.0, 0.0)
 
 
 class WaypointSection(Section):
     at_s: Number = Field(description="world time, s; later than the previous one")
-    position_m: Vector = Field(description="[north, east, down], m")
+    position_m: Place = Field(description="[north, east, down], m")
 
 
 class OwnSwingSection(Section):
@@ -272,8 +281,8 @@ class PlannedFlight(Section):
     """Where one drone hovers, how it then flies, and which way it looks."""
 
     id: DroneId = Field(description="1 … 65535, unique")
-    position_m: Vector = Field(description="where it hovers first, [north, east, down], m; up is negative")
-    looks_at_m: Vector | None = Field(default=None, description="a point that it faces wherever it flies")
+    position_m: Place = Field(description="where it hovers first, [north, east, down], m; up is negative")
+    looks_at_m: Place | None = Field(default=None, description="a point that it faces wherever it flies")
     heading_deg: Number | None = Field(
         default=None, description="heading, clockwise from north, instead of looks_at_m"
     )

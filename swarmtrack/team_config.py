@@ -12,7 +12,7 @@ from pydantic import Field, Strict, field_validator, model_validator
 
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.toml.layers import Layers, Problem, Table
-from swarmtrack.toml.sections import Number, Positive, Section, Switch, Vector, found
+from swarmtrack.toml.sections import Number, Place, Positive, Section, Switch, found
 
 # Of what the file says: further off, a drone's own start contradicts it.
 SAME_PLACE_SIGMAS, SAME_PLACE_M = 3.0, 0.1
@@ -38,7 +38,7 @@ class TeamOrigin(Section):
 class FiledDrone(Section):
     """What the team's file says of one drone."""
 
-    position_m: Vector | None = Field(
+    position_m: Place | None = Field(
         default=None,
         description="where it starts, [north, east, down] in the team frame, m; by default somewhere",
     )

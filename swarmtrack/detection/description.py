@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 from swarmtrack.errors import ModelError
+from swarmtrack.plain_text import plain
 from swarmtrack.relative.box_width import LIMITS, BoxWidth
 
 PREFIX = "swarmtrack."
@@ -22,6 +23,13 @@ ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
 FOREIGN_THRESHOLD = 0.25  # of nets that tell none: what Ultralytics' own predictor takes
 DRONES = ("drone", "uav", "quadcopter", "quadrotor", "multirotor", "multicopter")
 LOOK_ALIKES = ("bird", "airplane", "aeroplane", "plane", "helicopter", "kite", "balloon")
+
+# Of metadata, which anybody may have written.
+LONGEST_ENTRY = 64 << 10  # characters: a thousand classes take half of it
+LONGEST_NAME, SHOWN = 64, 120  # characters
+COARSEST = 1024  # px of a stride
+LARGEST = 1e6
+UNREADABLE = (ValueError, TypeError, KeyError, SyntaxError, RecursionError, OverflowError, MemoryError)
 
 Shape = tuple[int, ...]
 T = TypeVar("T")
@@ -100,10 +108,10 @@ def _ours(path: str, written: Mapping[str, str]) -> Description:
                 f"{path}: metadata {PREFIX}{key} is missing (found {', '.join(sorted(written))}), expected {expected}"
             )
         try:
-            return parse(entries[key])
-        except (ValueError, TypeError, KeyError):
+            return parse(_bounded(entries[key]))
+        except UNREADABLE:
             raise ModelError(
-                f"{path}: metadata {PREFIX}{key} is {entries[key]!r}, expected {expected}"
+                f"{path}: metadata {PREFIX}{key} is {_quoted(entries[key])}, expected {expected}"
             ) from None
 
     head = entry("head", _one_of(HEADS), f"one of {', '.join(HEADS)}")
@@ -111,15 +119,17 @@ def _ours(path: str, written: Mapping[str, str]) -> Description:
         entry("size_encoding", _one_of(["log_cells"]), "log_cells")
     return Description(
         head=head,
-        stride=entry("stride", _positive, "a positive whole number of pixels"),
-        multiple=entry("multiple", _positive, "a positive whole number of pixels"),
+        stride=entry("stride", _pixels, f"a positive whole number of pixels, {COARSEST} at most"),
+        multiple=entry("multiple", _pixels, f"a positive whole number of pixels, {COARSEST} at most"),
         names=entry("names", _names, "a JSON list of class names"),
         score_threshold=entry("score_threshold", _fraction, "a number in 0…1"),
-        scale=entry("scale", _one_or_three, "a number, or a JSON list of three"),
-        mean=entry("mean", _three, "a JSON list of three numbers"),
+        scale=entry("scale", _scale, "a number other than 0, or a JSON list of three"),
+        mean=entry("mean", _three, f"a JSON list of three numbers, none beyond {LARGEST:g}"),
         channel_order=entry("channel_order", _one_of(["BGR", "RGB"]), "BGR or RGB"),
         pad_value=entry("pad_value", _byte, "a whole number in 0…255"),
-        calibration=entry("calibration", _two, "a JSON list of two numbers", (1.0, 0.0)),
+        calibration=entry(
+            "calibration", _sigmoid, "a JSON list of two numbers, the first above 0", (1.0, 0.0)
+        ),
         box_width=box_width_of(path, written),
         source="its metadata",
         entries=entries,
@@ -132,11 +142,11 @@ def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
     if text is None:
         return None
     try:
-        return BoxWidth(**json.loads(text))
-    except (ValueError, TypeError) as error:
+        return BoxWidth(**json.loads(_bounded(text)))
+    except UNREADABLE as error:
         raise ModelError(
-            f"{path}: metadata {PREFIX}box_width is {text!r} ({error}), expected a JSON object of "
-            f"{', '.join(LIMITS)}"
+            f"{path}: metadata {PREFIX}box_width is {_quoted(text)} ({plain(str(error), SHOWN)}), expected a "
+            f"JSON object of {', '.join(LIMITS)}"
         ) from None
 
 
@@ -149,8 +159,18 @@ def _one_of(allowed: Sequence[str]) -> Callable[[str], str]:
     return parse
 
 
-def _positive(text: str) -> int:
-    if (value := int(text)) < 1:
+def _bounded(text: str) -> str:
+    if len(text) > LONGEST_ENTRY:
+        raise ValueError("too long")
+    return text
+
+
+def _quoted(text: str) -> str:
+    return plain(repr(text[:SHOWN]), SHOWN)
+
+
+def _pixels(text: str) -> int:
+    if not 1 <= (value := int(text)) <= COARSEST:
         raise ValueError(text)
     return value
 
@@ -167,26 +187,38 @@ def _fraction(text: str) -> float:
     return value
 
 
-def _two(text: str) -> tuple[float, float]:
-    x, y = (float(value) for value in json.loads(text))
-    return x, y
+def _number(value: Any) -> float:
+    # NaN is within no bounds.
+    if not abs(number := float(value)) <= LARGEST:
+        raise ValueError(value)
+    return number
+
+
+def _sigmoid(text: str) -> tuple[float, float]:
+    a, b = (_number(value) for value in json.loads(text))
+    if a <= 0.0:  # the surest would be the least
+        raise ValueError(text)
+    return a, b
 
 
 def _three(text: str) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in json.loads(text))
+    x, y, z = (_number(value) for value in json.loads(text))
     return x, y, z
 
 
-def _one_or_three(text: str) -> tuple[float, float, float]:
+def _scale(text: str) -> tuple[float, float, float]:
     value = json.loads(text)
-    return _three(text) if isinstance(value, list) else (float(value),) * 3
+    scale = _three(text) if isinstance(value, list) else (_number(value),) * 3
+    if 0.0 in scale:  # it would see nothing, or the same in all pictures
+        raise ValueError(text)
+    return scale
 
 
 def _names(text: str) -> tuple[str, ...]:
     names: Any = json.loads(text)
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise ValueError(text)
-    return tuple(names)
+    return tuple(plain(name, LONGEST_NAME) for name in names)
 
 
 # --- other people's nets ------------------------------------------------------------------------------
@@ -197,13 +229,15 @@ def _ultralytics(path: str, written: Mapping[str, str], trial: Trial, declared: 
     114."""
     task = written.get("task", "detect")
     if task != "detect":
-        raise ModelError(f"{path}: an Ultralytics net for task {task!r}, expected one for 'detect'")
+        raise ModelError(f"{path}: an Ultralytics net for task {_quoted(task)}, expected one for 'detect'")
     try:
-        named: Any = ast.literal_eval(written["names"])
-        names = tuple(str(named[i]) for i in range(len(named)))
-        multiple = int(float(written["stride"]))
-    except (ValueError, SyntaxError, KeyError, TypeError):
-        found = {key: written.get(key) for key in ("names", "stride")}
+        named: Any = ast.literal_eval(_bounded(written["names"]))
+        names = tuple(plain(str(named[i]), LONGEST_NAME) for i in range(len(named)))
+        if not names:
+            raise ValueError("no names")
+        multiple = _pixels(str(int(float(written["stride"]))))
+    except UNREADABLE:
+        found = {key: _quoted(written.get(key, "")) for key in ("names", "stride")}
         raise ModelError(
             f"{path}: Ultralytics metadata are {found}, expected names like {{0: 'drone'}} and a stride"
         ) from None

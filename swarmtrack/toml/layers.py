@@ -13,6 +13,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,8 +23,14 @@ Key = tuple[str | int, ...]  # an int: which one of an array
 Table = dict[str, Any]
 
 MAX_BYTES = 256 * 1024  # a config is a page; a recording given by mistake is refused before it is parsed
-# Beyond this a value's end is not looked for: only the line in an error message is lost.
+MOST_FILES = 32  # that one config extends, one that is reached by several ways counted each time
+MOST_PARTS = 64  # of a dotted key: a parser takes time by their square
+# Beyond these a value's end is not looked for: only the line in an error message is lost.
 MAX_STATEMENT_LINES = 200
+MAX_SEARCHED = 1 << 20  # characters parsed, some of them again and again
+_LONG_KEY = re.compile(
+    rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MOST_PARTS}}}"""
+)
 
 
 class Problem(NamedTuple):
@@ -77,7 +84,7 @@ def read_layers(path: Path, prepare: Callable[[Table, Path], None]) -> Layers:
     Raises ConfigError with all that is wrong with any of the files.
     """
     problems: list[Problem] = []
-    files = list(_read(path, (), problems, prepare))
+    files = list(_read(path, (), problems, prepare, count(1)))
     if problems:
         raise ConfigError([str(problem) for problem in problems])
     merged: Table = {}
@@ -87,8 +94,14 @@ def read_layers(path: Path, prepare: Callable[[Table, Path], None]) -> Layers:
 
 
 def _read(
-    path: Path, extended_by: tuple[Path, ...], problems: list[Problem], prepare: Callable[[Table, Path], None]
+    path: Path,
+    extended_by: tuple[Path, ...],
+    problems: list[Problem],
+    prepare: Callable[[Table, Path], None],
+    files: Iterator[int],
 ) -> Iterator[Layer]:
+    """files: counts them."""
+
     def wrong(line: int, text: str) -> None:
         problems.append(Problem(str(path), line, text))
 
@@ -99,6 +112,9 @@ def _read(
         if len(raw) > MAX_BYTES:
             return wrong(1, f"larger than {MAX_BYTES // 1024} KiB, expected a config in TOML")
         text = raw.decode().removeprefix("\ufeff")
+        if long := _LONG_KEY.search(text):
+            line = text[: long.start()].count("\n") + 1
+            return wrong(line, f"a key of more than {MOST_PARTS} parts, expected a config in TOML")
         layer = Layer(path, text, tomllib.loads(text))
     except OSError as error:
         return wrong(1, f"cannot be read ({error.strerror}), expected a config file")
@@ -119,6 +135,8 @@ def _read(
         return wrong(line, f"extends: {names!r}, expected a file name or a list of them")
     chain = (*extended_by, path.resolve())
     for name in names:
+        if next(files) >= MOST_FILES:
+            return wrong(line, f"extends: more than {MOST_FILES} files in all, expected fewer")
         base = path.parent / Path(name).expanduser()
         if not os.path.isfile(base):
             wrong(line, f"extends: no file {str(base)!r}, expected one relative to this file")
@@ -126,7 +144,7 @@ def _read(
             circle = " -> ".join(file.name for file in (*chain, base))
             wrong(line, f"extends: goes in a circle ({circle}), expected a file that does not lead back here")
         else:
-            yield from _read(base, chain, problems, prepare)
+            yield from _read(base, chain, problems, prepare, files)
     prepare(layer.table, path.parent.absolute())
     yield layer
 
@@ -169,8 +187,12 @@ def key_lines(text: str) -> dict[Key, int]:
     table: Key = ()
     tables: dict[Key, int] = {}  # of each array of tables, how many there are so far
     pending: list[str] = []
+    searched = 0
     for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1):
         pending.append(line)
+        searched += sum(map(len, pending)) + 1
+        if searched > MAX_SEARCHED:
+            break
         try:
             parsed = tomllib.loads("\n".join(pending))
         except tomllib.TOMLDecodeError:

@@ -26,6 +26,10 @@ Probability = Annotated[Number, Field(gt=0.0, lt=1.0)]
 Count = Annotated[int, Strict(), Field(gt=0)]
 Switch = Annotated[bool, Strict()]
 Vector = tuple[Number, Number, Number]
+FARTHEST_M = 1e7  # what a message can say
+Coordinate = Annotated[Number, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+Place = tuple[Coordinate, Coordinate, Coordinate]
+"""m."""
 Text = Annotated[str, Field(min_length=1)]
 
 
