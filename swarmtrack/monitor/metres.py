@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from swarmtrack.wire.checks import symmetric
 from swarmtrack.wire.tracks import TracksMessage
 
 SIGMAS = 3.0  # of an ellipse
+NEAREST_M = 1e-3
+ORIGIN = (0.0, 0.0, 0.0)
 MAPPED = 8  # drones, of whom all metres are told; of more those that somebody watches
 
 
@@ -33,7 +36,8 @@ def metres(tracks: TracksMessage | None) -> list[SeenInMetres]:
     """Of each teammate with a known place."""
     if tracks is None:
         return []
-    placed = [said for said in tracks.relatives if any(said.position_m)]
+    # What is nearer has no direction, and is a mistake or an attack.
+    placed = [said for said in tracks.relatives if math.dist(said.position_m, ORIGIN) > NEAREST_M]
     if not placed:
         return []
     called = {track.id: track.identity for track in tracks.tracks}

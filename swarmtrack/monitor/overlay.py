@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from swarmtrack.monitor.metres import ORIGIN
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TracksMessage, track_cov
@@ -14,7 +15,6 @@ from swarmtrack.wire.video import VideoMessage
 
 AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
 SIGMAS = 3.0  # of an ellipse
-ORIGIN = (0.0, 0.0, 0.0)
 
 
 def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, Any]]:

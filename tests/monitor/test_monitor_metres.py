@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 
+import msgspec
+import numpy as np
 import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
@@ -16,6 +19,7 @@ from swarmtrack.monitor.team import VIEW_S, MonitoredTeam
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
+from swarmtrack.wire.checks import upper_triangle
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.video import VideoMessage
 
@@ -29,6 +33,20 @@ def test_a_teammate_has_its_distance_its_place_and_how_fast_it_comes():
     assert one.sigma_m == pytest.approx(math.sqrt(64 * 0.04 + 36 * 0.09 + 0.01) / distance, abs=0.005)
     assert one.closing_m_s == pytest.approx(-(4.0 + 0.25) / distance, abs=0.005)
     assert (one.long_m, one.short_m, one.bearing) == pytest.approx((0.9, 0.6, math.pi / 2), abs=0.005)
+
+
+@pytest.mark.parametrize("position", [(0.0, 0.0, 0.0), (1e-200, 0.0, 0.0), (1e7, -1e7, 1e7)])
+@pytest.mark.parametrize("scale", [0.0, 1e15])
+def test_whatever_a_liar_says_is_numbers_that_the_page_can_be_sent(position, scale):
+    message = seen()
+    cov = tuple(scale * float(x) for x in upper_triangle(np.eye(6)))
+    lie = msgspec.structs.replace(
+        message.relatives[0], position_m=position, velocity_m_s=(1e3, -1e3, 1e3), cov=cov
+    )
+    heard = Heard(1)
+    heard.say(Kind.TRACKS, 1, codec.encode(msgspec.structs.replace(message, relatives=(lie,))))
+    json.dumps(heard.team.state(), allow_nan=False)
+    assert len(heard.metres()) == (position[0] > 1.0)
 
 
 def test_without_a_place_there_are_no_metres():
