@@ -9,6 +9,9 @@ filter; the bound is the posterior Cramér-Rao bound along the true flight.
 * range error: rms of ln(range / truth) in the second half of a flight.
 * NEES / 6: squared error of position and velocity over the stated covariance; 1 is honest, with its 95 % interval over
   flights.
+* bound: of whoever knows by how much teammates' velocities wander: how fast they turn in the image is then a distance.
+  The filter learns how fast they fly and does not know it. The second bound is that of whoever does not, either: it
+  believes in velocities `UNKNOWN_SPEED` times as large.
 * to 10 %: s until the median error of the place is below a tenth of the range, and stays there.
 """
 
@@ -49,6 +52,8 @@ ODOMETRY = 0.02  # m/√s
 SAID_SPEED_SIGMA, UWB_SIGMA = 0.1, 0.1
 FRAMES_APART_M = 0.42  # per axis, of two drones that started 0.3 m off
 NEAREST_M = 1.0  # nobody comes closer
+# Times the speed of teammates: who believes in that much learns nothing of a distance from how fast they turn.
+UNKNOWN_SPEED = 4.0
 
 
 class Mode(NamedTuple):
@@ -100,13 +105,15 @@ class Truth(NamedTuple):
 
 class Judged(NamedTuple):
     """One flight: at each scan of each teammate, (k, n): squared error of place and velocity [m², m²/s²], of
-    ln(range), NEES of six, and the bound of the squared error of place; NaN where nothing was stated."""
+    ln(range), NEES of six, and the bounds of the squared error of place, with speeds known and not known; NaN where
+    nothing was stated."""
 
     place2: Array
     speed2: Array
     log_range2: Array
     nees: Array
     bound2: Array
+    unknown2: Array
     share: Array
     """Of the range: the error of the place."""
 
@@ -178,7 +185,7 @@ def fly(range_m: float, mode: Mode, seed: int, told: RelativeParameters | None =
     truth = wandering(range_m, mode, rng)
     senses = _Senses(truth, mode, rng)
     states = RelativeStates(told or parameters(range_m, mode))
-    bound = _Bound(range_m, mode, truth)
+    bound, unknown = (_Bound(range_m, mode, truth, times) for times in (1.0, UNKNOWN_SPEED))
     for n in range(TEAMMATES if mode.announced else 0):
         states.hear_announcement(senses.announcement(n))
     rows = []
@@ -187,9 +194,10 @@ def fly(range_m: float, mode: Mode, seed: int, told: RelativeParameters | None =
         states.observe(look)
         senses.say(k, states)
         own = OwnMotion(look.camera, look.velocity, np.zeros((3, 3)), mode.attitude**2 * np.eye(3))
-        rows.append([*_judged(states, look.t, own, truth, k), bound.step(k)])
-    place2, speed2, log2, nees, share, bound2 = (np.array(column) for column in zip(*rows, strict=True))
-    return Judged(place2, speed2, log2, nees, bound2, share)
+        rows.append([*_judged(states, look.t, own, truth, k), bound.step(k), unknown.step(k)])
+    columns = (np.array(column) for column in zip(*rows, strict=True))
+    place2, speed2, log2, nees, share, bound2, unknown2 = columns
+    return Judged(place2, speed2, log2, nees, bound2, unknown2, share)
 
 
 def _judged(states: RelativeStates, t: float, own: OwnMotion, truth: Truth, k: int) -> list[Array]:
@@ -285,9 +293,10 @@ class _Bound:
     Tichavský, Muravchik & Nehorai (1998), linear motion.
     """
 
-    def __init__(self, range_m: float, mode: Mode, truth: Truth) -> None:
+    def __init__(self, range_m: float, mode: Mode, truth: Truth, times: float) -> None:
+        """times: the teammates' speed is believed in."""
         self._mode, self._truth = mode, truth
-        self._sigma = speed_sigma(range_m)
+        self._sigma = times * speed_sigma(range_m)
         self._P: Array = np.empty(0)
 
     def step(self, k: int) -> Array:
@@ -339,10 +348,14 @@ def summary(flights: Sequence[Judged]) -> dict[str, Any]:
     far = np.flatnonzero(~(share < 0.1))
     settled = 0.0 if not len(far) else (float(far[-1]) + 1.0) * DT
     rmse = _rms([flight.place2[half] for flight in flights])
-    bound = _rms([flight.bound2[half] for flight in flights])
+    bound, unknown = (
+        _rms([of[half] for of in bounds])
+        for bounds in ([flight.bound2 for flight in flights], [flight.unknown2 for flight in flights])
+    )
     return {
         "rmse_m": rmse,
         "bound_m": bound,
+        "bound_speeds_unknown_m": unknown,
         "velocity_rmse_m_s": _rms([flight.speed2[half] for flight in flights]),
         "range_error": _rms([flight.log_range2[half] for flight in flights]),
         "nees6": mean_interval(nees)._asdict(),
@@ -401,6 +414,7 @@ def _markdown(result: dict[str, Any]) -> str:
             f"{row['range_m']:g}",
             report.number(row["rmse_m"]),
             report.number(row["bound_m"]),
+            report.number(row["bound_speeds_unknown_m"]),
             report.number(100.0 * row["range_error"], 1),
             report.number(row["velocity_rmse_m_s"]),
             "{value:.2f} ({low:.2f} … {high:.2f})".format(**row["nees6"]),
@@ -413,6 +427,7 @@ def _markdown(result: dict[str, Any]) -> str:
         "range, m",
         "RMSE, m",
         "bound, m",
+        "speeds unknown",
         "range error, %",
         "velocity, m/s",
         "NEES / 6",
@@ -422,7 +437,7 @@ def _markdown(result: dict[str, Any]) -> str:
         [
             "# Where teammates are",
             f"{result['seeds']} flights a row with {result['teammates']} teammates each, {SECONDS:g} s at 7 Hz, rays "
-            "of 2.5 mrad. The bound is that of rays and sizes alone.",
+            "of 2.5 mrad. The bounds are those of rays and sizes alone, with the speeds of teammates known, and not.",
             report.table(header, rows),
         ]
     )

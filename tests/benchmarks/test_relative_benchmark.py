@@ -22,9 +22,10 @@ def test_a_summary_is_of_the_second_half_and_settles_where_it_stays_below_a_tent
     share = np.full((105, 1), 0.05)
     share[:21] = 0.3
     ones = np.ones((105, 1))
-    flight = relative.Judged(4.0 * ones, ones, 0.01 * ones, 6.0 * ones, ones, share)
+    flight = relative.Judged(4.0 * ones, ones, 0.01 * ones, 6.0 * ones, ones, 2.25 * ones, share)
     found = relative.summary([flight, flight])
     assert (found["rmse_m"], found["bound_m"], found["range_error"]) == pytest.approx((2.0, 1.0, 0.1))
+    assert found["bound_speeds_unknown_m"] == pytest.approx(1.5)
     assert found["nees6"]["value"] == pytest.approx(1.0)
     assert found["to_10_percent_s"] == pytest.approx(3.0)
 
@@ -61,3 +62,11 @@ def test_in_a_whole_flight_the_range_is_within_a_tenth_whatever_is_known(tmp_pat
     assert row["range_error"]["p50"] < 0.1
     assert row["nees6"]["median"] < 1.4
     assert "crossing" in (tmp_path / "relative-flights.md").read_text(encoding="utf-8")
+
+
+def test_who_does_not_know_how_fast_teammates_fly_knows_less_of_where_they_are():
+    """At 40 m, where rays hardly turn, the filter is near that bound."""
+    flights = [relative.fly(40.0, relative.MODES[2], seed) for seed in range(1, 6)]
+    found = relative.summary(flights)
+    assert found["bound_m"] < found["bound_speeds_unknown_m"]
+    assert found["rmse_m"] < 1.4 * found["bound_speeds_unknown_m"]
