@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from swarmtrack.diagnosis.findings import Finding, Level, fault
@@ -10,6 +11,7 @@ from swarmtrack.messages import LinkStatus
 
 MOST_REASONS = 8
 LONGEST_REASON = 256  # characters, as the wire takes them
+CERTIFICATE_S = 3600.0  # no flight is longer
 
 SELF_DOUBT = "what we see of our teammates says that our own start or heading is wrong"
 
@@ -45,6 +47,11 @@ def judge(
         for name, status in (("detector", detector), ("network", network))
         if status is not None and not status.ok
     ]
+    left_s = dict(network.counters).get("certificate_s", math.inf)
+    if left_s < CERTIFICATE_S:
+        reasons.append(
+            f"network: our certificate ends in {max(left_s, 0.0) / 60.0:.0f} min, and all links with it: renew it"
+        )
     if clones:
         reasons.append(f"another agent speaks as this drone (boots {', '.join(clones)})")
     if doubts_itself:

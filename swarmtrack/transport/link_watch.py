@@ -17,21 +17,30 @@ log = logging.getLogger(__name__)
 
 PERIOD_S: Final = 1.0
 PATIENCE: Final = 10  # periods: whoever starts with us is there by then
+NO_DATAGRAMS: Final = (
+    45  # periods without a link for datagrams; after a renewal of keys half a minute is usual
+)
 SHOWN: Final = 8  # names in one line
 
 
 @dataclass(frozen=True)
 class LinksUp:
-    """names: in the certificates at the other ends; links without keys have none. count: of links."""
+    """names: in the certificates at the other ends; links without keys have none. count: of links. datagrams: the names
+    at the other end of links that are no streams."""
 
     names: frozenset[str] = frozenset()
     count: int = 0
+    datagrams: frozenset[str] = frozenset()
 
 
 def links_up(session: zenoh.Session | None) -> LinksUp:
     links = [] if session is None else session.info.links()
-    named = (link.auth_identifier for link in links)
-    return LinksUp(frozenset(name for name in named if name), len(links))
+    named = [(link.auth_identifier, link.is_streamed) for link in links]
+    return LinksUp(
+        frozenset(name for name, _ in named if name),
+        len(links),
+        frozenset(name for name, is_streamed in named if name and not is_streamed),
+    )
 
 
 @dataclass
@@ -41,6 +50,8 @@ class LinkWatch:
     network: NetworkSettings
     _unseen: set[str] = field(init=False)
     _strangers: set[str] = field(init=False, default_factory=set)
+    _streams_only: dict[str, int] = field(init=False, default_factory=dict)
+    """By name, for how many periods a peer has had no link for datagrams."""
 
     def __post_init__(self) -> None:
         self._unseen = set(self.network.expected)
@@ -68,7 +79,25 @@ class LinkWatch:
                 f"of this team's CA that is valid by our clock"
             )
             self._unseen.clear()
-        return lines
+        return lines + self._without_datagrams(up)
+
+    def _without_datagrams(self, up: LinksUp) -> list[str]:
+        """Once for each peer that has had none for a while."""
+        without = self.streams_only(up)
+        self._streams_only = {name: self._streams_only.get(name, 0) + 1 for name in without}
+        new = {name for name, periods in self._streams_only.items() if periods == NO_DATAGRAMS}
+        if not new:
+            return []
+        return [
+            f"network: no datagrams with {_listed(new)}: is UDP let through on the port after that of network.peers? "
+            "Until then tracks wait behind every lost packet"
+        ]
+
+    def streams_only(self, up: LinksUp) -> frozenset[str]:
+        """To whom there should be a second link, for datagrams, and is none."""
+        endpoints = (*self.network.listen, *self.network.connect)
+        wanted = self.network.mode is Mode.PEER and any(text.startswith("quic/") for text in endpoints)
+        return (up.names & set(self.network.expected)) - up.datagrams if wanted else frozenset()
 
     def strangers(self, up: LinksUp) -> frozenset[str]:
         credentials = self.network.credentials
@@ -80,7 +109,9 @@ class LinkWatch:
             return f"{up.count} links"
         missing = set(self.network.expected) - up.names
         linked = f"linked to {_listed(up.names)}" if up.names else "no link"
-        return f"{linked}; not to {_listed(missing)}" if missing and up.names else linked
+        text = f"{linked}; not to {_listed(missing)}" if missing and up.names else linked
+        without = self.streams_only(up)
+        return f"{text}; no datagrams with {_listed(without)}" if without else text
 
     def is_connected(self, up: LinksUp) -> bool:
         """A client without a router is cut off; a peer alone may just be the first."""

@@ -256,6 +256,7 @@ class ZenohTransport:
             "missing": len(missing),
             "links": up.count,
             "strangers": len(self._watch.strangers(up)),
+            **self._certificate(),
             **self._outgoing.counters,
             "samples_dropped": sum(bridge.dropped for bridge in self._bridges),
             "samples_superseded": sum(bridge.superseded for bridge in self._bridges),
@@ -268,6 +269,15 @@ class ZenohTransport:
         )
         ok = self._session is not None and self._watch.is_connected(up)
         return LinkStatus("zenoh", ok, text, tuple(counters.items()))
+
+    def _certificate(self) -> dict[str, float]:
+        """For how long our certificate is valid yet, s; nothing without keys."""
+        credentials = self._network.credentials
+        return (
+            {}
+            if credentials is None
+            else {"certificate_s": credentials.expires.timestamp() - self._clock.utc()}
+        )
 
     async def close(self) -> None:
         await self._leave()

@@ -384,6 +384,17 @@ def test_a_start_that_nobody_measured_is_said_and_keeps_nobody_on_the_ground():
     assert not readiness(network=CUT_OFF, unmeasured_m=1.0).ready
 
 
+def test_a_certificate_that_ends_within_the_hour_keeps_a_drone_on_the_ground():
+    def linked(left_s):
+        return LinkStatus("zenoh", True, "linked", (("certificate_s", left_s),))
+
+    assert readiness(network=linked(3700.0)).ready
+    for left_s, minutes in ((3500.0, 58), (-5.0, 0)):
+        ready, (reason,) = readiness(network=linked(left_s))
+        assert not ready
+        assert reason.startswith(f"network: our certificate ends in {minutes} min")
+
+
 def test_each_failure_is_a_reason_not_to_fly():
     silent = LinkStatus("x", False, "udpin:h:1: searching: port open, 0 bytes")
     unplugged = LinkStatus("x", False, "unplugged; waiting for it")

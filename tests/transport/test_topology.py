@@ -26,7 +26,7 @@ from swarmtrack.errors import ConfigError, TransportError
 from swarmtrack.security.roster import Roster
 from swarmtrack.transport import topology
 from swarmtrack.transport.access_control import access_control
-from swarmtrack.transport.link_watch import LinksUp, LinkWatch
+from swarmtrack.transport.link_watch import NO_DATAGRAMS, LinksUp, LinkWatch
 from swarmtrack.transport.ports import wait_for_ports
 from swarmtrack.transport.settings import Mode, NetworkSettings, check
 from swarmtrack.transport.zenoh_session import close_session, open_session
@@ -192,7 +192,26 @@ def test_who_never_comes_up_and_who_is_a_stranger_is_said_once(team: Team) -> No
     assert "drone-9 has a certificate of our CA but is not in our roster" in line
     assert watch.news(stranger, patient=False) == []
     assert watch.strangers(stranger) == {"drone-9"}
-    assert watch.describe(two) == "linked to drone-2; not to drone-3"
+    assert watch.describe(two) == "linked to drone-2; not to drone-3; no datagrams with drone-2"
+
+
+def test_a_peer_without_a_link_for_datagrams_is_said_to_be_once_it_lasts(team: Team) -> None:
+    network = topology.of_drone(NetworkSection(team="red", peers=PEERS), 1, team.credentials("1"))
+    watch, both = LinkWatch(network), frozenset({"drone-2", "drone-3"})
+    whole, half = LinksUp(both, 4, both), LinksUp(both, 3, frozenset({"drone-3"}))
+    assert watch.describe(whole) == "linked to drone-2, drone-3"
+    assert watch.describe(half) == "linked to drone-2, drone-3; no datagrams with drone-2"
+    for up in [half] * (NO_DATAGRAMS - 1) + [whole] + [half] * (NO_DATAGRAMS - 1):
+        assert watch.news(up, patient=False) == []
+    (line,) = watch.news(half, patient=False)
+    assert line.startswith("network: no datagrams with drone-2: is UDP let through")
+    assert watch.news(half, patient=False) == []
+
+
+def test_where_streams_are_all_that_was_asked_for_datagrams_are_not_missed(team: Team) -> None:
+    streams = {i: f"tls/10.0.0.1{i}:7447?rel=1" for i in PEERS}
+    network = topology.of_drone(NetworkSection(team="red", peers=streams), 1, team.credentials("1"))
+    assert LinkWatch(network).streams_only(LinksUp(frozenset({"drone-2"}), 1)) == frozenset()
 
 
 # --- ports ------------------------------------------------------------------------------
