@@ -96,7 +96,28 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args.config, Layer(Path("swarmtrack import"), "", asked))
     clock = ManualClock(BEGIN_S, _first_stamp(log) if scheme == "tlog" else _first_utc(log))
     parts = assemble(config, SystemClock(), clock)
-    return asyncio.run(import_flight(parts, clock, args.offset))
+    return asyncio.run(import_flight(parts, clock, args.offset, _seconds_of(args.video)))
+
+
+def _seconds_of(video: Path) -> float:
+    """How long it is, by its own word; infinite where it says nothing."""
+    import cv2
+
+    capture = cv2.VideoCapture(str(video))
+    frames, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
+    capture.release()
+    return frames / fps if frames > 0.0 and 0.0 < fps < math.inf else math.inf
+
+
+def _check_offset(offset: float, video_s: float, log: _Log) -> None:
+    """Raises SourceError where no frame lies within the log."""
+    log_s = max((t for t, _ in log.said), default=BEGIN_S) - BEGIN_S
+    if not -video_s < offset < log_s:
+        length = "" if math.isinf(video_s) else f", and the video {video_s:.1f} s"
+        raise SourceError(
+            f"--offset {offset:g}: no frame lies within the log, which is {log_s:.1f} s long{length}; expected the "
+            "seconds from the log's beginning to the video's"
+        )
 
 
 def _first_stamp(tlog: Path) -> float:
@@ -124,7 +145,8 @@ def _first_utc(ulog: Path) -> float:
     return ulog.stat().st_mtime - (last - first)
 
 
-async def import_flight(parts: Parts, clock: ManualClock, offset: float) -> int:
+async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s: float = math.inf) -> int:
+    """Raises SourceError where the video is not of this flight."""
     from swarmtrack.detection.expectation import PerceivedExpectation
     from swarmtrack.sensors.base import DetectionSource
 
@@ -137,6 +159,8 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float) -> int:
     await autopilot.run(log)
     if not log.samples:
         print(f"swarmtrack import: {autopilot.status().text}: no gyro sample in the log", file=sys.stderr)
+    else:
+        _check_offset(offset, video_s, log)
     recorder.open()
     parts.door.listener = recorder
     flight = _Flight(parts, clock, log)

@@ -114,6 +114,8 @@ def run(args: argparse.Namespace) -> int:
         raise RecordingError(
             f"{', '.join(map(str, args.paths))}: nothing there that a drone was told, expected an agent's recording"
         )
+    if args.detect:
+        _check_pictures(drones)
     other = None if args.against in (None, RECORDED) else _read_other(Path(args.against))
     tasks = [
         _Task(recording, args.tracker, tuple(args.changes), args.detect, flight is not None, args.exact)
@@ -134,6 +136,18 @@ def run(args: argparse.Namespace) -> int:
     if args.exact and not all(one.replayed.exact for one in flown):
         return FAILED
     return DONE if judged is None or judged.report.passed else FAILED
+
+
+def _check_pictures(recordings: list[Recording]) -> None:
+    """Raises RecordingError where a detector would have nothing to look at."""
+    from swarmtrack.replay.replayer import IMAGES_TOPIC
+
+    for recording in recordings:
+        if not any(True for _ in recording.messages({IMAGES_TOPIC})):
+            raise RecordingError(
+                f"{recording.folder}: --detect: holds no pictures, expected a recording with [recording] "
+                'frames = "jpeg"'
+            )
 
 
 def _replay_all(

@@ -22,6 +22,10 @@ class ConfigError(SwarmtrackError):
         super().__init__("\n".join(problems))
         self.problems = problems
 
+    def __reduce__(self) -> tuple[type[ConfigError], tuple[list[str]]]:
+        """For a process that hands it to another: made again of its problems, not of their text."""
+        return type(self), (self.problems,)
+
 
 class CalibrationError(SwarmtrackError):
     """A camera calibration that cannot be read, or contradicts itself or the stream."""

@@ -191,7 +191,7 @@ class _SwarmFlight:
             tracker=plan.tracker,
             detector=plan.detector,
         )
-        with ungrouped(ProcessDied):
+        with self._recorded_to_its_end(), ungrouped(ProcessDied):
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(watch.hear(self._recording.heard(listener.samples())), name="hear")
                 background = [
@@ -215,6 +215,15 @@ class _SwarmFlight:
         report = self._report()
         await asyncio.to_thread(self._recording.end, report)
         return report
+
+    @contextlib.contextmanager
+    def _recorded_to_its_end(self) -> Iterator[None]:
+        """Whatever ends a flight early, the files of its recording are closed."""
+        try:
+            yield
+        except BaseException:
+            self._recording.abandon()
+            raise
 
     # --- starting -----------------------------------------------------------------------
 

@@ -96,6 +96,11 @@ class FlightRecording:
         self._recorder.verdict(report.as_record())
         self._recorder.close()
 
+    def abandon(self) -> None:
+        """The flight was cut short: what was heard is kept, and there is no verdict."""
+        if self._recorder is not None:
+            self._recorder.close()
+
     def _planned(self, drone: Drawn) -> Iterator[ToldPose]:
         times = (k / TRUTH_HZ for k in range(int(self.seconds * TRUTH_HZ) + 1))
         return (ToldPose(t, drone.pose(t)) for t in times)

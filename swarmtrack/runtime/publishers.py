@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.messages import LinkStatus
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.door import Door
@@ -89,6 +92,32 @@ class TracksPublisher:
         self._watchdog.feed(self._wall.now())
 
 
+class Troubles:
+    """What does not work, for a line that comes each second: each reason once, then only who is waited for."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, str] = {}
+        self._since: dict[str, float] = {}
+
+    def notes(self, links: Iterable[LinkStatus], now: float) -> list[str]:
+        """now [s]: of the machine's clock."""
+        notes, waiting = [], []
+        for link in links:
+            if link.ok:
+                self._told.pop(link.name, None)
+                self._since.pop(link.name, None)
+                continue
+            # "for 4 s" is the same reason a second later.
+            reason = re.sub(r"\d+", "#", link.text)
+            since = self._since.setdefault(link.name, now)
+            if self._told.get(link.name) != reason:
+                self._told[link.name] = reason
+                notes.append(f"{link.name}: {link.text}")
+            else:
+                waiting.append(f"{link.name} {now - since:.0f} s")
+        return [*notes, f"waiting for {', '.join(waiting)}"] if waiting else notes
+
+
 class HealthPublisher:
     """`health/<id>` once a second, and the same to all who look after this agent: files, the console, systemd."""
 
@@ -114,6 +143,7 @@ class HealthPublisher:
         self._wall = wall
         self._recorder = recorder
         self._file = file
+        self._troubles = Troubles()
 
     async def run(self) -> None:
         """Until cancelled."""
@@ -159,4 +189,4 @@ class HealthPublisher:
         notes = [f"tracks {rates['tracks'].got_hz:.0f} Hz", f"camera {rates['detections'].got_hz:.0f} Hz"]
         if rates["imu"].asked_hz is not None:
             notes.append(f"gyro {rates['imu'].got_hz:.0f} Hz")
-        return notes + [f"{link.name}: {link.text}" for link in self._health.links() if not link.ok]
+        return notes + self._troubles.notes(self._health.links(), self._wall.now())

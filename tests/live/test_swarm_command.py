@@ -26,8 +26,10 @@ pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.config import load_config, mount_camera
+from swarmtrack.errors import RecordingError
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
 from swarmtrack.localswarm.processes import Children
+from swarmtrack.recording.reader import recordings_below
 from swarmtrack.scenario_file import load_scenario
 
 LENGTHS = ("4", "16", "64")  # s: the next one where the machine is so busy that the flight was over too soon
@@ -239,6 +241,28 @@ def echo(*words):
         *(words if words[0] == "echo" else ("echo", *words)),
     ]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT, check=False)
+
+
+def test_ctrl_c_closes_every_file_of_the_recording(tmp_path):
+    folder = tmp_path / "rec"
+    flight = start(
+        tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "600", "--record", str(folder)
+    )
+    until(lambda: any("tracks" in m.topic for m in messages_below(folder / "swarm")), "the swarm is heard")
+    flight.send_signal(signal.SIGINT)
+    finish(flight)
+    assert not list(folder.rglob("*.active"))
+    recordings = recordings_below(folder)
+    assert {recording.kind for recording in recordings} == {"drone", "swarm"}
+    assert all(list(recording.messages()) for recording in recordings)
+    assert [recording.damage for recording in recordings] == [[]] * len(recordings)
+
+
+def messages_below(folder):
+    try:
+        return [message for recording in recordings_below(folder) for message in recording.messages()]
+    except RecordingError:  # nothing there yet
+        return []
 
 
 # --- what goes wrong ------------------------------------------------------------------------------

@@ -487,6 +487,17 @@ def test_the_verdict_on_a_recorded_swarm_is_reproduced(tmp_path, capsys, monkeyp
     assert "holds recordings already" in capsys.readouterr().err
 
 
+def test_a_mistake_is_said_whole_also_by_processes_for_several_recordings(flown, capsys):
+    assert replay(flown[0], "--set", "tracker.p_detection=1.5", "--jobs", "3") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("swarmtrack replay: --set:1: tracker.p_detection: 1.5, expected")
+
+
+def test_detecting_anew_without_pictures_is_refused(flown, capsys):
+    assert replay(flown[0], "--detect") == 2
+    assert "--detect: holds no pictures, expected a recording with" in capsys.readouterr().err
+
+
 def test_record_hears_the_swarm_until_ctrl_c(tmp_path):
     pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
     team = f"record-{os.getpid()}"
@@ -530,6 +541,10 @@ def test_a_log_and_a_video_become_a_recording(tmp_path, capsys):
     assert result.exact
     assert (len(result.scans), recording.damage) == (40, [])
     assert recording.folder.name.startswith("20261120T2302")  # the log's own time
+    for offset in ("99999", "5000", "-3000"):  # milliseconds for seconds, another flight's, far too early
+        assert swarmtrack.main([*words, "--out", str(tmp_path / "far"), "--offset", offset]) == 2
+        assert f"--offset {offset}: no frame lies within the log, which is " in capsys.readouterr().err
+        assert not (tmp_path / "far").exists()
     with pytest.raises(SystemExit):
         swarmtrack.main(["import", "--tlog", str(tlog)])
     words[2] = str(config)
