@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 
 # Of the width: a box that is padding for the rest tells no distance.
@@ -36,11 +35,6 @@ class BoxWidth:
                 raise ValueError(
                     f"box_width.{field.name}: found {value!r}, expected a number from {low:g} to {high:g}"
                 )
-
-    @property
-    def one_look(self) -> float:
-        """Sigma of all errors of one box."""
-        return math.sqrt(self.drone_sigma**2 + self.wander_sigma**2 + self.white_sigma**2)
 
 
 LIMITS = {

@@ -80,7 +80,7 @@ def test_a_box_that_is_padding_for_the_most_part_tells_as_much_less():
     for k in range(40):
         states.observe(look(k * DT, PLACE, gain=2.0))
     # What wanders and what is white is averaged out in part, and what lasts never.
-    assert 2.0 * 0.18 < only(states, 39 * DT).range_sigma_log < 2.0 * BOXES.one_look
+    assert 2.0 * 0.18 < only(states, 39 * DT).range_sigma_log < 2.0 * math.sqrt(0.18**2 + 0.12**2 + 0.06**2)
 
 
 def test_a_span_that_nobody_told_is_off_by_the_same_however_much_of_a_box_is_padding():
