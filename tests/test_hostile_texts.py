@@ -37,7 +37,7 @@ origin = { lat_deg = 47.1, lon_deg = 8.2, alt_m = 400.0 }
 name = "mbm"
 p_detection = 0.9
 """
-SCENARIOS = ("crossing", "silent", "intruder", "errand")
+SCENARIOS = ("crossing", "silent", "lossy-radio", "faults")  # such as load in a moment
 
 
 # --- TOML -------------------------------------------------------------------------------------------------------------

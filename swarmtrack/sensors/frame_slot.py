@@ -34,6 +34,7 @@ def _nothing() -> None:
 class RawFrame:
     """A frame as it left the camera. `decode` may be slow and runs in a thread; raises BadImage.
 
+    `header_size` tells (width, height) without decoding, None: it is known or cheap; raises BadImage.
     `release` gives the camera its buffer back; it is called on the event loop, once, whatever happened to the frame.
     """
 
@@ -43,6 +44,7 @@ class RawFrame:
     stamp: StampKind
     decode: Callable[[], Image]
     release: Callable[[], None] = _nothing
+    header_size: Callable[[], tuple[int, int]] | None = None
 
 
 def already(image: Image) -> Callable[[], Image]:
@@ -77,6 +79,8 @@ class FrameSlot(NewestSlot[RawFrame]):
             yield Frame(raw.t, raw.t_sigma, raw.sequence, image, raw.stamp)
 
     def _develop(self, raw: RawFrame) -> Image:
+        if raw.header_size is not None:  # a picture of 700 bytes may take a second and 200 MB to decode
+            check_size(raw.header_size(), self._size, self._resize)
         return fit(raw.decode(), self._size, self._resize)
 
 

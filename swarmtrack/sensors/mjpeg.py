@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from swarmtrack.clock import Clock
 from swarmtrack.messages import Frame, LinkStatus, StampKind
 from swarmtrack.sensors.camera_address import CameraAddress, read_options, server_url
-from swarmtrack.sensors.decode import decode_jpeg
+from swarmtrack.sensors.decode import check_pixels, decode_jpeg
 from swarmtrack.sensors.frame_slot import FrameSlot, Freshness, RawFrame
 from swarmtrack.sensors.http_stream import HttpStream, NetworkOptions, StreamEnded
 from swarmtrack.sensors.multipart import MultipartReader, Part
@@ -68,7 +68,16 @@ class MjpegCamera:
         if stamp is StampKind.EXPOSURE and self._freshness.is_stale(t, sequence, part.arrived):
             self._slot.source.counts.stale += 1
             return
-        self._slot.put(RawFrame(t, t_sigma, sequence, stamp, decode=lambda: decode_jpeg(part.body)))
+        self._slot.put(
+            RawFrame(
+                t,
+                t_sigma,
+                sequence,
+                stamp,
+                decode=lambda: decode_jpeg(part.body),
+                header_size=lambda: check_pixels(part.body),
+            )
+        )
 
 
 def _number(text: str) -> float:

@@ -98,6 +98,18 @@ async def test_a_frame_of_another_size_is_counted_and_said(server: StreamServer)
     await nothing_comes_but("frames are 32x32, the calibration is for 64x48", camera, camera.frames())
 
 
+async def test_a_frame_of_another_size_is_refused_by_its_header_and_not_decoded(
+    server: StreamServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[object] = []
+    monkeypatch.setattr(cv2, "imdecode", lambda *arguments: decoded.append(arguments))
+    camera = open_camera(server.url, clock=SystemClock(), size=(32, 24))
+    server.script = sending(part(jpeg(9)), source=camera)
+    await nothing_comes_but("frames are 64x48, the calibration is for 32x24", camera, camera.frames())
+    assert counters(camera)["wrong_size"] == 1
+    assert not decoded
+
+
 async def test_a_slow_consumer_gets_the_newest(server: StreamServer) -> None:
     first_taken = asyncio.Event()
 
