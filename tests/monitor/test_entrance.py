@@ -26,7 +26,7 @@ from swarmtrack.monitor.entrance import (
     SparingLog,
     tls_context,
 )
-from swarmtrack.monitor.server import PAGE, MonitorServer
+from swarmtrack.monitor.server import MAX_VIEWERS, PAGE, MonitorServer
 
 HALF_OPEN = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Never-"
 
@@ -132,6 +132,14 @@ async def test_who_has_its_answer_and_asks_no_more_is_sent_away_too(monkeypatch)
             with contextlib.suppress(ConnectionError):
                 await reader.read()
         writer.close()
+
+
+async def test_more_open_pages_than_anybody_needs_are_refused():
+    async with served() as one, aiohttp.ClientSession() as http, contextlib.AsyncExitStack() as pages:
+        for _ in range(MAX_VIEWERS):
+            await pages.enter_async_context(http.ws_connect(f"{one.url}ws"))
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
+            await http.ws_connect(f"{one.url}ws")
 
 
 async def test_running_out_of_descriptors_is_said_once_and_heals(monkeypatch, caplog):
