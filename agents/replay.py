@@ -135,7 +135,11 @@ def run(args: argparse.Namespace) -> int:
         args.json.write_text(json.dumps(record, allow_nan=False) + "\n", encoding="utf-8")
     if args.exact and not all(one.replayed.exact for one in flown):
         return FAILED
-    return DONE if judged is None or judged.report.passed else FAILED
+    if judged is None:
+        return DONE
+    from swarmtrack.agents.sim import exit_code
+
+    return exit_code(judged.report)
 
 
 def _check_pictures(recordings: list[Recording]) -> None:

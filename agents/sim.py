@@ -22,7 +22,7 @@ from swarmtrack.arguments import (
     port,
 )
 from swarmtrack.errors import SourceError
-from swarmtrack.localswarm.machine_load import BUSY, MachineLoad, lighter_flights
+from swarmtrack.localswarm.machine_load import lighter_flights
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from swarmtrack.localswarm.flight import FlightPlan
     from swarmtrack.localswarm.table import Spectator
 
-PASSED, FAILED = 0, 1
+PASSED, FAILED, TIMING_NOT_JUDGED = 0, 1, 3
 DEFAULT_SCENARIO = "hover-triangle"
 
 
@@ -144,7 +144,6 @@ def run(args: argparse.Namespace) -> int:
         check_empty(plan.record)
     console = Console()
     spectator = _spectator(plan, console)
-    load = MachineLoad()
     try:
         report = asyncio.run(_fly(plan, spectator))
     except (NoTruth, RadioError, ProcessDied, TransportError) as error:
@@ -158,15 +157,7 @@ def run(args: argparse.Namespace) -> int:
         return FAILED
     finally:
         spectator.close()
-    code = conclude(report, console, args.json)
-    if code == FAILED and load.share() > BUSY:
-        console.print(
-            f"  this machine's {os.cpu_count()} cores were {load.share():.0%} busy, so this says little of the swarm: "
-            f"try again {lighter_flights(report.drones, report.detector)}",
-            highlight=False,
-            soft_wrap=True,
-        )
-    return code
+    return conclude(report, console, args.json)
 
 
 def _scenario(args: argparse.Namespace) -> str | None:
@@ -182,7 +173,19 @@ def conclude(report: SwarmReport, console: Console, file: Path | None) -> int:
         text = json.dumps(report.as_record(), indent=1, allow_nan=False)
         file.write_text(f"{text}\n", encoding="utf-8")
     print_verdict(report, console)
-    return PASSED if report.passed else FAILED
+    return exit_code(report)
+
+
+def exit_code(report: SwarmReport) -> int:
+    """Of a verdict."""
+    from swarmtrack.evaluation.swarm_verdict import Verdict
+
+    codes = {
+        Verdict.PASSED: PASSED,
+        Verdict.FAILED: FAILED,
+        Verdict.TIMING_NOT_JUDGED: TIMING_NOT_JUDGED,
+    }
+    return codes[report.verdict]
 
 
 def check_writable(path: Path) -> None:
@@ -215,13 +218,26 @@ async def _fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
 
 
 def print_verdict(report: SwarmReport, console: Console) -> None:
+    from swarmtrack.evaluation.swarm_verdict import BUSY, Verdict
     from swarmtrack.localswarm.table import agents_table, team_table
 
     console.print(agents_table(report))
     console.print(team_table(report))
-    if report.passed:
-        console.print("PASSED", style="bold green")
-        return
-    console.print("FAILED", style="bold red")
-    for shortfall in report.shortfalls:
-        console.print(f"  {shortfall}", highlight=False, soft_wrap=True)
+    verdict, busy = (
+        report.verdict,
+        f"this machine's {os.cpu_count()} cores were {report.machine_busy:.0%} busy",
+    )
+    match verdict:
+        case Verdict.PASSED:
+            console.print("PASSED", style="bold green")
+        case Verdict.FAILED:
+            console.print("FAILED", style="bold red")
+        case Verdict.TIMING_NOT_JUDGED:
+            console.print("who is who: PASSED", style="bold green")
+            console.print(f"timing not judged: {busy}", style="bold yellow", highlight=False)
+    lines = report.shortfalls
+    if verdict is not Verdict.PASSED and report.machine_busy > BUSY:
+        said = "" if verdict is Verdict.TIMING_NOT_JUDGED else f"{busy}, so this says little of the swarm: "
+        lines.append(f"{said}try again {lighter_flights(report.drones, report.detector)}")
+    for line in lines:
+        console.print(f"  {line}", highlight=False, soft_wrap=True)

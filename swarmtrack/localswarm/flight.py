@@ -27,6 +27,7 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.errors import ungrouped
 from swarmtrack.evaluation.swarm_verdict import Limits, SwarmReport
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
+from swarmtrack.localswarm.machine_load import MachineLoad
 from swarmtrack.localswarm.outside import NoTruth
 from swarmtrack.localswarm.processes import Child, Children, ProcessDied
 from swarmtrack.localswarm.radio import RadioEmulator
@@ -138,6 +139,7 @@ class _SwarmFlight:
     ) -> None:
         self._plan = plan
         self._flown = flown
+        self._load = MachineLoad()
         self._scenario = scenario = flown.scenario
         self._folder = folder
         self._children = children
@@ -452,6 +454,7 @@ class _SwarmFlight:
             tracker=plan.tracker,
             detector=plan.detector,
             limits=self._flown.limits,
+            machine_busy=round(self._load.share(), 3),
         )
 
 

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 STAT = Path("/proc/stat")
-BUSY = 0.9  # of all cores: from here on a machine has no time left
 
 
 class MachineLoad:

@@ -197,12 +197,12 @@ def agents_table(report: SwarmReport) -> Table:
     table = _table("agents")
     table.caption = (
         "named: until it named everyone it saw; delay: from a frame's exposure to its tracks on the network, "
-        "median…95th percentile; bytes: of its announcement"
+        "median and 95th percentile"
     )
     table.caption_justify = "left"
     for heading in (
         "drone", "named s", "RMSE px", "tracks Hz", "IMU Hz", "camera Hz",
-        "delay ms", "CPU %", "RSS MB", "bytes",
+        "delay ms", "p95", "CPU %", "RSS MB",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     for agent in report.agents:
@@ -213,10 +213,10 @@ def agents_table(report: SwarmReport) -> Table:
             number(agent.track_rate_hz, 1),
             number(agent.imu_rate_hz, 1),
             number(agent.detection_rate_hz, 1),
-            f"{number(1e3 * agent.latency_p50_s, 0)}…{number(1e3 * agent.latency_p95_s, 0)}",
+            number(1e3 * agent.latency_p50_s, 0),
+            number(1e3 * agent.latency_p95_s, 0),
             number(agent.cpu_percent, 0),
             number(agent.rss_mb, 0),
-            "–" if agent.announcement_bytes is None else str(agent.announcement_bytes),
         )
     return table
 
@@ -240,7 +240,8 @@ def team_table(report: SwarmReport) -> Table:
     worst = max(score.rmse_px.values(), default=math.nan)
     table.add_row("worst RMSE, px", number(worst, 2), f"≤ {limits.rmse_px:g}")
     table.add_row("recall", share(score.recall), "")
-    table.add_row("false tracks a second", number(score.false_tracks_per_s, 3), "")
+    ghosts = f"≤ {limits.false_tracks_per_s:g}"
+    table.add_row("false tracks per second", number(score.false_tracks_per_s, 3), ghosts)
     table.add_row("switches", str(score.switches), "")
     if report.relative.samples:
         places = report.relative

@@ -346,9 +346,16 @@ class Watch:
         return max(times, default=self._last_start) - self._last_start
 
     def report(
-        self, *, seconds: float, seed: int, tracker: str, detector: str, limits: Limits
+        self,
+        *,
+        seconds: float,
+        seed: int,
+        tracker: str,
+        detector: str,
+        limits: Limits,
+        machine_busy: float = math.nan,
     ) -> SwarmReport:
-        """All numbers of the flight; the arguments are what was flown."""
+        """All numbers of the flight; the arguments are what was flown, and how busy the machine was."""
         scenario = self._scenario
         return SwarmReport(
             scenario=scenario.name,
@@ -365,6 +372,7 @@ class Watch:
             image_width=scenario.camera.width,
             limits=limits,
             relative=relative_score(self._place_errors),
+            machine_busy=machine_busy,
         )
 
     def figures(self) -> tuple[AgentFigures, ...]:

@@ -102,8 +102,15 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
         tracker=tracker,
         detector=plan["detector"],
         limits=limits,
+        machine_busy=_busy(stage.verdict),
     )
     return Judged(report, stage.verdict, stage.numbers)
+
+
+def _busy(recorded: dict[str, Any] | None) -> float:
+    """How busy the machine was in flight; NaN where the verdict does not say."""
+    busy = (recorded or {}).get("machine_busy")
+    return math.nan if busy is None else float(busy)
 
 
 def _tell_truth(recording: Recording, followed: Mapping[int, FollowedDrone]) -> None:
@@ -209,8 +216,9 @@ def _differences(key: str, recorded: Any, now: Any) -> list[str]:
     if isinstance(recorded, dict) and isinstance(now, dict):
         return [
             line
-            for name in sorted(recorded.keys() | now.keys())
-            for line in _differences(f"{key}.{name}".removeprefix("."), recorded.get(name), now.get(name))
+            # What an older program did not judge is no difference.
+            for name in sorted(recorded)
+            for line in _differences(f"{key}.{name}".removeprefix("."), recorded[name], now.get(name))
         ]
     if isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
         return [

@@ -9,7 +9,7 @@ import pytest
 from swarmtrack.benchmarks import swarm_runs
 from swarmtrack.evaluation.swarm_score import Glance, NamedTrack, SwarmScore, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
+from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport, Verdict
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.localswarm.processes import ProcessDied
 from swarmtrack.scenario_file import load_scenario
@@ -398,6 +398,7 @@ def test_a_good_flight_passes():
         ({"time_to_identify_s": {1: 0.4, 2: 2.1}}, "time_to_identify_s of drone 2: 2.1, expected 2 at most"),
         ({"rmse_px": {1: 2.6}}, "rmse_px of drone 1: 2.60, expected 2.5 at most"),
         ({"samples": 0}, "nothing to judge"),
+        ({"false_tracks_per_s": 0.3}, "false_tracks_per_s: 0.300, expected 0.2 at most"),
     ],
 )
 def test_a_flight_fails_by_every_number_of_identity_and_tracking(changed, named):
@@ -422,6 +423,27 @@ def test_a_flight_fails_by_every_number_of_an_agent(changed, named):
     report = replace(GOOD, agents=(replace(GOOD_AGENT, **changed),))
     assert len(report.shortfalls) == 1
     assert named in report.shortfalls[0]
+
+
+SLOW = replace(GOOD, agents=(replace(GOOD_AGENT, track_rate_hz=80.0),))
+CONFUSED = replace(SLOW, score=replace(GOOD_SCORE, wrong=0.01))
+
+
+@pytest.mark.parametrize(
+    ("report", "busy", "verdict"),
+    [
+        (GOOD, 1.0, Verdict.PASSED),
+        (SLOW, 0.5, Verdict.FAILED),
+        (SLOW, math.nan, Verdict.FAILED),
+        (SLOW, 0.97, Verdict.TIMING_NOT_JUDGED),
+        (CONFUSED, 0.97, Verdict.FAILED),
+    ],
+)
+def test_a_busy_machine_excuses_what_takes_time_and_no_wrong_name(report, busy, verdict):
+    flown = replace(report, machine_busy=busy)
+    assert flown.verdict is verdict
+    assert flown.as_record()["verdict"] == verdict
+    assert flown.as_record()["passed"] is (verdict is Verdict.PASSED)
 
 
 def test_what_many_fall_short_of_is_one_sentence_with_the_worst():

@@ -132,7 +132,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     }  # fmt: skip
     assert list(result) == [
         "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "relative", "agents",
-        "passed",
+        "machine_busy", "verdict", "passed",
     ]  # fmt: skip
     assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, float(seconds))
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")

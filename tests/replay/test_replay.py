@@ -480,9 +480,9 @@ def test_the_verdict_on_a_recorded_swarm_is_reproduced(tmp_path, capsys, monkeyp
     assert said.count("drone 1 (") == 1
     assert "verdict" not in said
     # Judged by a limit that nobody keeps, it fails, and so says the exit code.
-    monkeypatch.setattr("swarmtrack.replay.verdict.limits_of", lambda layers: Limits(rmse_px=1e-3))
+    monkeypatch.setattr("swarmtrack.replay.verdict.limits_of", lambda layers: Limits(announcement_bytes=10))
     assert replay(folder) == 1
-    assert "tracking.rmse_px" in capsys.readouterr().out
+    assert "announcement_bytes" in capsys.readouterr().out
     assert swarmtrack.main(["sim", "--record", str(folder), "--scenario", "hover-triangle"]) == 2
     assert "holds recordings already" in capsys.readouterr().err
 
