@@ -171,13 +171,13 @@ def test_a_flight_is_recorded_and_replayed_as_the_docs_say(tmp_path):
     flown = run(fly._replace(words=[*fly.words, "--seconds", "8"]), tmp_path)
     info, replayed, what_if = (run(command, tmp_path) for command in look)
     verdict = flown.returncode  # on a busy machine the swarm may fail, and its replay with it
-    assert verdict in (0, 1), flown.stderr
+    assert verdict in (0, 1, 3), flown.stderr
     assert info.returncode == 0, info.stderr
     assert "drone 3 of team" in info.stdout
     assert replayed.returncode == verdict, replayed.stderr
     assert replayed.stdout.count("bit for bit as recorded") == 3
     assert "the verdict is the recorded one" in replayed.stdout
-    assert what_if.returncode in (0, 1), what_if.stderr
+    assert what_if.returncode in (0, 1, 3), what_if.stderr
     assert "against it: " in what_if.stdout
     assert (tmp_path / "diff.png").stat().st_size > 10_000
 

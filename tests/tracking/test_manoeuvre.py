@@ -116,7 +116,7 @@ def matrix_exponential(dt, told):
     return F, Q
 
 
-@pytest.mark.parametrize("dt", [1e-9, 1e-4, 0.01, 1 / 15, 0.4, 0.9, 1.0, 1.1, 3.0, 10.0, 100.0, 1e4])
+@pytest.mark.parametrize("dt", [1e-9, 1e-4, 0.01, 1 / 15, 0.4, 0.9, 1.0, 1.1, 3.0, 10.0, 100.0])
 def test_drift_and_noise_while_agile_are_those_of_the_matrix_exponential(dt):
     F, Q = manoeuvre._transitions(dt, SWAYING)
     expected_F, expected_Q = matrix_exponential(dt, SWAYING)
