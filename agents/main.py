@@ -17,6 +17,7 @@ from swarmtrack.plain_text import plain
 GROUPS = {
     "try it": {
         "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent per drone, a verdict"),
+        "video": ("swarmtrack.agents.video", "track what flies in a video file, and write the video with it"),
     },
     "set up": {
         "config": ("swarmtrack.agents.config", "write, check and explain configs"),
@@ -57,6 +58,7 @@ COMMANDS = {name: command for group in GROUPS.values() for name, command in grou
 
 EXAMPLES = """where to begin:
   swarmtrack sim                           # three drones, without any hardware
+  swarmtrack video clip.mp4                # what flies in a video of yours
   swarmtrack config new                    # a config for your own; it asks
   swarmtrack doctor --config drone-1.toml  # why it does not work, and what to do
 """

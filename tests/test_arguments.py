@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from support.places import ROOT
 from swarmtrack import arguments
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.arguments import add_action, one_of, page
@@ -77,6 +78,8 @@ def test_the_help_of_a_command_begins_with_its_name(capsys):
 
 
 def test_a_page_is_named_by_a_path_that_is_there_or_by_where_it_is(monkeypatch, tmp_path):
+    # As in a checkout.
+    monkeypatch.setattr(arguments, "__file__", str(ROOT / "swarmtrack" / "arguments.py"))
     assert Path(page("security.md")).is_file()
     monkeypatch.chdir(tmp_path)
     assert Path(page("security.md")).is_file()

@@ -68,7 +68,8 @@ class Agent:
         self._watchdog = Watchdog(self._supervisor)
         with config.blamed("output"):
             self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
-            self._video = _open_video(output.video, lossless=parts.paced is not None)
+            alone = config.network.transport == "memory"
+            self._video = _open_video(output.video, lossless=parts.paced is not None, alone=alone)
         health_file = health_path(output.health)
         self._health_file = HealthFile(health_file) if health_file else None
         self.health = make_health(parts)
@@ -407,10 +408,10 @@ def make_teamwork(
     )
 
 
-def _open_video(path: Path | None, *, lossless: bool) -> AnnotatedVideo | None:
+def _open_video(path: Path | None, *, lossless: bool, alone: bool) -> AnnotatedVideo | None:
     if path is None:
         return None
     # Here, not above: OpenCV is nothing that an agent without pictures should pay for.
     from swarmtrack.runtime.annotated_video import AnnotatedVideo  # noqa: PLC0415
 
-    return AnnotatedVideo(path, lossless=lossless)
+    return AnnotatedVideo(path, lossless=lossless, alone=alone)

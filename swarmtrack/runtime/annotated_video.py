@@ -4,41 +4,86 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
+import sys
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import FOREIGN, Frame, Image, ScanReport, TrackStatus
 from swarmtrack.relative.read_out import read_out
-from swarmtrack.runtime.outputs import SeenTrack, check_suffix
+from swarmtrack.runtime.outputs import WEBM, SeenTrack, check_suffix
 from swarmtrack.runtime.palette import colour_of
 
 log = logging.getLogger(__name__)
 
 FRAMES_KEPT = 16  # a scan that waits for its gyro sample is at most a few frames behind
+MOST_REPEATED = 300  # of one frame: a stall of a minute need not be watched
 MAX_BACKLOG = 8  # frames waiting to be encoded, before a live camera's are dropped
+
+TRAIL_S = 1.0  # of a track's way
+FASTEST_HZ = 60.0  # no screen shows more
 
 GREY, RED = (200, 200, 200), (60, 60, 255)
 
 
-def annotate(frame: Frame, t_s: float, seen: list[SeenTrack]) -> Image:
-    """A copy of the frame with boxes, names, distances, velocities (a quarter of a second ahead) and 3σ ellipses."""
+class Trails:
+    """Where each track was in the last second. alone: there is no team, so that each track has a colour of its own."""
+
+    def __init__(self, *, alone: bool = False) -> None:
+        self.alone = alone
+        self._of: dict[int, deque[tuple[float, int, int]]] = {}
+
+    def follow(self, t_s: float, seen: list[SeenTrack]) -> None:
+        """Tracks that have ended are forgotten."""
+        kept = {track.entry.track.id: track for track in seen}
+        self._of = {id: trail for id, trail in self._of.items() if id in kept}
+        for id, track in kept.items():
+            trail = self._of.setdefault(id, deque())
+            trail.append((t_s, round(track.centre[0]), round(track.centre[1])))
+            while trail[0][0] < t_s - TRAIL_S:
+                trail.popleft()
+
+    def of(self, track_id: int) -> NDArray[np.int32]:
+        """(n, 2) px, oldest first."""
+        return np.array([(u, v) for _, u, v in self._of.get(track_id, ())], dtype=np.int32).reshape(-1, 2)
+
+
+def annotate(frame: Frame, t_s: float, seen: list[SeenTrack], trails: Trails | None = None) -> Image:
+    """A copy of the frame with boxes, names, distances, velocities (a quarter of a second ahead), 3σ ellipses and, by
+    `trails`, the way of each track."""
     grey = frame.image.ndim == 2
     image: Image = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR) if grey else frame.image.copy()  # type: ignore[assignment]
+    trails = trails or Trails()
+    trails.follow(t_s, seen)
     for track in seen:
-        _draw(image, track)
+        _draw(image, track, trails)
     count = sum(track.entry.track.status is TrackStatus.CONFIRMED for track in seen)
     _write(image, f"{t_s:7.2f} s  frame {frame.sequence}  {count} tracked", (8, 20), (255, 255, 255))
     return image
 
 
-def _draw(image: Image, seen: SeenTrack) -> None:
-    identity, status = seen.entry.identity, seen.entry.track.status
-    colour = RED if identity == FOREIGN else GREY if identity is None else colour_of(int(identity))[::-1]
+def _colour(seen: SeenTrack, *, alone: bool) -> tuple[int, int, int]:
+    """Blue, green, red."""
+    identity = seen.entry.identity
+    if identity == FOREIGN:
+        return RED
+    if identity is None and not alone:
+        return GREY
+    red, green, blue = colour_of(seen.entry.track.id if identity is None else int(identity))
+    return blue, green, red
+
+
+def _draw(image: Image, seen: SeenTrack, trails: Trails) -> None:
+    status = seen.entry.track.status
+    colour = _colour(seen, alone=trails.alone)
     u, v = seen.centre
     w, h = np.where(np.isnan(seen.size), 20.0, seen.size)
     thick = 2 if status is TrackStatus.CONFIRMED else 1
@@ -46,6 +91,7 @@ def _draw(image: Image, seen: SeenTrack) -> None:
     if status is TrackStatus.TENTATIVE:
         cv2.circle(image, (round(u), round(v)), 3, colour, 1, cv2.LINE_AA)
         return
+    cv2.polylines(image, [trails.of(seen.entry.track.id)], False, colour, 1, cv2.LINE_AA)
     cv2.rectangle(image, corner, opposite, colour, thick, cv2.LINE_AA)
     ahead = seen.centre + 0.25 * seen.velocity
     cv2.arrowedLine(
@@ -65,7 +111,14 @@ def _draw(image: Image, seen: SeenTrack) -> None:
 def label_of(seen: SeenTrack) -> str:
     """Who it is, how far away where that is known, and whether it is lost: `drone 2 8.4 m`."""
     identity, relative = seen.entry.identity, seen.entry.relative
-    parts = [f"track {seen.entry.track.id}" if identity is None else _name(identity)]
+    number = f"track {seen.entry.track.id}"
+    parts = [
+        number
+        if identity is None
+        else f"{_name(identity)}, {number}"
+        if identity == FOREIGN
+        else _name(identity)
+    ]
     if relative is not None:
         read = read_out(relative.position, relative.velocity, relative.cov)
         parts.append(f"{read.distance:.1f} m")
@@ -95,14 +148,34 @@ def _check_video(path: Path) -> None:
         ) from error
 
 
+def _writer(path: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:
+    codec = "VP80" if path.suffix.lower() == WEBM else "mp4v"
+    with _no_complaint():
+        return cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, size)
+
+
+@contextmanager
+def _no_complaint() -> Iterator[None]:
+    """OpenCV writes to the process's stderr that WebM has no tag for its own codec, and goes on."""
+    sys.stderr.flush()
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
+
+
 class AnnotatedVideo:
     """`[output] video`: drawn and encoded in a thread of its own.
 
     `lossless` waits for the encoder (a file at pace `fast`); otherwise frames that it cannot take in time are dropped
-    and counted.
+    and counted. Frames stand at their own times: one that lasts is written again. alone: there is no team.
     """
 
-    def __init__(self, path: Path, *, lossless: bool) -> None:
+    def __init__(self, path: Path, *, lossless: bool, alone: bool = False) -> None:
         _check_video(path)
         self._path = path
         self._lossless = lossless
@@ -112,6 +185,11 @@ class AnnotatedVideo:
         self._writer: cv2.VideoWriter | None = None
         self._first: tuple[float, Image] | None = None
         self._start: float | None = None
+        self._trails = Trails(alone=alone)
+        self._fps = 30.0
+        self._written = self._cut = 0
+        """Frames; and those that stalls lasted beyond what is worth watching."""
+        self._last: Image | None = None
         self.dropped = 0
 
     def keep(self, frame: Frame) -> None:
@@ -138,23 +216,36 @@ class AnnotatedVideo:
         self._worker.shutdown()
 
     def _encode(self, frame: Frame, t_s: float, seen: list[SeenTrack]) -> None:
-        image = annotate(frame, t_s, seen)
+        image = annotate(frame, t_s, seen, self._trails)
         if self._writer is None:
             if self._first is None:
                 self._first = (frame.t, image)  # the frame rate is known with the second frame
                 return
             began, first = self._first
             self._open(first, 1.0 / (frame.t - began) if frame.t > began else 30.0)
+        self._write(image, t_s)
+
+    def _write(self, image: Image, t_s: float) -> None:
+        """At its time; the one before lasts until then."""
         assert self._writer is not None
-        self._writer.write(image)
+        slot = round(t_s * self._fps) - self._cut
+        stall = max(slot - self._written - MOST_REPEATED, 0)
+        self._cut, slot = self._cut + stall, slot - stall
+        while self._last is not None and self._written < slot:
+            self._writer.write(self._last)
+            self._written += 1
+        if self._written <= slot:
+            self._writer.write(image)
+            self._written += 1
+        self._last = image
 
     def _open(self, first: Image, fps: float) -> None:
         height, width = first.shape[:2]
-        codec = cv2.VideoWriter.fourcc(*"mp4v")
-        self._writer = cv2.VideoWriter(str(self._path), codec, min(max(fps, 1.0), 240.0), (width, height))
+        self._fps = min(max(fps, 1.0), FASTEST_HZ)
+        self._writer = _writer(self._path, self._fps, (width, height))
         if not self._writer.isOpened():
             log.warning("output.video: OpenCV cannot write %s; frames are being lost", self._path)
-        self._writer.write(first)
+        self._write(first, 0.0)
 
     def _finish(self) -> None:
         if self._writer is None and self._first is not None:

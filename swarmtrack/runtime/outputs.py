@@ -21,7 +21,8 @@ from swarmtrack.relative.record import relative_record
 
 log = logging.getLogger(__name__)
 
-VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi")  # containers that take MPEG-4
+WEBM = ".webm"  # VP8, which browsers play
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", WEBM)  # all others take MPEG-4
 
 
 class SeenTrack(NamedTuple):

@@ -46,7 +46,8 @@ def open_video(source: str, parameters: Sequence[int] = ()) -> cv2.VideoCapture:
 
 
 class VideoFile:
-    """A video file that was found to hold at least one frame. size: (width, height) px."""
+    """A video file that was found to hold at least one frame. size: (width, height) px; announced: how many frames its
+    header tells of."""
 
     def __init__(self, path: Path, fps: float | None) -> None:
         """Raises SourceError if there is nothing to play."""
@@ -72,7 +73,7 @@ class VideoFile:
                 raise SourceError(f"video file {path}: holds no frame that can be read")
             self.size = (image.shape[1], image.shape[0])
             file_fps = capture.get(cv2.CAP_PROP_FPS)
-            self._announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+            self.announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         finally:
             capture.release()
         self.period = 1 / (fps or (file_fps if 0.01 <= file_fps <= 1000 else DEFAULT_FPS))
@@ -97,10 +98,10 @@ class VideoFile:
             capture.release()
 
     def ending(self, pictures: int) -> tuple[bool, str]:
-        if 0 < pictures < self._announced - 1:  # the header's count is off by one in honest files
+        if 0 < pictures < self.announced - 1:  # the header's count is off by one in honest files
             return (
                 False,
-                f"ended after {pictures} of {self._announced} frames: the rest of the file cannot be read",
+                f"ended after {pictures} of {self.announced} frames: the rest of the file cannot be read",
             )
         return True, f"ended after {pictures} frames"
 

@@ -24,10 +24,11 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
-from swarmtrack.runtime.annotated_video import AnnotatedVideo, annotate, label_of
+from swarmtrack.runtime.annotated_video import MOST_REPEATED, AnnotatedVideo, Trails, annotate, label_of
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import LatencyMeter, RateMeter
 from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, JsonLines, as_seen
+from swarmtrack.runtime.palette import colour_of
 
 PINHOLE = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 LENS = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480, RadTan((-0.28, 0.07, 0.001, 0.0)))
@@ -178,8 +179,44 @@ def test_who_has_no_place_has_its_name_alone():
     assert [label_of(seen) for seen in as_seen(report(0.0, *entries), LENS)] == [
         "drone 2",
         "track 7",
-        "foreign",
+        "foreign, track 7",
     ]
+
+
+def frames_of(path, times):
+    """How many frames a video has whose camera exposed at these times [s]; its rate is that of the first two."""
+    video = AnnotatedVideo(path, lossless=True)
+    for k, t in enumerate(times):
+        video.keep(frame(k, t))
+        video.write(report(t, sequence=k), [])
+    video.close()
+    capture, n = cv2.VideoCapture(str(path)), 0
+    while capture.read()[0]:
+        n += 1
+    return n
+
+
+def test_frames_stand_at_their_own_times_and_one_lasts_until_the_next(tmp_path):
+    assert frames_of(tmp_path / "even.webm", [5.0, 5.1, 5.2, 5.3]) == 4
+    assert frames_of(tmp_path / "slow.webm", [5.0, 5.1, 5.5, 5.6]) == 7
+    assert frames_of(tmp_path / "quick.webm", [5.0, 5.1, 5.12, 5.14, 5.2]) == 3
+    # Nobody wants to watch a stall of an hour.
+    assert frames_of(tmp_path / "stall.webm", [0.0, 0.1, 3600.0, 3600.1]) == 2 + MOST_REPEATED + 2
+
+
+def test_without_a_team_each_track_has_a_colour_and_a_way_of_its_own():
+    def drawn(*, alone):
+        trails, image = Trails(alone=alone), None
+        for k in range(5):
+            seen = as_seen(report(0.2 * k, track(300.0 + 30.0 * k, 200.0)), PINHOLE)
+            image = annotate(frame(k, 0.2 * k), 0.2 * k, seen, trails)
+        return image
+
+    with_team, alone = drawn(alone=False), drawn(alone=True)
+    assert (alone[200, 310:390].max(axis=1) > 0).sum() > 60  # where it came from
+    assert len({tuple(pixel) for pixel in alone[200, 320:380] if pixel.any()}) > 0
+    assert tuple(alone[190, 420]) == tuple(reversed(colour_of(7)))  # the edge of its box
+    assert tuple(with_team[190, 420]) != tuple(alone[190, 420])
 
 
 def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):
