@@ -137,12 +137,13 @@ class Weighing:
 
     def told_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
         """(b, n, m): the log ratios by motion, of those that tell how they move, by each turn that is thought of."""
-        nothing = np.zeros(self._motion.turns)
-        told = [
-            [self._motion.log_ratios(track.id, d) if self.tells_motion(d) else nothing for d in drones]
-            for track in tracks
-        ]
-        return np.moveaxis(np.reshape(told, (len(tracks), len(drones), self._motion.turns)), 2, 0)
+        told = np.array([self.tells_motion(drone) for drone in drones], dtype=bool)
+        return np.where(told, self._by_motion(tracks, drones), 0.0)
+
+    def _by_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
+        """(b, n, m): of all."""
+        found = [[self._motion.log_ratios(track.id, drone) for drone in drones] for track in tracks]
+        return np.moveaxis(np.reshape(found, (len(tracks), len(drones), self._motion.turns)), 2, 0)
 
     def think_of_turns(self, own: OwnPose | None) -> None:
         """Motion is compared with the observer's north turned by anything, which is as likely as `own` says; None: with
@@ -199,9 +200,10 @@ class Weighing:
         )
         places[-1][:, np.any(predicted.turn, axis=1)] = -np.inf
         of_each = [*own.components.only(own.likely).turns(self._motion.turns), 0]
-        moves = (self.told_motion(tracks, predicted.drone_id) > MOVES_AS)[of_each]
+        motion = self._by_motion(tracks, predicted.drone_id)[of_each]
         # A drone that may be anywhere is no likelier than others that tell how they move, and have no place either.
         told = np.array([self.tells_motion(drone) for drone in predicted.drone_id], dtype=bool)
+        moves = told & (motion > MOVES_AS)
         rivals = told & (moves[-1].any(axis=1, keepdims=True) | moves[-1].any(axis=0))
         places[-1] = np.where(rivals, LOG_ANYWHERE, places[-1])
         every = np.logaddexp(places, np.where(moves, LOG_ASTRAY, -np.inf))
@@ -224,12 +226,7 @@ class Weighing:
                     ratios[i, j] += math.log(max(track.probability, LEAST_EXISTENCE))
                 if by_place[i, j] > LOG_ASTRAY:
                     ratios[i, j] += self._spans.log_ratio(drone, track.size, distance, sigma)
-        return np.asarray(every + ratios + self._by_motion(tracks, predicted.drone_id)[of_each])
-
-    def _by_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
-        """(b, n, k): the log ratios by motion, by each turn that is thought of."""
-        found = [[self._motion.log_ratios(track.id, drone) for drone in drones] for track in tracks]
-        return np.moveaxis(np.reshape(found, (len(tracks), len(drones), self._motion.turns)), 2, 0)
+        return np.asarray(every + ratios + motion)
 
     def tells_motion(self, drone_id: int) -> bool:
         """Whether it is known how the drone moves, and not only where it is once in a while."""
