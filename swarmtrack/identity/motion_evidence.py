@@ -218,22 +218,26 @@ class MotionEvidence:
 
     def log_ratio(self, track_id: int, drone_id: int) -> float:
         """How much more likely the track is the drone than another thing, by how both moved."""
-        by_turn = self.log_ratios(track_id, drone_id)
+        by_turn = self.log_ratios([track_id], [drone_id])[:, 0, 0]
         if self.turns == 1:
             return float(by_turn[0])
         is_it = np.logaddexp.reduce(self._log_turned - np.logaddexp(0.0, -by_turn))
         is_not = np.logaddexp.reduce(self._log_turned - np.logaddexp(0.0, by_turn))
         return float(is_it - is_not)
 
-    def log_ratios(self, track_id: int, drone_id: int) -> Array:
-        """(turns,): the same if the observer's north is turned by each."""
-        ratio = self._ratio.get((track_id, drone_id))
-        if drone_id not in self._last or ratio is None:
-            return np.zeros(self.turns)
-        trust = self._last[drone_id].trust
-        ratio = _if_flown(ratio) if trust.tried else ratio
+    def log_ratios(self, tracks: Sequence[int], drones: Sequence[int]) -> Array:
+        """(turns, n, m): the same of all pairs, if the observer's north is turned by each."""
+        nothing = np.zeros(self.turns)
+        found = [[self._ratio.get((track, drone), nothing) for drone in drones] for track in tracks]
+        ratio = np.reshape(found, (len(tracks), len(drones), self.turns))
+        trust = [self._last[drone].trust if drone in self._last else None for drone in drones]
+        most = np.array([math.inf if one is None else one.most for one in trust])
+        tried = np.array([one is not None and one.tried for one in trust], dtype=bool)
+        if tried.any():
+            ratio[:, tried] = _if_flown(ratio[:, tried])
         # What is more than it may give is taken off all turns alike: which of them is likelier stays what it is.
-        return np.maximum(ratio - max(float(ratio.max()) - trust.most, 0.0), -trust.most)
+        over = np.maximum(ratio.max(axis=2) - most, 0.0)
+        return np.moveaxis(np.maximum(ratio - over[..., None], -most[:, None]), 2, 0)
 
     def _compare(self, sayings: Sequence[Saying]) -> None:
         """sayings: one of each drone, in order. The rays of the scan nearest to each are weighed by all models."""

@@ -44,10 +44,9 @@ class Proofs:
         if not drones:
             return
         # The probability over all matchings is at least this: what else the track, or the drone, could be.
-        odds = np.exp([[motion.log_ratios(track, drone) for drone in drones] for track in tracks])
-        odds = odds.reshape(len(tracks), len(drones), motion.turns)
-        rivals = odds.sum(axis=0) + odds.sum(axis=1, keepdims=True) - odds
-        probability = (odds / (1.0 + rivals)) @ motion.turn_weight
+        odds = np.exp(motion.log_ratios(tracks, drones))
+        rivals = odds.sum(axis=1, keepdims=True) + odds.sum(axis=2, keepdims=True) - odds
+        probability = np.tensordot(motion.turn_weight, odds / (1.0 + rivals), axes=1)
         for i, track in enumerate(tracks):
             for j, drone in enumerate(drones):
                 self._note((track, drone), float(probability[i, j]), t)

@@ -112,11 +112,7 @@ class SelfDoubt:
         ]
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
-        vague = [
-            drone
-            for drone, said in whereabouts.announced.items()
-            if is_vague(said) and weighing.tells_motion(drone) and not weighing.is_agreed(drone)
-        ]
+        vague = _known_by_motion(whereabouts, weighing)
         if self.said and not places and any(t - place.t < SOON_S for place in latest):
             # They will say in a moment where they are now.
             self._t, self._since = t, math.nan
@@ -195,3 +191,12 @@ class SelfDoubt:
             self._since = t
         elif t - self._since >= (GONE_S if self.said else SAID_S):
             self.said, self._since = not self.said, math.nan
+
+
+def _known_by_motion(whereabouts: Whereabouts, weighing: Weighing) -> list[int]:
+    """Who knows no more where it is, and tells how it moves. A code sways up and down, which no heading turns."""
+    return [
+        drone
+        for drone, said in whereabouts.announced.items()
+        if is_vague(said) and weighing.tells_motion(drone) and not weighing.is_agreed(drone)
+    ]

@@ -138,12 +138,7 @@ class Weighing:
     def told_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
         """(b, n, m): the log ratios by motion, of those that tell how they move, by each turn that is thought of."""
         told = np.array([self.tells_motion(drone) for drone in drones], dtype=bool)
-        return np.where(told, self._by_motion(tracks, drones), 0.0)
-
-    def _by_motion(self, tracks: Sequence[Track], drones: Sequence[int]) -> Array:
-        """(b, n, m): of all."""
-        found = [[self._motion.log_ratios(track.id, drone) for drone in drones] for track in tracks]
-        return np.moveaxis(np.reshape(found, (len(tracks), len(drones), self._motion.turns)), 2, 0)
+        return np.where(told, self._motion.log_ratios([track.id for track in tracks], drones), 0.0)
 
     def think_of_turns(self, own: OwnPose | None) -> None:
         """Motion is compared with the observer's north turned by anything, which is as likely as `own` says; None: with
@@ -200,7 +195,7 @@ class Weighing:
         )
         places[-1][:, np.any(predicted.turn, axis=1)] = -np.inf
         of_each = [*own.components.only(own.likely).turns(self._motion.turns), 0]
-        motion = self._by_motion(tracks, predicted.drone_id)[of_each]
+        motion = self._motion.log_ratios([track.id for track in tracks], predicted.drone_id)[of_each]
         # A drone that may be anywhere is no likelier than others that tell how they move, and have no place either.
         told = np.array([self.tells_motion(drone) for drone in predicted.drone_id], dtype=bool)
         moves = told & (motion > MOVES_AS)

@@ -200,7 +200,7 @@ def test_an_observer_whose_north_is_turned_by_anything_finds_out_by_how_much(deg
     flight = Flight(starts(2), moves)
     anything = np.full(len(TURNS), 1.0 / len(TURNS))
     found = flight.watched(12.0, said, thinks_of=anything)
-    by_turn = found.log_ratios(1, 1) + found.log_ratios(2, 2)
+    by_turn = np.trace(found.log_ratios([1, 2], [1, 2]), axis1=1, axis2=2)
     away = np.abs((np.degrees(TURNS) - degrees + 180.0) % 360.0 - 180.0)
     assert away[by_turn.argmax()] <= 36.0
     assert by_turn[away > 60.0].max() < by_turn.max() - math.log(100.0)
