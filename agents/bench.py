@@ -41,6 +41,10 @@ BENCHMARKS = {
         "what a delay of some scans is worth to a tracker's estimates",
     ),
     "flood": ("swarmtrack.benchmarks.flood", "what a member that floods does to the others"),
+    "formation-command": (
+        "swarmtrack.benchmarks.formation.command",
+        "what a command in formation costs, and whether it is sound whatever it is told",
+    ),
     "identity": (
         "swarmtrack.benchmarks.identity.layouts",
         "who is who from one look: the paper's rule and ours",

@@ -16,7 +16,7 @@ from support.places import ROOT
 LAYERS: list[set[str]] = [
     {"errors", "messages", "clock", "arguments", "plain_text", "log_lines"},
     {"geometry"},
-    {"motion", "tracking", "identity", "relative"},
+    {"motion", "tracking", "identity", "relative", "formation"},
     {"onboard", "perceived"},
     {"simulation", "evaluation"},
     {"toml", "wire", "security", "camera_files", "trajectory_file"},
@@ -32,8 +32,8 @@ LAYERS: list[set[str]] = [
 ]
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
 CORE = {
-    "errors", "messages", "plain_text", "geometry", "motion", "tracking", "identity", "relative", "onboard",
-    "perceived",
+    "errors", "messages", "plain_text", "geometry", "motion", "tracking", "identity", "relative", "formation",
+    "onboard", "perceived",
 }  # fmt: skip
 # What judges and says, and touches nothing: facts in, sentences out.
 JUDGES = {"diagnosis", "evaluation", "monitor.verdict", "monitor.team", "monitor.timeline"}

@@ -1,0 +1,135 @@
+"""Stories that no flight tells: whatever a formation may be told, its answers are numbers within the limits.
+
+States are NaN, huge or tiny; covariances singular, of no shape a covariance has, or infinite; names come and go, 0 to
+20 tracks at once; poses are old; time stands, leaps and runs back. `RelativeState` refuses some of this at its birth;
+here it gets past.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from swarmtrack.formation.parameters import FlightLimits, FormationParameters
+from swarmtrack.formation.setpoint import OwnFlight, Setpoint, Velocity
+from swarmtrack.messages import Array, IdentifiedTrack, Identity, RelativeState, Track, TrackStatus
+
+Story = tuple[dict[int, RelativeState], OwnFlight, list[IdentifiedTrack], float]
+
+MOST_TRACKS = 20
+ODD = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1e-300, 0.0, 1e12)
+SLOTS = {1: (0.0, 0.0, 0.0), 2: (-4.0, 3.0, -1.0), 3: (-4.0, -3.0, 1.0)}
+HEIGHT_M = 6.0
+# Of the numbers that are told, this share is one of `ODD`; of stories, this share has any.
+ODD_SHARE, ODD_STORIES = 0.05, 0.5
+# Rounding, of m/s and rad/s.
+SLACK = 1e-9
+
+
+class Stories:
+    """Endless; `parameters` of whom they are told."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        rng = self._rng
+        limits = FlightLimits(
+            speed=float(rng.uniform(0.1, 5.0)),
+            climb=float(rng.uniform(0.1, 2.0)),
+            yaw_rate=float(rng.uniform(0.05, 1.5)),
+            acceleration=float(rng.uniform(0.2, 5.0)),
+        )
+        references = (1,) if rng.random() < 0.5 else (1, 3)
+        self.parameters = FormationParameters(
+            drone_id=2, leader=1, slots=SLOTS, references=references, height=HEIGHT_M, limits=limits
+        )
+        self._t = 0.0
+
+    def __iter__(self) -> Iterator[Story]:
+        while True:
+            yield self._next()
+
+    def _next(self) -> Story:
+        rng = self._rng
+        odd = rng.random() < ODD_STORIES
+        self._t += float(rng.choice([0.1, 0.1, 0.1, 0.1, 0.0, -5.0, 30.0, 1e-9]))
+        n = int(rng.integers(MOST_TRACKS + 1))
+        drones = rng.integers(0, 5, n).tolist()
+        states = {k: self._state(drones[k], odd=odd) for k in range(n) if rng.random() < 0.9}
+        return states, self._own(odd=odd), [self._track(k, drones[k]) for k in range(n)], self._t
+
+    def _numbers(self, n: int, scale: float, *, odd: bool) -> Array:
+        values = scale * self._rng.standard_normal(n)
+        if odd:
+            some = self._rng.random(n) < ODD_SHARE
+            values[some] = self._rng.choice(ODD, int(some.sum()))
+        return values
+
+    def _own(self, *, odd: bool) -> OwnFlight:
+        rng = self._rng
+        ages = np.abs(self._numbers(4, 0.1, odd=odd)).tolist()
+        flags = (rng.random(3) < 0.02).tolist()
+        return OwnFlight(
+            self._triple(10.0, odd=odd),
+            self._triple(1.0, odd=odd),
+            float(self._numbers(1, 3.0, odd=odd)[0]),
+            position_sigma=float(abs(self._numbers(1, 0.3, odd=odd)[0])),
+            pose_age=ages[0],
+            gyro_age=ages[1],
+            scan_age=ages[2],
+            heading_step_age=100.0 * ages[3],
+            clash=flags[0],
+            doubted=flags[1],
+            clock_known=not flags[2],
+        )
+
+    def _triple(self, scale: float, *, odd: bool) -> Velocity:
+        north, east, down = self._numbers(3, scale, odd=odd).tolist()
+        return north, east, down
+
+    def _state(self, drone_id: int, *, odd: bool) -> RelativeState:
+        rng = self._rng
+        root = self._numbers(36, 0.3, odd=odd).reshape(6, 6)
+        with np.errstate(all="ignore"):
+            cov = root @ root.T if rng.random() < 0.8 else root
+            if rng.random() < 0.1:
+                cov = np.outer(root[0], root[0])
+        born = object.__new__(RelativeState)
+        values = {
+            "drone_id": drone_id,
+            "t": self._t,
+            "position": self._numbers(3, float(rng.choice([0.01, 1.0, 5.0, 50.0])), odd=odd),
+            "velocity": self._numbers(3, 1.0, odd=odd),
+            "cov": cov,
+            "range_sigma_log": float(abs(self._numbers(1, 0.2, odd=odd)[0])),
+            "sources": (),
+        }
+        for name, value in values.items():
+            object.__setattr__(born, name, value)
+        return born
+
+    def _track(self, track_id: int, drone_id: int) -> IdentifiedTrack:
+        rng = self._rng
+        status = rng.choice(list(TrackStatus), p=[0.1, 0.8, 0.1])
+        identity: Identity = drone_id or None
+        coasting = None if rng.random() < 0.7 else self._t - float(rng.uniform(0.0, 3.0))
+        probability = float(rng.choice([0.2, 0.95, 0.999, 1.0]))
+        seen = Track(
+            track_id, self._t, np.zeros(4), np.eye(4), TrackStatus(status), 1.0, np.full(2, 20.0), coasting
+        )
+        return IdentifiedTrack(seen, identity, probability if identity else 0.0)
+
+
+def wrong_with(setpoint: Setpoint, limits: FlightLimits) -> str:
+    """What a setpoint breaks; nothing where it is sound."""
+    numbers = (*setpoint.velocity, setpoint.yaw_rate)
+    if not all(map(math.isfinite, numbers)):
+        return f"no numbers: {numbers}"
+    if math.hypot(*setpoint.velocity) > limits.speed + SLACK:
+        return f"faster than {limits.speed} m/s: {setpoint.velocity}"
+    if abs(setpoint.velocity[2]) > limits.climb + SLACK:
+        return f"climbs faster than {limits.climb} m/s: {setpoint.velocity}"
+    if abs(setpoint.yaw_rate) > limits.yaw_rate + SLACK:
+        return f"turns faster than {limits.yaw_rate} rad/s: {setpoint.yaw_rate}"
+    return ""

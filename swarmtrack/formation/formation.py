@@ -1,0 +1,325 @@
+"""One drone's place in a formation: what it is to fly now, by what it sees. Pure: no clock, no input, no output.
+
+Theory of operation. A command has five parts, in this order:
+
+1. Holds. What the own autopilot, camera or team says may forbid to fly by it: then the drone stops where it is.
+2. The law (`law.py`) gives a level velocity from the references that may be trusted (`references.py`). When the last of
+   them is lost, the last command fades; then the drone holds, and never searches.
+3. The height is that of the slot, held by the own autopilot's. Right after engaging it comes first: who flies level
+   through other drones' heights meets them where nobody looks.
+4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from
+   everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down.
+5. The nose turns to the references, and to where they were last expected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from swarmtrack.formation.barrier import HalfSpace, binding, fence, keep_clear, nearest_velocity
+from swarmtrack.formation.law import SeenReference, displacement, saturated, towards, turn_rate
+from swarmtrack.formation.parameters import FormationParameters
+from swarmtrack.formation.references import ReferenceWatch
+from swarmtrack.formation.setpoint import FASTEST_M_S, STILL, OwnFlight, Setpoint, Velocity, Why
+from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, TrackStatus
+
+# s: of a pose, of the gyro, of a scan: older than this they tell nothing of now.
+OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
+# m: of a place that is known worse the fence means nothing.
+VAGUEST_PLACE_M = 1.0
+# s: so long after its heading stepped a drone does not fly by it.
+HEADING_SETTLES_S = 3.0
+# s: with this time constant the last command fades, and s: then it is over.
+FADE_S, FADED_S = 0.5, 1.5
+# 1/s, on the error of the height; and m: nearer to its height than this a drone may fly level.
+HEIGHT_GAIN, AT_HEIGHT_M = 0.8, 0.3
+# 1/s, on the error of the heading.
+YAW_GAIN = 1.5
+# s: a step of time is never longer.
+LONGEST_STEP_S = 0.3
+# m beyond the clearance: who is farther away need not be kept clear of.
+WATCHED_M = 6.0
+# Sigmas of ln(range) that somebody may be nearer than it seems; a range that is not known at all counts as 0.6.
+SIGMAS, VAGUEST_RANGE = 2.0, 0.6
+# m: who seems to be beyond could not be seen.
+FARTHEST_M = 1e3
+
+HOLDS = {
+    Why.OWN_POSE: "own position is old or unsure",
+    Why.GYRO: "gyro is silent",
+    Why.CAMERA: "camera is silent",
+    Why.CLASH: "another process speaks as this drone",
+    Why.DOUBT: "own start or heading seems wrong",
+    Why.HEADING: "heading has stepped",
+    Why.CLOCK: "autopilot's clock is unknown",
+    Why.BROKEN: "no number came of it",
+}
+
+
+class Formation:
+    """Told what is seen and how the drone flies, `command` answers with what to fly. `engage` begins each flight."""
+
+    def __init__(self, parameters: FormationParameters) -> None:
+        self.parameters = parameters
+        self._watches = [ReferenceWatch(drone_id) for drone_id in parameters.references]
+        self.engage()
+
+    def engage(self) -> None:
+        """From rest: the fence stands around where the next command finds the drone."""
+        for watch in self._watches:
+            watch.restart()
+        self._t: float | None = None
+        self._engaged_at: Velocity | None = None
+        self._at_height = False
+        self._flown = STILL
+        self._followed = STILL
+        self._followed_at = -math.inf
+        self._yaw_rate = 0.0
+
+    def command(
+        self,
+        relative_states: Mapping[int, RelativeState],
+        own: OwnFlight,
+        tracks: Sequence[IdentifiedTrack],
+        t: float,
+    ) -> Setpoint:
+        """What to fly from t [s] on. relative_states: by track, of all whose range is known, named or not, at t."""
+        dt = self._step_to(t)
+        if not own.is_possible:
+            self._forget()
+            return self._brake(t, dt, Why.OWN_POSE)
+        states = {track: state for track, state in relative_states.items() if _is_usable(state)}
+        trusted = self._trusted(states, own, tracks, t)
+        why = _forbidden(own)
+        if why is not None:
+            self._forget()
+        if why in (Why.OWN_POSE, Why.GYRO):
+            return self._brake(t, dt, why)
+        if self._engaged_at is None:
+            self._engaged_at = own.position
+        error = None
+        if why is not None:
+            wanted, text = STILL, HOLDS[why]
+        elif trusted:
+            wanted, error = self._law(trusted, states, own)
+            why, text = Why.FOLLOW, f"{error:.1f} m off its slot"
+        else:
+            wanted, why, text = self._alone(t)
+        wanted, why, text = self._with_height(wanted, own, why, text)
+        limits = self.parameters.limits
+        slewed = towards(self._flown, saturated(wanted, limits.speed), limits.acceleration * dt)
+        if not _are_numbers(slewed):
+            return self._brake(t, dt, Why.BROKEN)
+        if why is Why.FOLLOW:
+            self._followed, self._followed_at = slewed, t
+        velocity, clear_of = self._bent(slewed, states, own, tracks, t)
+        yaw_rate = self._turned(own, t, dt) if why is not Why.HEADING else 0.0
+        if not _are_numbers((*velocity, yaw_rate)):
+            return self._brake(t, dt, Why.BROKEN)
+        self._flown, self._yaw_rate = velocity, yaw_rate
+        if clear_of:
+            text += ", keeps clear"
+        return Setpoint(t, velocity, yaw_rate, why, text, error, clear_of)
+
+    def _step_to(self, t: float) -> float:
+        """s since the last command; 0 where time does not go on."""
+        before, self._t = self._t, t
+        passed = 0.0 if before is None else t - before
+        return min(passed, LONGEST_STEP_S) if passed > 0.0 else 0.0
+
+    # ── whom to fly by ───────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _trusted(
+        self,
+        states: Mapping[int, RelativeState],
+        own: OwnFlight,
+        tracks: Sequence[IdentifiedTrack],
+        t: float,
+    ) -> list[tuple[int, int]]:
+        """Drone and track of the references that may be flown by."""
+        bearers: dict[int, list[IdentifiedTrack]] = {watch.drone_id: [] for watch in self._watches}
+        for entry in tracks:
+            if isinstance(entry.identity, int) and entry.identity in bearers:
+                bearers[entry.identity].append(entry)
+        trusted = []
+        for watch in self._watches:
+            named = bearers[watch.drone_id]
+            state = states.get(named[0].track.id) if len(named) == 1 else None
+            if state is None or state.drone_id != watch.drone_id:
+                watch.miss()
+                continue
+            watch.see(named[0], state, own, t)
+            if watch.trusted:
+                trusted.append((watch.drone_id, named[0].track.id))
+        return trusted
+
+    def _forget(self) -> None:
+        """What holds a drone costs its references their trust: it goes on once they have been sure for a while."""
+        for watch in self._watches:
+            watch.restart()
+        self._followed_at = -math.inf
+
+    # ── the law ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _law(
+        self, trusted: list[tuple[int, int]], states: Mapping[int, RelativeState], own: OwnFlight
+    ) -> tuple[Velocity, float]:
+        """The level velocity to fly, and how far off its slot the drone is."""
+        p = self.parameters
+        seen = []
+        for drone_id, track_id in trusted:
+            state = states[track_id]
+            error = state.position - p.wanted(drone_id)
+            seen.append(SeenReference(error, state.velocity + own.velocity, state.cov))
+        (north, east, _), along = displacement(seen)
+        x, y, _ = saturated((p.gain * north, p.gain * east, 0.0), p.approach)
+        return saturated((x + along[0], y + along[1], 0.0), p.limits.speed), math.hypot(north, east)
+
+    def _alone(self, t: float) -> tuple[Velocity, Why, str]:
+        """Without a reference: the last command fades, then the drone holds."""
+        lost_for = t - self._followed_at
+        names = " and ".join(str(watch.drone_id) for watch in self._watches)
+        if 0.0 <= lost_for < FADED_S:
+            share = math.exp(-lost_for / FADE_S)
+            north, east, _ = self._followed
+            return (share * north, share * east, 0.0), Why.FADE, f"drone {names} is lost: slows down"
+        entering = [watch.drone_id for watch in self._watches if watch.entering]
+        if entering:
+            return STILL, Why.ENTRY, f"drone {entering[0]} is seen, not for long enough"
+        return STILL, Why.NO_REFERENCE, f"drone {names} is not seen"
+
+    def _with_height(
+        self, wanted: Velocity, own: OwnFlight, why: Why, text: str
+    ) -> tuple[Velocity, Why, str]:
+        """The slot's height beside the level velocity; that alone until the drone has come to it."""
+        off = self.parameters.down - own.position[2]
+        climb = self.parameters.limits.climb
+        down = min(max(HEIGHT_GAIN * off, -climb), climb)
+        if not self._at_height:
+            self._at_height = abs(off) < AT_HEIGHT_M
+        if why in HOLDS:
+            return wanted, why, text
+        if not self._at_height:
+            return (
+                (0.0, 0.0, down),
+                Why.HEIGHT,
+                f"{'descends' if off > 0.0 else 'climbs'} {abs(off):.1f} m first",
+            )
+        return (wanted[0], wanted[1], down), why, text
+
+    # ── limits ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _bent(
+        self,
+        velocity: Velocity,
+        states: Mapping[int, RelativeState],
+        own: OwnFlight,
+        tracks: Sequence[IdentifiedTrack],
+        t: float,
+    ) -> tuple[Velocity, tuple[int, ...]]:
+        """Away from everybody who is seen, and within the fence; and of whom it had to keep clear."""
+        limits, here = self.parameters.limits, self._engaged_at
+        assert here is not None
+        spaces = fence(
+            own.position,
+            here,
+            radius=limits.fence_radius,
+            lowest=min(-limits.least_height, here[2] + limits.fence_height),
+            highest=here[2] - limits.fence_height,
+            pull=limits.climb,
+        )
+        spaces += self._in_the_way(states, own, tracks)
+        north, east, down = nearest_velocity(velocity, spaces)
+        most_down, most_up = (min(space.bound, limits.climb) for space in spaces[:2])
+        down = min(max(down, -most_up), most_down)
+        return saturated((north, east, down), limits.speed), binding(velocity, spaces)
+
+    def _in_the_way(
+        self, states: Mapping[int, RelativeState], own: OwnFlight, tracks: Sequence[IdentifiedTrack]
+    ) -> list[HalfSpace]:
+        """A half-space for every confirmed track whose distance is known, named or not."""
+        near = [
+            (entry.track.id, states[entry.track.id])
+            for entry in tracks
+            if entry.track.status is TrackStatus.CONFIRMED and entry.track.id in states
+        ]
+        if not near:
+            return []
+        r = np.array([state.position for _, state in near])
+        v = np.array([state.velocity for _, state in near]) + own.velocity
+        distance = np.sqrt((r * r).sum(axis=1))
+        d = r / distance[:, None]
+        cov = np.array([state.cov[:3, :3] for _, state in near])
+        variance = (d[:, :, None] * cov * d[:, None, :]).sum(axis=(1, 2))
+        sigma = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / distance, VAGUEST_RANGE)
+        nearest = (distance * np.exp(-SIGMAS * sigma)).tolist()
+        p = self.parameters
+        return [
+            keep_clear(
+                near[i][0], tuple(ray), low, tuple(speed), clearance=p.clearance, fastest=p.limits.speed
+            )
+            for i, (ray, low, speed) in enumerate(zip(d.tolist(), nearest, v.tolist(), strict=True))
+            if low < p.clearance + WATCHED_M
+        ]
+
+    # ── the nose ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _turned(self, own: OwnFlight, t: float, dt: float) -> float:
+        """rad/s: towards the references, where they are, were last expected, or should be."""
+        north = east = 0.0
+        for watch in self._watches:
+            direction = watch.direction(own, t)
+            if direction is None:
+                x, y, _ = self.parameters.wanted(watch.drone_id)
+                away = math.hypot(x, y)
+                direction = (x / away, y / away) if away > 1e-3 else (0.0, 0.0)
+            north, east = north + direction[0], east + direction[1]
+        limits = self.parameters.limits
+        wanted = 0.0
+        if math.hypot(north, east) > 1e-3:
+            wanted = turn_rate(math.atan2(east, north) - own.heading, YAW_GAIN, limits.yaw_rate)
+        return self._slewed_rate(wanted, dt)
+
+    def _slewed_rate(self, wanted: float, dt: float) -> float:
+        most = self.parameters.limits.yaw_acceleration * dt
+        return self._yaw_rate + min(max(wanted - self._yaw_rate, -most), most)
+
+    def _brake(self, t: float, dt: float, why: Why) -> Setpoint:
+        """To a stop, by nothing but the last command."""
+        self._flown = towards(self._flown, STILL, self.parameters.limits.acceleration * dt)
+        self._yaw_rate = self._slewed_rate(0.0, dt)
+        return Setpoint(t, self._flown, self._yaw_rate, why, HOLDS[why])
+
+
+def _forbidden(own: OwnFlight) -> Why | None:
+    """Why this drone may not fly by what it sees; None where it may. Of several reasons the gravest."""
+    if not own.pose_age <= OLDEST_POSE_S or not own.position_sigma <= VAGUEST_PLACE_M:
+        return Why.OWN_POSE
+    reasons = (
+        (not own.gyro_age <= OLDEST_GYRO_S, Why.GYRO),
+        (not own.clock_known, Why.CLOCK),
+        (own.clash, Why.CLASH),
+        (not own.heading_step_age >= HEADING_SETTLES_S, Why.HEADING),
+        (own.doubted, Why.DOUBT),
+        (not own.scan_age <= OLDEST_SCAN_S, Why.CAMERA),
+    )
+    return next((why for holds, why in reasons if holds), None)
+
+
+def _is_usable(state: RelativeState) -> bool:
+    """Whether a state is one that a drone could have."""
+    place, speed, cov = state.position, state.velocity, state.cov
+    far, fast, wide = (float(np.vdot(of, of)) for of in (place, speed, cov))
+    # NaN fails every comparison.
+    return 1e-4 < far < FARTHEST_M**2 and fast < FASTEST_M_S**2 and wide < math.inf and _has_variances(cov)
+
+
+def _are_numbers(values: Sequence[float]) -> bool:
+    return all(map(math.isfinite, values))
+
+
+def _has_variances(cov: Array) -> bool:
+    return bool((cov.diagonal() >= 0.0).all())

@@ -1,0 +1,73 @@
+"""The displacement law: a velocity from where the references are and how they move.
+
+    e = (Σ P_r⁻¹)⁻¹ Σ P_r⁻¹ (r − D)    w = (Σ P_v⁻¹)⁻¹ Σ P_v⁻¹ v_j    v = sat(k e) + w
+
+The covariances weigh: across a ray a camera is sharp, along it not. Without w nothing holds at 1.5 m/s. Level only:
+the height is the own autopilot's business.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.formation.setpoint import Velocity
+from swarmtrack.messages import Array
+
+# m and m/s: nobody's place or velocity is known better.
+LEAST_SIGMA = 0.05
+
+
+class SeenReference(NamedTuple):
+    """A reference: error (3,) m: where it is less where it should be; velocity (3,) m/s, its own; cov (6, 6)."""
+
+    error: Array
+    velocity: Array
+    cov: Array
+
+
+def displacement(seen: Sequence[SeenReference]) -> tuple[Velocity, Velocity]:
+    """The error of the own place [m], and the velocity of the formation [m/s]."""
+    errors = [(entry.error, entry.cov[:3, :3]) for entry in seen]
+    velocities = [(entry.velocity, entry.cov[3:, 3:]) for entry in seen]
+    return _weighted(errors), _weighted(velocities)
+
+
+def _weighted(values: Sequence[tuple[Array, Array]]) -> Velocity:
+    told = np.array([value for value, _ in values])
+    mean = told[0]
+    if len(values) > 1:
+        floor = LEAST_SIGMA**2 * np.eye(3)
+        try:
+            weights = np.linalg.inv(np.array([cov for _, cov in values]) + floor)
+            mean = np.linalg.solve(weights.sum(axis=0), np.einsum("nij,nj->i", weights, told))
+        except np.linalg.LinAlgError:
+            # No covariance at all: they count alike.
+            mean = told.mean(axis=0)
+    north, east, down = mean.tolist()
+    return north, east, down
+
+
+def saturated(v: Velocity, most: float) -> Velocity:
+    """The same direction, no longer than `most`."""
+    north, east, down = v
+    length = math.sqrt(north * north + east * east + down * down)
+    if length <= most:
+        return v
+    share = most / length
+    return north * share, east * share, down * share
+
+
+def towards(now: Velocity, wanted: Velocity, most: float) -> Velocity:
+    """From one velocity to another, by no more than `most`."""
+    north, east, down = (goal - here for here, goal in zip(now, wanted, strict=True))
+    step = saturated((north, east, down), most)
+    return now[0] + step[0], now[1] + step[1], now[2] + step[2]
+
+
+def turn_rate(error: float, gain: float, most: float) -> float:
+    """rad/s that takes an error of heading [rad, any] away."""
+    return min(max(gain * math.remainder(error, 2.0 * math.pi), -most), most)

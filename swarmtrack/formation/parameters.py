@@ -1,0 +1,99 @@
+"""What a formation is: who leads, whom this drone looks at, where everybody's slot is, and how far a command may go."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+
+Place = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightLimits:
+    """What no command ever exceeds. The autopilot's own limits stay as they are."""
+
+    speed: float = 2.5
+    """m/s, of the whole velocity."""
+    climb: float = 1.0
+    """m/s, up and down."""
+    acceleration: float = 3.0
+    """m/s²: how fast a command changes. Evading is not slowed down by it."""
+    yaw_rate: float = 0.8
+    """rad/s"""
+    yaw_acceleration: float = 3.0
+    """rad/s²: how fast a yaw rate changes."""
+    least_height: float = 2.0
+    """m above the team frame's origin: nothing is commanded that leads below."""
+    fence_radius: float = 50.0
+    """m, level, around where it was engaged."""
+    fence_height: float = 10.0
+    """m above and below where it was engaged."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            low, high = BOUNDS[entry.name]
+            value = getattr(self, entry.name)
+            if not low <= value <= high:
+                raise ValueError(f"limits.{entry.name}: found {value!r}, expected {low:g} to {high:g}")
+
+
+BOUNDS = {
+    "speed": (0.1, 5.0),
+    "climb": (0.1, 2.0),
+    "acceleration": (0.2, 5.0),
+    "yaw_rate": (0.05, 1.5),
+    "yaw_acceleration": (0.2, 10.0),
+    "least_height": (0.5, 100.0),
+    "fence_radius": (2.0, 500.0),
+    "fence_height": (1.0, 100.0),
+}
+"""Least and most of each limit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormationParameters:
+    """Of one drone in its formation.
+
+    slots: by drone, [north, east, down] m from the leader, in team axes; the leader's own is (0, 0, 0). references: the
+    drones by which this one finds its slot. height [m]: of the leader's slot above the team frame's origin; each drone
+    holds its own slot's height by its own autopilot.
+    """
+
+    drone_id: int
+    leader: int
+    slots: Mapping[int, Place]
+    references: tuple[int, ...]
+    height: float
+    limits: FlightLimits = field(default_factory=FlightLimits)
+    gain: float = 0.6
+    """1/s, on the error of the place. From 0.4 to 1.2 nobody was lost."""
+    approach: float = 1.5
+    """m/s: as fast a slot is flown to, beside the references' own velocity."""
+    clearance: float = 1.5
+    """m: nobody is to come nearer than this."""
+
+    def __post_init__(self) -> None:
+        for drone in (self.drone_id, self.leader, *self.references):
+            if drone not in self.slots:
+                raise ValueError(
+                    f"formation: drone {drone} has no slot, expected one of {sorted(self.slots)}"
+                )
+        if self.drone_id in self.references:
+            raise ValueError(f"formation: drone {self.drone_id} is its own reference, expected others")
+        if self.drone_id != self.leader and not self.references:
+            raise ValueError(f"formation: drone {self.drone_id} has no reference, expected one or two")
+        numbers = [x for place in self.slots.values() for x in place]
+        numbers += [self.height, self.gain, self.approach, self.clearance]
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError("formation: holds NaN or infinity, expected numbers")
+
+    @property
+    def down(self) -> float:
+        """m, down in the team frame: where this drone's slot is."""
+        return self.slots[self.drone_id][2] - self.height
+
+    def wanted(self, reference: int) -> Place:
+        """Where that reference is to be, as seen from this drone's slot: m, team axes."""
+        there, here = self.slots[reference], self.slots[self.drone_id]
+        return there[0] - here[0], there[1] - here[1], there[2] - here[2]

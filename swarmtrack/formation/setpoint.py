@@ -1,0 +1,86 @@
+"""What a formation is told of its own drone, and what it answers."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+Velocity = tuple[float, float, float]
+STILL: Velocity = (0.0, 0.0, 0.0)
+# m from the team frame's origin, and m/s: no drone is beyond.
+FARTHEST_OUT_M, FASTEST_M_S = 1e6, 60.0
+
+
+class Why(enum.StrEnum):
+    """What a setpoint is for."""
+
+    FOLLOW = "follow"  # flies to its slot, and along with its references
+    HEIGHT = "height"  # climbs or descends to its slot's height first
+    ENTRY = "entry"  # a reference is named, not for long enough
+    FADE = "fade"  # the last reference has just been lost: slows down
+    NO_REFERENCE = "no_reference"  # holds its place
+    OWN_POSE = "own_pose"
+    GYRO = "gyro"
+    CAMERA = "camera"
+    CLASH = "clash"
+    DOUBT = "doubt"
+    HEADING = "heading"
+    CLOCK = "clock"
+    BROKEN = "broken"  # what came of it was no number
+
+    @property
+    def holds(self) -> bool:
+        """Whether the drone stays where it is, or comes to a stop there."""
+        return self not in (Why.FOLLOW, Why.HEIGHT)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnFlight:
+    """This drone itself, by its own autopilot, at the time of a command.
+
+    position [m] and velocity [m/s] in the team frame; position_sigma [m], of its worst axis; heading [rad]: where its
+    camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, of the newest scan's
+    exposure, and since the heading last stepped; inf where there was none. clash: another process speaks as this drone;
+    doubted: what it sees tells that its own start or heading is wrong; clock_known: the autopilot's clock is mapped.
+    """
+
+    position: Velocity
+    velocity: Velocity
+    heading: float
+    position_sigma: float = 0.1
+    pose_age: float = 0.0
+    gyro_age: float = 0.0
+    scan_age: float = 0.0
+    heading_step_age: float = math.inf
+    clash: bool = False
+    doubted: bool = False
+    clock_known: bool = True
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether these are numbers that a drone could have."""
+        north, east, down = self.velocity
+        near = all(abs(x) < FARTHEST_OUT_M for x in self.position)
+        return near and math.hypot(north, east, down) < FASTEST_M_S and math.isfinite(self.heading)
+
+
+class Setpoint(NamedTuple):
+    """What to fly from t [s] on. velocity [m/s] NED in team axes; yaw_rate [rad/s], clockwise seen from above.
+
+    text: why, for people. error [m]: how far off its slot the drone is, level; None where nobody can tell. clear_of:
+    the tracks that the velocity was bent away from.
+    """
+
+    t: float
+    velocity: Velocity
+    yaw_rate: float
+    why: Why
+    text: str
+    error: float | None = None
+    clear_of: tuple[int, ...] = ()
+
+    @property
+    def holds(self) -> bool:
+        return self.why.holds

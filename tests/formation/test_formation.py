@@ -1,0 +1,269 @@
+import math
+
+import numpy as np
+import pytest
+
+from support.formation_states import HEIGHT, Flying, in_slot, leader_from, parameters, state, track
+from swarmtrack.formation.formation import FADED_S, HOLDS, Formation
+from swarmtrack.formation.references import ENTRY_S, UNSEEN_S
+from swarmtrack.formation.setpoint import STILL, Why
+from swarmtrack.messages import TrackStatus
+
+
+@pytest.fixture
+def flying():
+    return Flying(Formation(parameters()))
+
+
+def level(setpoint):
+    return math.hypot(*setpoint.velocity[:2])
+
+
+def test_in_its_slot_behind_a_leader_that_stands_a_drone_stands(flying):
+    setpoint = flying.settled(in_slot(heading=math.atan2(-3.0, 4.0)))
+    assert setpoint.why is Why.FOLLOW
+    assert not setpoint.holds
+    assert setpoint.velocity == pytest.approx(STILL, abs=1e-9)
+    assert setpoint.yaw_rate == pytest.approx(0.0, abs=1e-9)
+    assert setpoint.error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_off_its_slot_a_drone_flies_there(flying):
+    setpoint = flying.settled(in_slot(off=(-1.0, 0.5, 0.0)))
+    assert setpoint.velocity == pytest.approx((0.6, -0.3, 0.0))
+    assert setpoint.error == pytest.approx(math.hypot(1.0, 0.5))
+
+
+def test_a_slot_far_off_is_flown_to_no_faster_than_the_approach(flying):
+    assert level(flying.settled(in_slot(off=(-20.0, 0.0, 0.0)))) == pytest.approx(1.5)
+
+
+def test_a_leader_that_flies_is_flown_along_with(flying):
+    setpoint = flying.settled(in_slot(velocity=(0.3, 0.0, 0.0)), velocity=(1.2, 0.4, 0.0))
+    assert setpoint.velocity == pytest.approx((1.2, 0.4, 0.0))
+
+
+def test_the_height_is_the_slots_by_the_own_autopilot(flying):
+    flying.settled(in_slot())
+    own = in_slot(off=(0.0, 0.0, 0.5))
+    # By the camera the leader is where it should be, and the height is not: that counts nothing.
+    seen = {10: state(np.subtract((0.0, 0.0, -HEIGHT), in_slot().position))}
+    assert flying.tell(own, seen, [track()], seconds=1.0).velocity == pytest.approx((0.0, 0.0, -0.4))
+
+
+def test_a_drone_first_climbs_to_its_height_and_then_flies_level(flying):
+    own = in_slot(off=(-3.0, 0.0, 1.0))
+    setpoint = flying.tell(own, {10: leader_from(own)}, [track()], seconds=3.0)
+    assert setpoint.why is Why.HEIGHT
+    assert setpoint.velocity == pytest.approx((0.0, 0.0, -0.8))
+    own = in_slot(off=(-3.0, 0.0, 0.2))
+    assert flying.tell(own, {10: leader_from(own)}, [track()], seconds=1.0).why is Why.FOLLOW
+    # A moment off its height later does not stop it.
+    own = in_slot(off=(-3.0, 0.0, 0.6))
+    assert level(flying.tell(own, {10: leader_from(own)}, [track()])) > 1.0
+
+
+def test_two_references_count_by_how_well_each_is_known():
+    flying = Flying(Formation(parameters(references=(1, 3))))
+    own = in_slot()
+    one = state(np.subtract((1.0, 0.0, -HEIGHT), own.position), sigma=0.05)
+    other = state(np.subtract((-4.0 - 1.0, -3.0, 1.0 - HEIGHT), own.position), drone_id=3, sigma=0.5)
+    setpoint = flying.tell(own, {10: one, 11: other}, [track(), track(3, 11)], seconds=3.0)
+    weights = 1.0 / (0.05**2 + 0.05**2), 1.0 / (0.5**2 + 0.05**2)
+    assert setpoint.velocity[0] == pytest.approx(0.6 * (weights[0] - weights[1]) / sum(weights), abs=1e-6)
+
+
+def test_a_command_begins_at_rest_and_changes_by_no_more_than_its_acceleration():
+    flying = Flying(Formation(parameters(limits={"acceleration": 1.0})))
+    own = in_slot()
+    first = flying.tell(own)
+    assert first.velocity == STILL
+    assert first.yaw_rate == 0.0
+    before = first.velocity
+    for _ in range(40):
+        velocity = flying.tell(own, {10: leader_from(own, velocity=(2.4, 0.0, 0.0))}, [track()]).velocity
+        assert math.dist(velocity, before) <= 0.1 + 1e-9
+        before = velocity
+    assert before[0] == pytest.approx(2.4)
+
+
+# ── references come and go ───────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_reference_is_flown_by_once_it_was_sure_for_a_second(flying):
+    own = in_slot(off=(-1.0, 0.0, 0.0))
+    seen = {10: leader_from(own)}
+    assert flying.tell(own, seen, [track()], seconds=ENTRY_S).why is Why.ENTRY
+    flying.tell(own, seen, [track(probability=0.95)])
+    assert flying.tell(own, seen, [track()], seconds=ENTRY_S).why is Why.ENTRY
+    assert flying.tell(own, seen, [track()]).why is Why.FOLLOW
+
+
+@pytest.mark.parametrize(
+    "tracks",
+    [
+        [],
+        [track(identity=None)],
+        [track(identity=3)],
+        [track(identity="foreign")],
+        [track(probability=0.8)],
+        [track(status=TrackStatus.TENTATIVE)],
+        [track(), track(track_id=11)],
+    ],
+    ids=["gone", "unknown", "another", "foreign", "doubted", "tentative", "two of them"],
+)
+def test_a_name_that_does_not_hold_ends_it_at_once_softly_and_it_comes_back_after_a_second(flying, tracks):
+    own = in_slot(velocity=(1.0, 0.0, 0.0))
+    seen = {n: leader_from(own, velocity=(1.0, 0.0, 0.0)) for n in (10, 11)}
+    flying.tell(own, seen, [track()], seconds=3.0)
+    speeds = [level(setpoint := flying.tell(own, seen, tracks)) for _ in range(16)]
+    assert speeds == sorted(speeds, reverse=True)
+    assert speeds[0] > 0.7
+    assert speeds[round(10 * FADED_S)] == 0.0
+    assert setpoint.holds
+    flying.tell(own, seen, [track()], seconds=ENTRY_S)
+    assert flying.tell(own, seen, [track()], seconds=0.2).why is Why.FOLLOW
+
+
+def test_a_name_that_goes_to_another_track_is_flown_by_after_a_second(flying):
+    own = in_slot()
+    flying.settled(own)
+    seen = {11: leader_from(own)}
+    said = [flying.tell(own, seen, [track(track_id=11)]).why for _ in range(12)]
+    assert said == [*[Why.FADE] * 10, *[Why.FOLLOW] * 2]
+
+
+def test_a_lost_reference_is_said_while_it_fades_and_while_it_holds(flying):
+    own = in_slot()
+    flying.settled(own, velocity=(1.0, 0.0, 0.0))
+    assert flying.tell(own).why is Why.FADE
+    last = flying.tell(own, seconds=3.0)
+    assert last.why is Why.NO_REFERENCE
+    assert last.text == "drone 1 is not seen"
+
+
+def test_a_reference_that_is_missed_for_a_moment_is_flown_by_on(flying):
+    own = in_slot()
+    flying.settled(own)
+    seen, since = {10: leader_from(own)}, flying.t
+    while flying.t < since + UNSEEN_S - 0.05:
+        # Its probability falls with the track's own.
+        assert flying.tell(own, seen, [track(probability=0.5, coasting_since=since)]).why is Why.FOLLOW
+    assert flying.tell(own, seen, [track(probability=0.5, coasting_since=since)], seconds=0.2).why is Why.FADE
+
+
+def test_a_reference_whose_range_is_not_known_is_none(flying):
+    own = in_slot()
+    assert flying.settled(own, range_sigma_log=0.6).why is Why.NO_REFERENCE
+
+
+def test_a_name_that_leaps_to_another_place_is_not_flown_after(flying):
+    """Names of two drones were swapped."""
+    own = in_slot()
+    flying.settled(own)
+    leapt = {10: leader_from(own, at=(4.0, 4.0, -HEIGHT))}
+    assert flying.tell(own, leapt, [track()]).why is not Why.FOLLOW
+
+
+# ── holds ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize(
+    ("facts", "why"),
+    [
+        ({"pose_age": 0.21}, Why.OWN_POSE),
+        ({"position_sigma": 1.1}, Why.OWN_POSE),
+        ({"pose_age": math.nan}, Why.OWN_POSE),
+        ({"gyro_age": 0.4}, Why.GYRO),
+        ({"scan_age": 1.1}, Why.CAMERA),
+        ({"clash": True}, Why.CLASH),
+        ({"doubted": True}, Why.DOUBT),
+        ({"heading_step_age": 0.5}, Why.HEADING),
+        ({"clock_known": False}, Why.CLOCK),
+    ],
+)
+def test_what_a_drone_cannot_fly_by_makes_it_stop_and_say_so(flying, facts, why):
+    own, moving = in_slot(), {"velocity": (1.0, 0.0, 0.0)}
+    flying.settled(own, **moving)
+    held = in_slot(**facts)
+    setpoint = flying.tell(held, {10: leader_from(held, **moving)}, [track()], seconds=1.0)
+    assert setpoint.why is why
+    assert setpoint.velocity == STILL
+    assert setpoint.holds
+    assert setpoint.text == HOLDS[why]
+    # And it goes on only after the reference was sure for a second again.
+    assert flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=ENTRY_S).why is Why.ENTRY
+    assert flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=0.2).why is Why.FOLLOW
+
+
+def test_a_drone_that_holds_still_keeps_clear(flying):
+    own = in_slot(clash=True)
+    near = state((1.2, 0.0, 0.0), drone_id=0)
+    setpoint = flying.tell(own, {12: near}, [track(None, 12)], seconds=1.0)
+    assert setpoint.why is Why.CLASH
+    assert setpoint.velocity[0] < -0.1
+    assert setpoint.clear_of == (12,)
+
+
+# ── the nose ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_the_nose_turns_to_the_reference_and_to_where_it_was_last(flying):
+    own = in_slot(off=(0.0, -3.0, 0.0), heading=-0.5)
+    # It is seen in the north-east of where its slot would have it.
+    seen = {10: leader_from(own)}
+    flying.tell(own, seen, [track()], seconds=1.0)
+    assert flying.tell(own, seen, [track()]).yaw_rate == pytest.approx(1.5 * 0.5)
+    assert flying.tell(own, seconds=1.0).yaw_rate == pytest.approx(1.5 * 0.5)
+    toward_slot = 1.5 * (math.atan2(-3.0, 4.0) + 0.5)
+    assert flying.tell(own, seconds=4.0).yaw_rate == pytest.approx(toward_slot)
+
+
+def test_the_nose_turns_the_short_way_and_no_faster_than_allowed():
+    flying = Flying(Formation(parameters(limits={"yaw_rate": 0.4})))
+    own = in_slot(heading=3.0)
+    assert flying.settled(own).yaw_rate == pytest.approx(0.4)
+
+
+# ── fence ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_after_a_leader_that_flies_off_a_drone_stays_within_its_fence():
+    flying = Flying(Formation(parameters(limits={"fence_radius": 10.0})))
+    here, velocity = np.array(in_slot().position), np.zeros(3)
+    begun = here.copy()
+    for _ in range(400):
+        own = in_slot(off=here - begun, velocity=tuple(velocity.tolist()))
+        leader = leader_from(own, at=(2.0 * flying.t, 0.0, -HEIGHT), velocity=(2.0, 0.0, 0.0))
+        velocity = np.array(flying.tell(own, {10: leader}, [track()]).velocity)
+        here = here + 0.1 * velocity
+    assert 9.5 < here[0] - begun[0] <= 10.0
+
+
+@pytest.mark.parametrize(("height", "least", "expected"), [(5.0, 7.0, 7.0), (30.0, 2.0, 17.0)])
+def test_no_drone_is_led_below_its_least_height_or_above_its_fence(height, least, expected):
+    limits = {"least_height": least, "fence_height": 10.0}
+    flying = Flying(Formation(parameters(height=height, limits=limits)))
+    down = -7.0
+    for _ in range(600):
+        own = in_slot(off=(0.0, 0.0, down + HEIGHT + 1.0))
+        down += 0.1 * flying.tell(own).velocity[2]
+    assert -down == pytest.approx(expected, abs=0.02)
+
+
+def test_engaging_again_begins_from_rest_with_a_fence_around_that_place(flying):
+    own = in_slot()
+    assert level(flying.settled(own, velocity=(2.0, 0.0, 0.0))) > 1.9
+    flying.formation.engage()
+    assert flying.tell(own, {10: leader_from(own)}, [track()]).velocity == STILL
+
+
+def test_the_same_story_gives_the_same_setpoints_to_the_last_bit():
+    def story():
+        flying, rng = Flying(Formation(parameters())), np.random.default_rng(4)
+        for _ in range(50):
+            own = in_slot(off=rng.normal(size=3), velocity=tuple(rng.normal(size=3).tolist()))
+            seen = {10: leader_from(own), 11: state(rng.normal(size=3) * 3.0, rng.normal(size=3), 0)}
+            yield flying.tell(own, seen, [track(), track(None, 11)])
+
+    assert list(story()) == list(story())
