@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "check a config, as swarmtrack-agent --check does; several files are also checked as a team",
     )
     add_file(check, "files", "a drone's config", nargs="+")
+    add_file(check, "--drawing", "write the first one's formation there, as SVG")
 
     for action, text in (
         ("schema", "all keys as a JSON schema"),
@@ -58,7 +59,7 @@ def _new(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> int:
     from swarmtrack.config import load_config
-    from swarmtrack.runtime.check import check
+    from swarmtrack.runtime.check import check, draw_formation
     from swarmtrack.setup.team_check import contradictions
 
     configs, code = [], 0
@@ -74,7 +75,10 @@ def _check(args: argparse.Namespace) -> int:
         print(problem, file=sys.stderr)
     if len(configs) > 1 and not problems:
         print(f"drones {', '.join(str(config.drone.id) for config in configs)} agree with each other")
-    return 2 if problems else code
+    code = 2 if problems else code
+    if args.drawing is not None and code == 0:
+        _write(draw_formation(args.files[0]), args.drawing, "--drawing")
+    return code
 
 
 def _schema(args: argparse.Namespace) -> int:
@@ -89,14 +93,16 @@ def _reference(args: argparse.Namespace) -> int:
     return _write(reference(), args.out)
 
 
-def _write(text: str, out: Path | None) -> int:
+def _write(text: str, out: Path | None, flag: str = "--out") -> int:
     if out is None:
         print(text, end="")
         return 0
     try:
         out.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ConfigError([f"--out: {out}: {error.strerror}, expected a file that can be written"]) from error
+        raise ConfigError(
+            [f"{flag}: {out}: {error.strerror}, expected a file that can be written"]
+        ) from error
     return 0
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from pydantic import (
 )
 
 from swarmtrack.errors import ConfigError, SwarmtrackError
+from swarmtrack.formation_config import FormationSection, formation_problems
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
@@ -598,6 +599,7 @@ class DroneConfig(LayeredConfig):
     output: OutputSection = OutputSection()
     recording: RecordingSection = RecordingSection()
     motion: MotionSection = MotionSection()
+    formation: FormationSection = FormationSection()
 
 
 class TeamConfig(LayeredConfig):
@@ -633,7 +635,11 @@ def config_of(layers: Layers) -> DroneConfig:
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
     problems += _start_problems(layers) + _telling_problems(layers) + roster_problems(layers)
     problems += switch_problems(layers)
-    return _validated(DroneConfig, layers, problems)
+
+    def among(config: DroneConfig) -> Iterable[Problem]:
+        return formation_problems(config.formation, config.drone.id, config.team.airframe_span_m, layers)
+
+    return _validated(DroneConfig, layers, problems, among)
 
 
 def load_team_config(path: str | Path) -> TeamConfig:
@@ -644,9 +650,14 @@ def load_team_config(path: str | Path) -> TeamConfig:
 _C = TypeVar("_C", bound=LayeredConfig)
 
 
-def _validated(kind: type[_C], layers: Layers, problems: list[Problem]) -> _C:
-    """problems: those found already."""
-    config = validated(kind, layers, problems)
+def _validated(
+    kind: type[_C],
+    layers: Layers,
+    problems: list[Problem],
+    among: Callable[[_C], Iterable[Problem]] = lambda config: (),
+) -> _C:
+    """problems: those found already; among: what entries, each right by itself, have against each other."""
+    config = validated(kind, layers, problems, among)
     config._layers = layers
     return config
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from swarmtrack.clock import Clock, ManualClock
 from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
-from swarmtrack.errors import SourceError
+from swarmtrack.errors import ConfigError, SourceError
+from swarmtrack.formation.plan import range_faults, view_faults
+from swarmtrack.formation_config import field_of_view
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import AgreedMotion, Announcement
@@ -104,6 +106,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     with config.blamed("network"):
         transport, renewal = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
+    check_formation(config, mounted, detector)
     box_width = None if detector is None else detector.description.box_width
     recorder = _recorder(
         config, mounted, start, box_width, boot, clock=clock, wall=wall, waits=paced is not None
@@ -127,6 +130,20 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         filed=filed_announcements(config, clock.now()),
         agreed=agreed_motions(config, clock.now() - clock.utc()),
     )
+
+
+def check_formation(config: DroneConfig, mounted: MountedCamera, detector: Detector | None) -> None:
+    """What a formation has against this drone's camera and detector. Raises ConfigError."""
+    section, drone_id = config.formation, config.drone.id
+    plan = section.plan()
+    if plan is None or drone_id == plan.leader:
+        return
+    faults = view_faults(plan, drone_id, field_of_view(mounted.camera, mounted.body_from_camera))
+    told = config.team.share == "velocity" or section.ranging
+    described = BoxWidth() if detector is None else detector.description.box_width or BoxWidth()
+    faults += range_faults(config.detector.box_width.over(described), told=told)
+    if faults:
+        raise ConfigError([config.problem(("formation", *fault.key), fault.text) for fault in faults])
 
 
 def _as_fast_as_it_goes(config: DroneConfig) -> bool:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import DroneConfig, load_config
 from swarmtrack.diagnosis.findings import fault
+from swarmtrack.diagnosis.formation_drawing import as_svg, as_text
 from swarmtrack.diagnosis.sources import check_door
+from swarmtrack.errors import ConfigError
+from swarmtrack.formation.plan import FormationPlan
+from swarmtrack.formation_config import field_of_view
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.outputs import check_outputs
 from swarmtrack.sensors.camera_address import parse_address as camera_address
@@ -52,6 +57,11 @@ def check(path: Path) -> None:
         print(f"agreed     {_agreed(config)}")
     if not config.team.announce:
         print("silent     nothing is told to the team, and nothing asked")
+    plan = config.formation.plan()
+    if plan is not None:
+        print(f"formation  {_role(plan, config.drone.id)}")
+        view = field_of_view(lens, parts.door.perceived.body_from_camera)
+        print(textwrap.indent(as_text(plan, config.drone.id, view), "           "))
     start = config.drone.start
     findings = check_door(link, signed=config.autopilot.signing_key is not None)
     if start.has_unknown_sigma:
@@ -62,6 +72,25 @@ def check(path: Path) -> None:
         if word in DANGERS:
             print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")
     print(f"{path}: ok")
+
+
+def draw_formation(path: Path) -> str:
+    """The formation of a config as SVG. Raises SwarmtrackError, also where there is none."""
+    config = load_config(path)
+    plan = config.formation.plan()
+    if plan is None:
+        raise ConfigError(
+            [config.problem(("formation", "leader"), "found none, expected a formation to draw")]
+        )
+    parts = assemble(config, SystemClock())
+    return as_svg(plan, config.drone.id, field_of_view(parts.lens, parts.door.perceived.body_from_camera))
+
+
+def _role(plan: FormationPlan, drone_id: int) -> str:
+    if drone_id == plan.leader:
+        return f"leads drones {', '.join(map(str, plan.followers))}: flown by its pilot, never by its agent"
+    references = " and ".join(map(str, plan.references[drone_id]))
+    return f"follows drone {plan.leader}, finds its slot by drone {references}"
 
 
 def _filed(config: DroneConfig) -> str:

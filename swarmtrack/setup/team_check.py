@@ -28,6 +28,15 @@ def _filed(config: DroneConfig) -> tuple[str, ...]:
     )
 
 
+def _formation(config: DroneConfig) -> tuple[str, ...]:
+    """Who leads, who follows by whom, and every slot."""
+    plan = config.formation.plan()
+    if plan is None:
+        return ()
+    slots = [f"{drone} at {list(plan.slots[drone])} by {plan.references[drone]}" for drone in plan.followers]
+    return (f"behind {plan.leader}, {plan.height:g} m high", *slots)
+
+
 COMMON = (
     Common(("network", "team"), lambda config: config.network.team),
     Common(("network", "topology"), lambda config: config.network.topology),
@@ -36,6 +45,7 @@ COMMON = (
     Common(("team", "origin"), lambda config: config.team.origin),
     Common(("team", "announce"), lambda config: config.team.announce),
     Common(("team", "drones"), _filed),
+    Common(("formation", "slots"), _formation),
 )
 
 

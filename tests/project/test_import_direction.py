@@ -20,7 +20,7 @@ LAYERS: list[set[str]] = [
     {"onboard", "perceived"},
     {"simulation", "evaluation"},
     {"toml", "wire", "security", "camera_files", "trajectory_file"},
-    {"team_config", "config", "scenario_file"},
+    {"team_config", "formation_config", "config", "scenario_file"},
     {"detection", "sensors", "transport", "recording", "calibration"},
     {"diagnosis"},
     {"training", "runtime"},

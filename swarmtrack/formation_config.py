@@ -1,0 +1,192 @@
+"""[formation] of a config: slots, leader, limits. Refused where a formation could not be flown as it is written."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, Strict, field_validator, model_validator
+
+from swarmtrack.formation.parameters import BOUNDS, FlightLimits, FormationParameters
+from swarmtrack.formation.plan import FieldOfView, FormationPlan, PlanFault, plan_faults
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.toml.layers import Layers, Problem
+from swarmtrack.toml.sections import Number, Section, Switch, Vector, found
+
+DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
+# m: a slot farther from the leader cannot be held by sight.
+FARTHEST_SLOT_M = 60.0
+USUAL = FlightLimits()
+
+
+def _within(name: str, scale: float = 1.0) -> object:
+    low, high = BOUNDS[name]
+    return Field(ge=round(low * scale, 1), le=round(high * scale, 1))
+
+
+class FormationLimits(Section):
+    """What no setpoint exceeds, whatever the law says."""
+
+    speed_m_s: Annotated[Number, _within("speed")] = Field(
+        default=USUAL.speed, description="of the whole velocity"
+    )
+    climb_m_s: Annotated[Number, _within("climb")] = Field(default=USUAL.climb, description="up and down")
+    acceleration_m_s2: Annotated[Number, _within("acceleration")] = Field(
+        default=USUAL.acceleration,
+        description="how fast a setpoint changes; evading is not slowed down by it",
+    )
+    yaw_rate_deg_s: Annotated[Number, _within("yaw_rate", 180.0 / math.pi)] = Field(
+        default=45.0, description="how fast it turns"
+    )
+    least_height_m: Annotated[Number, _within("least_height")] = Field(
+        default=USUAL.least_height, description="above the team frame's origin: it is never led below"
+    )
+    fence_radius_m: Annotated[Number, _within("fence_radius")] = Field(
+        default=USUAL.fence_radius, description="level, around where the pilot engaged it"
+    )
+    fence_height_m: Annotated[Number, _within("fence_height")] = Field(
+        default=USUAL.fence_height, description="above and below where the pilot engaged it"
+    )
+
+    def in_si(self) -> FlightLimits:
+        return FlightLimits(
+            speed=self.speed_m_s,
+            climb=self.climb_m_s,
+            acceleration=self.acceleration_m_s2,
+            yaw_rate=math.radians(self.yaw_rate_deg_s),
+            least_height=self.least_height_m,
+            fence_radius=self.fence_radius_m,
+            fence_height=self.fence_height_m,
+        )
+
+
+class FormationSection(Section):
+    """[formation]: who leads, and everybody's slot (docs/formation.md). The same for all of a team, but for `enabled`.
+
+    Without `leader` there is no formation.
+    """
+
+    leader: DroneId | None = Field(
+        default=None, description="the drone that a pilot flies, and that others follow"
+    )
+    slots: dict[str, Vector] = Field(
+        default={},
+        description="ID = [north, east, down] of each follower's slot from the leader, m, in the team frame's axes",
+    )
+    height_m: Annotated[Number, Field(gt=0.0, le=500.0)] = Field(
+        default=5.0,
+        description="the leader's height above the team frame's origin; the heights of the slots count from there",
+    )
+    references: dict[str, tuple[DroneId, ...]] = Field(
+        default={}, description="ID = [ID, …]: by whom a drone finds its slot; by default by the leader"
+    )
+    ranging: Switch = Field(
+        default=False,
+        description="true: the drones have ranging radios, whose distances they hear (docs/client.md)",
+    )
+    limits: FormationLimits = Field(default=FormationLimits(), description="what no setpoint exceeds")
+
+    @field_validator("slots", "references")
+    @classmethod
+    def _by_id(cls, said: dict[str, object]) -> dict[str, object]:
+        for drone_id in said:
+            if not re.fullmatch("[1-9][0-9]{0,4}", drone_id, re.ASCII) or int(drone_id) > 65535:
+                raise ValueError(f"found the key {found(drone_id)}, expected drone IDs: 2 = […]")
+        return said
+
+    @model_validator(mode="after")
+    def _whole(self) -> FormationSection:
+        if self.leader is None:
+            given = sorted(self.model_fields_set - {"ranging"})
+            if given:
+                raise ValueError(f"{given[0]} without leader, expected leader = ID as well")
+            return self
+        if str(self.leader) in self.slots:
+            raise ValueError(
+                f"found a slot of the leader {self.leader}, expected none: slots are counted from the leader"
+            )
+        if not self.slots:
+            raise ValueError("leader without slots, expected 2 = [north, east, down] in [formation.slots]")
+        for drone, place in self.slots.items():
+            if math.hypot(*place) > FARTHEST_SLOT_M:
+                raise ValueError(
+                    f"slots.{drone}: {math.hypot(*place):.0f} m from the leader, expected {FARTHEST_SLOT_M:g} or less"
+                )
+        self._known_references()
+        return self
+
+    def _known_references(self) -> None:
+        for drone, others in self.references.items():
+            if drone not in self.slots:
+                raise ValueError(f"references.{drone}: no follower, expected one of {', '.join(self.slots)}")
+            wrong = [other for other in others if str(other) not in self.slots and other != self.leader]
+            wrong += [other for other in others if str(other) == drone]
+            if wrong or not others or len(set(others)) < len(others):
+                raise ValueError(
+                    f"references.{drone}: found {found(list(others))}, expected other drones of the formation"
+                )
+
+    def plan(self) -> FormationPlan | None:
+        """None without a leader."""
+        if self.leader is None:
+            return None
+        slots = {self.leader: (0.0, 0.0, 0.0)} | {int(drone): place for drone, place in self.slots.items()}
+        references = {int(drone): self.references.get(drone, (self.leader,)) for drone in self.slots}
+        return FormationPlan(
+            leader=self.leader,
+            slots=slots,
+            references=references,
+            height=self.height_m,
+            least_height=self.limits.least_height_m,
+        )
+
+    def parameters(self, drone_id: int) -> FormationParameters | None:
+        """Of a follower; None of who follows nobody."""
+        plan = self.plan()
+        if plan is None or drone_id not in plan.references:
+            return None
+        return FormationParameters(
+            drone_id=drone_id,
+            leader=plan.leader,
+            slots=plan.slots,
+            references=plan.references[drone_id],
+            height=plan.height,
+            limits=self.limits.in_si(),
+        )
+
+
+def formation_problems(
+    section: FormationSection, drone_id: int, span: float | None, layers: Layers
+) -> Iterable[Problem]:
+    """What a formation has against the rest of a config, and against itself. span [m]: of the team's drones."""
+    plan = section.plan()
+    if plan is None:
+        return []
+    if span is None:
+        text = "found none, expected the drones' span: without it nobody who is seen can be kept clear of"
+        return [
+            layers.problem(("team", "airframe_span_m"), f"team.airframe_span_m: {text}, as [formation] does")
+        ]
+    if drone_id not in plan.slots:
+        text = f"no slot of drone {drone_id}, expected one in [formation.slots], or that it is the leader"
+        return [layers.problem(("formation", "slots"), f"formation.slots: {text}")]
+    return [_problem(layers, fault) for fault in plan_faults(plan, span)]
+
+
+def _problem(layers: Layers, fault: PlanFault) -> Problem:
+    key = ("formation", *fault.key)
+    return layers.problem(key, f"{'.'.join(key)}: {fault.text}")
+
+
+def field_of_view(camera: PinholeCamera, body_from_camera: Pose) -> FieldOfView:
+    """Of a drone that stands level."""
+    axis = np.asarray(body_from_camera.rotation)[:, 2]
+    return FieldOfView(
+        math.atan(0.5 * camera.width / camera.fx),
+        math.atan(0.5 * camera.height / camera.fy),
+        math.asin(min(max(-float(axis[2]), -1.0), 1.0)),
+    )

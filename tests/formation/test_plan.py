@@ -1,0 +1,112 @@
+import math
+
+import pytest
+
+from swarmtrack.formation.plan import (
+    FieldOfView,
+    FormationPlan,
+    neighbours_at_one_height,
+    plan_faults,
+    range_faults,
+    view_faults,
+)
+from swarmtrack.relative.box_width import BoxWidth
+
+VIEW = FieldOfView(math.radians(45.0), math.radians(37.0), 0.0)
+ARC = {2: (-4.0, 3.0, -1.0), 3: (-4.0, -3.0, 1.0)}
+
+
+def plan(slots=ARC, references=None, height=6.0, least_height=2.0):
+    return FormationPlan(
+        leader=1,
+        slots={1: (0.0, 0.0, 0.0), **slots},
+        references={drone: (references or {}).get(drone, (1,)) for drone in slots},
+        height=height,
+        least_height=least_height,
+    )
+
+
+def faults(*args, **kwargs):
+    return [(fault.key, fault.text) for fault in plan_faults(plan(*args, **kwargs), 0.5)]
+
+
+def test_a_star_on_an_arc_with_layers_is_sound():
+    assert faults() == []
+    assert view_faults(plan(), 2, VIEW) == []
+    assert list(neighbours_at_one_height(plan())) == []
+
+
+def test_slots_that_are_too_near_are_refused():
+    [(key, text)] = faults({2: (-4.0, 1.0, 0.0), 3: (-4.0, -0.5, 0.0)})
+    assert key == ("slots", "3")
+    assert text == "1.5 m from the slot of drone 2, expected 2 m or more"
+
+
+def test_a_slot_that_hides_a_reference_is_refused():
+    found = faults({2: (-3.0, 0.0, 0.0), 3: (-6.0, 0.4, 0.0)})
+    assert [key for key, _ in found] == [("slots", "3")]
+    assert found[0][1].startswith("drone 2 hides drone 1: 0.20 m beside the line of sight")
+    # Who is behind one, or behind the reference, hides nobody.
+    assert faults({2: (-3.0, 0.0, 0.0), 3: (3.0, 0.0, 0.0)}) == []
+
+
+def test_a_slot_below_the_least_height_is_refused():
+    assert faults(height=2.5) == [
+        (
+            ("slots", "3"),
+            "1.5 m high, expected limits.least_height_m = 2 or more above the team frame's origin",
+        )
+    ]
+
+
+def test_chains_of_more_than_three_and_circles_are_refused():
+    line = {k: (-4.0 * (k - 1), 2.0 * (k - 1) ** 2, 0.0) for k in (2, 3, 4)}
+    assert faults(line, {3: (2,)}) == []
+    [(key, text)] = faults(line, {3: (2,), 4: (3,)})
+    assert (key, text) == (
+        ("references", "4"),
+        "drone 4 is the 4th of a chain, expected 3 with the leader",
+    )
+    assert {key for key, _ in faults(ARC, {2: (3,), 3: (2,)})} == {("references", "2"), ("references", "3")}
+
+
+@pytest.mark.parametrize(
+    ("slots", "references", "said"),
+    [
+        # Two references are at the borders of the view between them.
+        ({2: (-3.0, 0.0, 0.0), 3: (0.0, 6.0, 0.0)}, {2: (1, 3)}, []),
+        (
+            {2: (-1.0, 3.0, 0.0), 3: (0.0, 6.0, 0.0)},
+            {2: (1, 3)},
+            ["drone 1 is 72° beside", "drone 3 is 72° beside"],
+        ),
+        ({2: (-3.0, 0.0, -3.0)}, None, ["drone 1 is 45° below"]),
+        ({2: (-3.0, 0.0, 3.0)}, None, ["drone 1 is 45° above"]),
+    ],
+)
+def test_references_beyond_the_view_are_refused(slots, references, said):
+    found = [fault.text for fault in view_faults(plan(slots, references), 2, VIEW)]
+    assert len(found) == len(said)
+    assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
+
+
+def test_a_camera_that_looks_up_sees_a_leader_that_is_higher():
+    steep = plan({2: (-3.0, 0.0, 3.0)})
+    assert view_faults(steep, 2, VIEW._replace(up=math.radians(30.0))) == []
+
+
+def test_ranges_by_size_alone_need_boxes_that_tell_them():
+    assert range_faults(BoxWidth(), told=True) == []
+    assert range_faults(BoxWidth(drone_sigma=0.10, wander_sigma=0.05), told=False) == []
+    [fault] = range_faults(BoxWidth(), told=False)
+    assert "tell a distance to 23%, expected 12% or better" in fault.text
+
+
+def test_neighbours_at_one_height_are_told_of():
+    flat = plan({2: (-4.0, 2.0, 0.0), 3: (-4.0, -2.0, 0.0), 4: (-4.0, 20.0, 0.0)})
+    assert list(neighbours_at_one_height(flat)) == [(2, 3, 4.0)]
+    assert list(neighbours_at_one_height(plan(flat.slots, {2: (1, 3)}))) == []
+
+
+def test_the_leader_is_as_fast_as_the_nearest_follower_can_bear():
+    assert plan().most_speed() == pytest.approx(math.sqrt(26.0) / 3.0)

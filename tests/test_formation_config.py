@@ -1,0 +1,159 @@
+"""[formation] in a config: what is refused at load, with file and line; and what `--check` shows."""
+
+import re
+from xml.etree import ElementTree
+
+import pytest
+
+from swarmtrack.agents.main import main
+from swarmtrack.config import load_config
+from swarmtrack.errors import ConfigError
+
+TEAM = """\
+[team]
+airframe_span_m = 0.5
+share = "velocity"
+
+[formation]
+leader = 1
+height_m = 5.0
+limits = { speed_m_s = 2.0, yaw_rate_deg_s = 30.0 }
+
+[formation.slots]
+2 = [-4.0, 3.0, -1.0]
+3 = [-4.0, -3.0, 1.0]
+"""
+DRONE = """\
+extends = "team.toml"
+
+[drone]
+id = {id}
+start = {{ position_m = [0.0, {id}.0, 0.0], position_sigma_m = 0.3 }}
+
+[camera]
+source = "v4l2:///dev/video0"
+intrinsics = {{ fx = 430.0, fy = 430.0, cx = 319.5, cy = 239.5, width = 640, height = 480 }}
+
+[autopilot]
+link = "udpin:127.0.0.1:14540"
+
+[network]
+insecure = true
+"""
+
+
+@pytest.fixture
+def team(tmp_path):
+    """Writes the configs of a team; `old` of the team's file is `new`."""
+
+    def write(old="", new="", ids=(1, 2, 3)):
+        assert old in TEAM
+        (tmp_path / "team.toml").write_text(TEAM.replace(old, new))
+        files = [tmp_path / f"drone-{n}.toml" for n in ids]
+        for n, file in zip(ids, files, strict=True):
+            file.write_text(DRONE.format(id=n))
+        return files
+
+    return write
+
+
+def check(capsys, *words):
+    code = main(["config", "check", *map(str, words)])
+    out = capsys.readouterr()
+    return code, out.out, out.err
+
+
+def test_a_follower_has_its_parameters_and_the_leader_has_none(team):
+    leader, second, third = map(load_config, team())
+    assert leader.formation.parameters(1) is None
+    mine = second.formation.parameters(2)
+    assert (mine.leader, mine.references, mine.down) == (1, (1,), -6.0)
+    assert (mine.limits.speed, mine.limits.yaw_rate) == (2.0, pytest.approx(0.5236, abs=1e-4))
+    assert third.formation.parameters(3).wanted(1) == (4.0, 3.0, -1.0)
+
+
+def test_without_a_leader_there_is_no_formation(team):
+    [config] = map(load_config, team(TEAM[TEAM.index("[formation]") :], "", ids=[2]))
+    assert config.formation.plan() is None
+    assert config.formation.parameters(2) is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("airframe_span_m = 0.5", "", "team.airframe_span_m: found none"),
+        ("leader = 1\n", "", "formation: height_m without leader"),
+        ("leader = 1", "leader = 2", "formation: found a slot of the leader 2"),
+        ("2 = [-4.0, 3.0, -1.0]", "4 = [-4.0, 3.0, -1.0]", "team.toml:10: formation.slots: no slot of drone 2"),
+        ("3 = [-4.0, -3.0, 1.0]", "3 = [-4.0, 2.0, -0.5]", "team.toml:12: formation.slots.3: 1.1 m from the slot"),
+        ("3 = [-4.0, -3.0, 1.0]", "3 = [-400.0, -3.0, 1.0]", "slots.3: 400 m from the leader, expected 60"),
+        ("3 = [-4.0", "x = [-4.0", 'found the key "x", expected drone IDs'),
+        ("speed_m_s = 2.0", "speed_m_s = 20.0", "formation.limits.speed_m_s: 20.0, expected less than or equal to 5"),
+        ("speed_m_s", "sped_m_s", 'formation.limits.sped_m_s: unknown key, did you mean "speed_m_s"?'),
+        ("height_m = 5.0", "references = { 2 = [2] }", "references.2: found [2], expected other drones"),
+        ("height_m = 5.0", "references = { 7 = [1] }", "references.7: no follower, expected one of 2, 3"),
+        ("height_m = 5.0", "references = { 2 = [3], 3 = [2] }", "drone 2 does not hang on the leader 1"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused_with_file_and_line(team, old, new, said):
+    [file] = team(old, new, ids=[2])
+    with pytest.raises(ConfigError) as refused:
+        load_config(file)
+    assert said in str(refused.value)
+    assert re.search(r"team\.toml:\d+: ", str(refused.value))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "2 = [-4.0, 3.0, -1.0]",
+            "2 = [-2.0, 2.0, -3.0]",
+            "formation.slots.2: drone 1 is 47° below the camera's axis",
+        ),
+        ('share = "velocity"', "", "formation.leader: the detector's boxes tell a distance to 23%"),
+    ],
+)
+def test_what_this_drones_camera_and_detector_cannot_do_is_refused(team, capsys, old, new, said):
+    [file] = team(old, new, ids=[2])
+    code, _, err = check(capsys, file)
+    assert code == 2
+    assert said in err
+
+
+def test_ranging_radios_make_up_for_a_detector(team, capsys):
+    [file] = team('share = "velocity"\n\n[formation]', "[formation]\nranging = true", ids=[2])
+    assert check(capsys, file)[0] == 0
+
+
+def test_check_shows_who_is_where_and_draws_it(team, capsys, tmp_path):
+    files = team()
+    code, out, err = check(capsys, *files, "--drawing", tmp_path / "formation.svg")
+    assert code == 0, err
+    assert "formation  leads drones 2, 3: flown by its pilot, never by its agent" in out
+    assert "formation  follows drone 1, finds its slot by drone 1" in out
+    assert (
+        "2  -4.0 m north, +3.0 m east, 6.0 m high; looks at drone 1 5.1 m away, at 39% of the half view"
+        in out
+    )
+    grid = out[out.index("from above") :].splitlines()
+    assert grid[1].strip() == "[1]"
+    assert next(line for line in grid[2:] if line.strip()).split() == ["3", "2"]
+    drawing = ElementTree.parse(tmp_path / "formation.svg").getroot()
+    words = "".join(drawing.itertext())
+    assert all(word in words for word in ("from above", "1: 5.0 m", "2: 6.0 m", "3: 4.0 m"))
+
+
+def test_a_drawing_of_no_formation_is_an_error_in_words(team, capsys, tmp_path):
+    files = team(TEAM[TEAM.index("[formation]") :], "", ids=[2])
+    code, _, err = check(capsys, *files, "--drawing", tmp_path / "formation.svg")
+    assert code == 2
+    assert "formation.leader: found none, expected a formation to draw" in err
+
+
+def test_drones_of_two_formations_contradict_each_other(team, capsys):
+    files = team()
+    files[1].write_text(files[1].read_text() + "\n[formation]\nheight_m = 7.0\n")
+    code, _, err = check(capsys, *files)
+    assert code == 2
+    assert "formation.slots" in err
