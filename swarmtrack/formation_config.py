@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, Strict, field_validator, model_validator
 
 from swarmtrack.formation.parameters import BOUNDS, FlightLimits, FormationParameters
-from swarmtrack.formation.plan import FieldOfView, FormationPlan, PlanFault, plan_faults
+from swarmtrack.formation.plan import FormationPlan, HalfView, PlanFault, plan_faults
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.toml.layers import Layers, Problem
@@ -182,10 +182,10 @@ def _problem(layers: Layers, fault: PlanFault) -> Problem:
     return layers.problem(key, f"{'.'.join(key)}: {fault.text}")
 
 
-def field_of_view(camera: PinholeCamera, body_from_camera: Pose) -> FieldOfView:
+def field_of_view(camera: PinholeCamera, body_from_camera: Pose) -> HalfView:
     """Of a drone that stands level."""
     axis = np.asarray(body_from_camera.rotation)[:, 2]
-    return FieldOfView(
+    return HalfView(
         math.atan(0.5 * camera.width / camera.fx),
         math.atan(0.5 * camera.height / camera.fy),
         math.asin(min(max(-float(axis[2]), -1.0), 1.0)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from swarmtrack.formation.plan import VIEW_SHARE, FieldOfView, FormationPlan, neighbours_at_one_height
+from swarmtrack.formation.plan import VIEW_SHARE, FormationPlan, HalfView, neighbours_at_one_height
 
 # Signs of the text's drawing, at most; a sign is twice as high as wide.
 COLUMNS, ROWS = 61, 21
@@ -20,7 +20,7 @@ COLOURS = {
 }
 
 
-def as_text(plan: FormationPlan, drone: int, view: FieldOfView) -> str:
+def as_text(plan: FormationPlan, drone: int, view: HalfView) -> str:
     """Seen from above, and a line for each slot. drone: whose config this is, with its view."""
     lines = [*_grid(plan), *_slot_lines(plan, drone, view)]
     lines.append(
@@ -58,7 +58,7 @@ def _grid(plan: FormationPlan) -> Iterator[str]:
     yield from ("    " + "".join(row).rstrip() for row in signs)
 
 
-def _slot_lines(plan: FormationPlan, drone: int, view: FieldOfView) -> Iterator[str]:
+def _slot_lines(plan: FormationPlan, drone: int, view: HalfView) -> Iterator[str]:
     yield f"{plan.leader:5d}  leads, {plan.height_of(plan.leader):.1f} m high"
     for follower in plan.followers:
         north, east, _ = plan.slots[follower]
@@ -74,7 +74,7 @@ def _slot_lines(plan: FormationPlan, drone: int, view: FieldOfView) -> Iterator[
         )
 
 
-def as_svg(plan: FormationPlan, drone: int, view: FieldOfView) -> str:
+def as_svg(plan: FormationPlan, drone: int, view: HalfView) -> str:
     """The same from above and from the south, with this drone's view; for a browser."""
     span = max(
         [2.0] + [abs(a - b) for axis in range(3) for a in _axis(plan, axis) for b in _axis(plan, axis)]
@@ -100,7 +100,7 @@ def _axis(plan: FormationPlan, axis: int) -> list[float]:
 
 
 def _panel(
-    plan: FormationPlan, drone: int, view: FieldOfView, scale: float, offset: float, *, above: bool
+    plan: FormationPlan, drone: int, view: HalfView, scale: float, offset: float, *, above: bool
 ) -> Iterator[str]:
     """From above: north up, east to the right. From the south: up is up."""
     across, upward = 1, 0 if above else 2
@@ -141,9 +141,7 @@ def _metres(scale: float, offset: float) -> Iterator[str]:
         yield f'<path d="M{offset + low:.1f} {z:.1f}H{offset + high:.1f}" stroke="#e2e8f0" fill="none"/>'
 
 
-def _wedge(
-    plan: FormationPlan, drone: int, view: FieldOfView, scale: float, corner: tuple[float, float]
-) -> str:
+def _wedge(plan: FormationPlan, drone: int, view: HalfView, scale: float, corner: tuple[float, float]) -> str:
     """What the camera sees level, towards the middle of the references."""
     look = plan.looks(drone)[0]
     there, here = plan.slots[look.reference], plan.slots[drone]

@@ -30,7 +30,7 @@ NEIGHBOURS_M, ONE_HEIGHT_M = 6.0, 0.5
 GAP_S = 3.0
 
 
-class FieldOfView(NamedTuple):
+class HalfView(NamedTuple):
     """Half of the width and of the height of what a camera sees, and how far its axis looks up; rad."""
 
     half_width: float
@@ -110,7 +110,7 @@ def plan_faults(plan: FormationPlan, span: float) -> list[PlanFault]:
     return [*_slot_faults(plan), *_chain_faults(plan), *_hidden_faults(plan, span)]
 
 
-def view_faults(plan: FormationPlan, drone: int, view: FieldOfView) -> list[PlanFault]:
+def view_faults(plan: FormationPlan, drone: int, view: HalfView) -> list[PlanFault]:
     """References that are too near to the border of this drone's view, or beyond it."""
     faults = []
     for look in plan.looks(drone, view.up):

@@ -3,8 +3,8 @@ import math
 import pytest
 
 from swarmtrack.formation.plan import (
-    FieldOfView,
     FormationPlan,
+    HalfView,
     neighbours_at_one_height,
     plan_faults,
     range_faults,
@@ -12,7 +12,7 @@ from swarmtrack.formation.plan import (
 )
 from swarmtrack.relative.box_width import BoxWidth
 
-VIEW = FieldOfView(math.radians(45.0), math.radians(37.0), 0.0)
+VIEW = HalfView(math.radians(45.0), math.radians(37.0), 0.0)
 ARC = {2: (-4.0, 3.0, -1.0), 3: (-4.0, -3.0, 1.0)}
 
 
