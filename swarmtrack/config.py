@@ -26,7 +26,7 @@ from pydantic import (
 )
 
 from swarmtrack.errors import ConfigError, SwarmtrackError
-from swarmtrack.formation_config import FormationSection, formation_problems
+from swarmtrack.formation_config import TeamFormation, formation_problems
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
@@ -599,7 +599,7 @@ class DroneConfig(LayeredConfig):
     output: OutputSection = OutputSection()
     recording: RecordingSection = RecordingSection()
     motion: MotionSection = MotionSection()
-    formation: FormationSection = FormationSection()
+    formation: TeamFormation = TeamFormation()
 
 
 class TeamConfig(LayeredConfig):

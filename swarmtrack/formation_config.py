@@ -64,7 +64,7 @@ class FormationLimits(Section):
         )
 
 
-class FormationSection(Section):
+class TeamFormation(Section):
     """[formation]: who leads, and everybody's slot (docs/formation.md). The same for all of a team, but for `enabled`.
 
     Without `leader` there is no formation.
@@ -99,7 +99,7 @@ class FormationSection(Section):
         return said
 
     @model_validator(mode="after")
-    def _whole(self) -> FormationSection:
+    def _whole(self) -> TeamFormation:
         if self.leader is None:
             given = sorted(self.model_fields_set - {"ranging"})
             if given:
@@ -160,7 +160,7 @@ class FormationSection(Section):
 
 
 def formation_problems(
-    section: FormationSection, drone_id: int, span: float | None, layers: Layers
+    section: TeamFormation, drone_id: int, span: float | None, layers: Layers
 ) -> Iterable[Problem]:
     """What a formation has against the rest of a config, and against itself. span [m]: of the team's drones."""
     plan = section.plan()
