@@ -22,9 +22,11 @@ from swarmtrack.errors import SwarmtrackError, TransportError
 if TYPE_CHECKING:
     import ssl
 
+    from swarmtrack.monitor.ending import FlightEnd
     from swarmtrack.monitor.server import Feed, MonitorServer
 
 DEFAULT_PORT = 8080
+MAX_ENDING = 1 << 20  # bytes of a verdict
 UNENCRYPTED = (
     "the page, and the token in its address, travel unencrypted: whoever hears this network can look, too; "
     "--certificate FILE --key FILE serve it by TLS"
@@ -61,6 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, "--certificate", "serve by TLS with this certificate, PEM; with --key")
     add_file(parser, "--key", "of the certificate, PEM")
     add_flag(parser, "--open", "open the page in this machine's browser")
+    # Of `swarmtrack sim`, which says on our standard input how the flight ended.
+    parser.add_argument("--flight", action="store_true", help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -97,11 +101,26 @@ async def _serve_swarm(args: argparse.Namespace) -> int:
         listener = ZenohListener(network, keys.all_but_video(network.team), clock, newest_per_key=True)
     except TransportError as error:
         raise SwarmtrackError(str(error)) from None  # of what was written: exit code 2
-    feed = LiveFeed(MonitoredTeam(network.team, clock), listener)
+    ending = _told_ending if args.flight else None
+    feed = LiveFeed(MonitoredTeam(network.team, clock), listener, ending)
     try:
         return await _serve(args, feed, f"monitor of team {network.team}", listener.open)
     finally:
         await listener.close()
+
+
+async def _told_ending() -> FlightEnd | None:
+    """How the flight ended, once that is said on standard input; None: nobody is there to say it."""
+    import msgspec
+
+    from swarmtrack.monitor.ending import FlightEnd
+
+    reader = asyncio.StreamReader(limit=MAX_ENDING)
+    await asyncio.get_running_loop().connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(reader), sys.stdin
+    )
+    line = await reader.readline()
+    return msgspec.json.decode(line, type=FlightEnd) if line else None
 
 
 async def _serve_recording(args: argparse.Namespace) -> int:

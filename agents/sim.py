@@ -22,17 +22,18 @@ from swarmtrack.arguments import (
     port,
 )
 from swarmtrack.errors import SourceError
-from swarmtrack.localswarm.machine_load import lighter_flights
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from swarmtrack.evaluation.swarm_verdict import SwarmReport
     from swarmtrack.localswarm.flight import FlightPlan
+    from swarmtrack.localswarm.page import FlightPage
     from swarmtrack.localswarm.table import Spectator
 
 PASSED, FAILED, TIMING_NOT_JUDGED = 0, 1, 3
 DEFAULT_SCENARIO = "hover-triangle"
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class _ListScenarios(argparse.Action):
@@ -90,12 +91,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(parser, "--json", "write the verdict and all figures to this file")
     add_folder(parser, "--record", "record every agent, the truth and the verdict there")
-    add_flag(parser, "--monitor", "serve the web page of the flight; it ends with the flight")
+    add_flag(parser, "--monitor", "serve the web page of the flight")
     parser.add_argument(
         "--monitor-port",
         type=port,
         metavar="PORT",
         help="port of the monitor's page on this machine, 0: any free one (default: 0); implies --monitor",
+    )
+    parser.add_argument(
+        "--stay",
+        action=argparse.BooleanOptionalAction,
+        help="the page stays after the flight, with its verdict, until Ctrl-C (default: in a terminal); "
+        "--stay implies --monitor",
     )
     add_flag(parser, "--keep", "keep the folder with the configs and logs")
 
@@ -126,7 +133,8 @@ def run(args: argparse.Namespace) -> int:
         settings.check(NetworkSettings(team=args.team))
     if args.json is not None:
         check_writable(args.json)
-    monitor_port = args.monitor_port if args.monitor_port is not None else 0 if args.monitor else None
+    wanted = args.monitor or args.stay
+    monitor_port = args.monitor_port if args.monitor_port is not None else 0 if wanted else None
     plan = FlightPlan(
         scenario or DEFAULT_SCENARIO,
         args.drones,
@@ -144,8 +152,10 @@ def run(args: argparse.Namespace) -> int:
         check_empty(plan.record)
     console = Console()
     spectator = _spectator(plan, console)
+    stay = sys.stdout.isatty() if args.stay is None else args.stay
+    landing = _Landing(console, args.json, stay=stay)
     try:
-        report = asyncio.run(_fly(plan, spectator))
+        asyncio.run(_fly(plan, spectator, landing))
     except (NoTruth, RadioError, ProcessDied, TransportError) as error:
         spectator.close()
         print(f"swarmtrack sim: {error}", file=sys.stderr)
@@ -157,7 +167,30 @@ def run(args: argparse.Namespace) -> int:
         return FAILED
     finally:
         spectator.close()
-    return conclude(report, console, args.json)
+    return landing.code
+
+
+class _Landing:
+    """After the flight: the verdict, and the page, that stays until Ctrl-C."""
+
+    def __init__(self, console: Console, file: Path | None, *, stay: bool) -> None:
+        self.code = FAILED
+        self._console = console
+        self._file = file
+        self._stay = stay
+
+    async def __call__(self, report: SwarmReport, page: FlightPage | None) -> None:
+        self.code = conclude(report, self._console, self._file)
+        if page is None or not self._stay:
+            return
+        self._console.print(f"{page.said}: it stays until Ctrl-C", highlight=False, soft_wrap=True)
+        stopped = asyncio.Event()
+        for number in ENDING:
+            asyncio.get_running_loop().add_signal_handler(number, stopped.set)
+        waits = [asyncio.create_task(wait) for wait in (stopped.wait(), page.gone())]
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+        for task in waits:
+            task.cancel()
 
 
 def _scenario(args: argparse.Namespace) -> str | None:
@@ -206,38 +239,25 @@ def _spectator(plan: FlightPlan, console: Console) -> Spectator:
     return lines
 
 
-async def _fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
+async def _fly(plan: FlightPlan, spectator: Spectator, landing: _Landing) -> None:
     """Ctrl-C, SIGTERM and a terminal that goes cancel the flight; everything is ended in order."""
     from swarmtrack.localswarm.flight import fly
 
     task = asyncio.current_task()
     assert task is not None
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in ENDING:
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    return await fly(plan, spectator)
+    await fly(plan, spectator, landing)
 
 
 def print_verdict(report: SwarmReport, console: Console) -> None:
-    from swarmtrack.evaluation.swarm_verdict import BUSY, Verdict
-    from swarmtrack.localswarm.table import agents_table, team_table
+    from swarmtrack.localswarm.table import agents_table, conclusion, team_table
 
     console.print(agents_table(report))
     console.print(team_table(report))
-    verdict, busy = (
-        report.verdict,
-        f"this machine's {os.cpu_count()} cores were {report.machine_busy:.0%} busy",
-    )
-    match verdict:
-        case Verdict.PASSED:
-            console.print("PASSED", style="bold green")
-        case Verdict.FAILED:
-            console.print("FAILED", style="bold red")
-        case Verdict.TIMING_NOT_JUDGED:
-            console.print("who is who: PASSED", style="bold green")
-            console.print(f"timing not judged: {busy}", style="bold yellow", highlight=False)
-    lines = report.shortfalls
-    if verdict is not Verdict.PASSED and report.machine_busy > BUSY:
-        said = "" if verdict is Verdict.TIMING_NOT_JUDGED else f"{busy}, so this says little of the swarm: "
-        lines.append(f"{said}try again {lighter_flights(report.drones, report.detector)}")
+    words, lines = conclusion(report)
+    colour = {PASSED: "green", FAILED: "red", TIMING_NOT_JUDGED: "green"}[exit_code(report)]
+    for word, style in zip(words, (colour, "yellow"), strict=False):
+        console.print(word, style=f"bold {style}", highlight=False)
     for line in lines:
         console.print(f"  {line}", highlight=False, soft_wrap=True)

@@ -17,7 +17,7 @@ import shlex
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,10 +29,11 @@ from swarmtrack.evaluation.swarm_verdict import Limits, SwarmReport
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
 from swarmtrack.localswarm.machine_load import MachineLoad
 from swarmtrack.localswarm.outside import NoTruth
+from swarmtrack.localswarm.page import FlightPage, open_page
 from swarmtrack.localswarm.processes import Child, Children, ProcessDied
 from swarmtrack.localswarm.radio import RadioEmulator
 from swarmtrack.localswarm.recording import FlightRecording
-from swarmtrack.localswarm.table import Spectator
+from swarmtrack.localswarm.table import Spectator, flight_end
 from swarmtrack.localswarm.truth_feed import follow_truth
 from swarmtrack.localswarm.watch import Watch
 from swarmtrack.localswarm.world_file import OutsideWorld, load_world
@@ -107,8 +108,14 @@ class FlownPlan:
     outside: OutsideWorld | None = None
 
 
-async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
-    """Raises RadioError before anything was started, and ProcessDied with the last lines of a log."""
+Landed = Callable[[SwarmReport, FlightPage | None], Awaitable[None]]
+
+
+async def fly(plan: FlightPlan, spectator: Spectator, landed: Landed | None = None) -> SwarmReport:
+    """Raises RadioError before anything was started, and ProcessDied with the last lines of a log.
+
+    landed: awaited once every process has ended but that of the page, where there is one: it ends after it.
+    """
     flown = plan.load()
     scenario = flown.scenario
     async with AsyncExitStack() as stack:
@@ -121,9 +128,21 @@ async def fly(plan: FlightPlan, spectator: Spectator) -> SwarmReport:
         if plan.keep:
             spectator.keep(f"configs and logs: {folder}")
         children = await stack.enter_async_context(Children(folder, keep=plan.keep))
-        return await _SwarmFlight(
+        flight = _SwarmFlight(
             plan, flown, folder=folder, children=children, emulator=emulator, spectator=spectator
-        ).run()
+        )
+        report = await flight.run()
+        if flight.page is not None:
+            flight.page.tell(flight_end(report, plan.record))
+            await children.end_all(but=flight.page.child)
+            spectator.close()
+            if landed is not None:
+                await landed(report, flight.page)
+            return report
+    spectator.close()
+    if landed is not None:
+        await landed(report, None)
+    return report
 
 
 class _SwarmFlight:
@@ -158,6 +177,7 @@ class _SwarmFlight:
         self._watch: Watch
         self._configs: Mapping[int, Path] = {}
         self._agents: dict[int, Child] = {}
+        self.page: FlightPage | None = None
 
     async def run(self) -> SwarmReport:
         ready = await self._start_simulator()
@@ -181,7 +201,7 @@ class _SwarmFlight:
         for line in self._how_to_listen():
             self._spectator.keep(line)
         if self._plan.monitor_port is not None:
-            await self._start_monitor(self._plan.monitor_port)
+            self.page = await self._open_page(self._plan.monitor_port)
         listener = ZenohListener(self._listening(), keys.all_but_video(self._team), self._clock)
         await listener.open()
         watch = self._watch
@@ -286,21 +306,19 @@ class _SwarmFlight:
         if drones:
             yield tasks.create_task(follow_truth(ready["truth"], drones, self._spectator.note), name="follow")
 
-    async def _start_monitor(self, port: int) -> None:
-        """A process of its own, that takes no time from judging. Where there is a screen, its page is opened."""
-        arguments = ["monitor", "--team", self._team, "--port", str(port)]
-        for endpoint in self._listening().connect:
-            arguments += ["--connect", endpoint, "--insecure"]
-        if sys.stdout.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            arguments.append("--open")
-        argv = ["nice", "-n", str(AGENT_NICENESS), sys.executable, "-m", "swarmtrack.agents.main", *arguments]
-        monitor = await self._children.start("monitor", argv, talks=True)
-        assert monitor.process.stdout is not None
-        async with asyncio.timeout(SIMULATOR_PATIENCE_S):
-            line = await monitor.process.stdout.readline()
-        if not line:
-            raise ProcessDied((await self._children.died).describe_end())
-        self._spectator.keep(f"{line.decode().strip()} (until the flight ends)")
+    async def _open_page(self, port: int) -> FlightPage:
+        """Where there is a screen, in a browser, too."""
+        screen = sys.stdout.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+        page = await open_page(
+            self._children,
+            ["nice", "-n", str(AGENT_NICENESS), sys.executable, "-m", "swarmtrack.agents.main"],
+            self._listening(),
+            port=port,
+            patience_s=SIMULATOR_PATIENCE_S,
+            show=screen,
+        )
+        self._spectator.keep(page.said)
+        return page
 
     def _simulator_arguments(self) -> list[str]:
         """What decides what is flown."""

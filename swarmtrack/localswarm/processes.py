@@ -112,6 +112,10 @@ class Children:
                 os.killpg(child.process.pid, signal.SIGKILL)
             await child.process.wait()
 
+    async def end_all(self, *, but: Child) -> None:
+        """All but one."""
+        await asyncio.gather(*(self.end(child) for child in list(self._running) if child is not but))
+
     async def _watch(self, child: Child) -> None:
         await child.process.wait()
         self._tell_reaper(f"-{child.process.pid}")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import shlex
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Protocol
 
 from rich.box import SIMPLE_HEAD
@@ -13,9 +16,11 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmtrack.evaluation.swarm_score import JudgedTrack, SwarmScore
-from swarmtrack.evaluation.swarm_verdict import SwarmReport
+from swarmtrack.evaluation.swarm_verdict import BUSY, SwarmReport, Verdict
+from swarmtrack.localswarm.machine_load import lighter_flights
 from swarmtrack.localswarm.watch import AgentView, Watch
 from swarmtrack.messages import FOREIGN, Identity
+from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.simulation.scenarios import ScenarioFault
 from swarmtrack.wire.health import HealthMessage
 
@@ -223,33 +228,71 @@ def agents_table(report: SwarmReport) -> Table:
 
 def team_table(report: SwarmReport) -> Table:
     """Found beside expected."""
-    score, limits = report.score, report.limits
     table = _table("team")
     for heading in ("", "found", "expected"):
         table.add_column(heading, justify="left" if not heading else "right")
-    table.add_row("right names", share(score.correct), f"≥ {limits.correct:g}")
-    if score.proved > 0.0 or limits.proved > 0.0:
-        table.add_row("of these proved by motion", share(score.proved), f"≥ {limits.proved:g}")
-    table.add_row("wrong names", share(score.wrong), f"≤ {limits.wrong:g}")
-    table.add_row("highest probability of a wrong name", number(score.wrong_max_probability, 3), "")
-    table.add_row("unknown", share(score.unknown), "")
-    table.add_row("agreement", share(score.agreement), f"≥ {limits.agreement:g}")
+    for row in team_rows(report):
+        table.add_row(*row)
+    return table
+
+
+def team_rows(report: SwarmReport) -> list[tuple[str, str, str]]:
+    """What was judged, found, expected."""
+    score, limits = report.score, report.limits
     slowest = max(score.time_to_identify_s.values(), default=math.nan)
-    table.add_row("slowest to identify, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:g}")
-    table.add_row("all announcements known, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:g}")
     worst = max(score.rmse_px.values(), default=math.nan)
-    table.add_row("worst RMSE, px", number(worst, 2), f"≤ {limits.rmse_px:g}")
-    table.add_row("recall", share(score.recall), "")
-    ghosts = f"≤ {limits.false_tracks_per_s:g}"
-    table.add_row("false tracks per second", number(score.false_tracks_per_s, 3), ghosts)
-    table.add_row("switches", str(score.switches), "")
+    rows = [("right names", share(score.correct), f"≥ {limits.correct:g}")]
+    if score.proved > 0.0 or limits.proved > 0.0:
+        rows.append(("of these proved by motion", share(score.proved), f"≥ {limits.proved:g}"))
+    rows += [
+        ("wrong names", share(score.wrong), f"≤ {limits.wrong:g}"),
+        ("highest probability of a wrong name", number(score.wrong_max_probability, 3), ""),
+        ("unknown", share(score.unknown), ""),
+        ("agreement", share(score.agreement), f"≥ {limits.agreement:g}"),
+        ("slowest to identify, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:g}"),
+        ("all announcements known, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:g}"),
+        ("worst RMSE, px", number(worst, 2), f"≤ {limits.rmse_px:g}"),
+        ("recall", share(score.recall), ""),
+        ("false tracks per second", number(score.false_tracks_per_s, 3), f"≤ {limits.false_tracks_per_s:g}"),
+        ("switches", str(score.switches), ""),
+    ]
     if report.relative.samples:
         places = report.relative
-        table.add_row(
-            "error of ranges, half and 95 % below", f"{places.range_p50:.1%}, {places.range_p95:.1%}", ""
-        )
-        table.add_row("NEES / 6 of places, median", number(places.nees6_median, 2), "")
-    return table
+        ranges = f"{places.range_p50:.1%}, {places.range_p95:.1%}"
+        rows += [
+            ("error of ranges, half and 95 % below", ranges, ""),
+            ("NEES / 6 of places, median", number(places.nees6_median, 2), ""),
+        ]
+    return rows
+
+
+def conclusion(report: SwarmReport) -> tuple[list[str], list[str]]:
+    """The verdict in words, and what fell short; with advice where the machine was short itself."""
+    verdict, lines = report.verdict, report.shortfalls
+    busy = f"this machine's {os.cpu_count()} cores were {report.machine_busy:.0%} busy"
+    match verdict:
+        case Verdict.PASSED:
+            words = ["PASSED"]
+        case Verdict.FAILED:
+            words = ["FAILED"]
+        case Verdict.TIMING_NOT_JUDGED:
+            words = ["who is who: PASSED", f"timing not judged: {busy}"]
+    if verdict is not Verdict.PASSED and report.machine_busy > BUSY:
+        said = "" if verdict is Verdict.TIMING_NOT_JUDGED else f"{busy}, so this says little of the swarm: "
+        lines.append(f"{said}try again {lighter_flights(report.drones, report.detector)}")
+    return words, lines
+
+
+def flight_end(report: SwarmReport, record: Path | None) -> FlightEnd:
+    """For the page. record: the folder of the flight's recording."""
+    (word, *more), lines = conclusion(report)
+    return FlightEnd(
+        {Verdict.PASSED: "ok", Verdict.FAILED: "bad", Verdict.TIMING_NOT_JUDGED: "warn"}[report.verdict],
+        f"the flight is over: {word}",
+        [*more, *lines],
+        team_rows(report),
+        f"swarmtrack monitor --recording {shlex.quote(str(record))}" if record is not None else "",
+    )
 
 
 def _table(title: str) -> Table:

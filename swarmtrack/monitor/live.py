@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, Protocol
 
 from swarmtrack.errors import TransportError
+from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.monitor.server import STATE_HZ, Audience
 from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.transport import keys
@@ -31,9 +32,18 @@ class Listener(Protocol):
 class LiveFeed:
     """A drone's video is subscribed to while at least one viewer watches it."""
 
-    def __init__(self, team: MonitoredTeam, listener: Listener) -> None:
+    def __init__(
+        self,
+        team: MonitoredTeam,
+        listener: Listener,
+        ending: Callable[[], Awaitable[FlightEnd | None]] | None = None,
+    ) -> None:
+        """ending: returns once the flight is over; from then on the page stays as it is."""
         self._team = team
         self._listener = listener
+        self._ending = ending
+        team.starting = ending is not None
+        self._last: dict[str, Any] | None = None
         self._subscribed: set[int] = set()
         self._wishes = asyncio.Event()
 
@@ -49,6 +59,8 @@ class LiveFeed:
                 tasks.create_task(self._follow_wishes(audience), name="wishes"),
                 tasks.create_task(self._look_around(), name="others"),
             ]
+            if self._ending is not None:
+                others.append(tasks.create_task(self._keep_the_end(self._ending), name="ending"))
             await self._hear(audience)
             for task in others:
                 task.cancel()
@@ -59,8 +71,16 @@ class LiveFeed:
     def on_wish(self, wish: dict[str, Any]) -> bool:
         return False  # what is live is neither paused nor wound back
 
+    async def _keep_the_end(self, ending: Callable[[], Awaitable[FlightEnd | None]]) -> None:
+        end = await ending()
+        if end is not None:
+            self._last = self._team.state_at_end(end)
+            self._wishes.set()
+
     async def _hear(self, audience: Audience) -> None:
         async for sample in self._listener.samples():
+            if self._last is not None:
+                continue
             view = self._team.on_sample(sample)
             if view is not None:
                 address = keys.parse(sample.key)
@@ -73,9 +93,10 @@ class LiveFeed:
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
-            self._team.look()  # unwatched, too: events have their times, and the gone their age
+            if self._last is None:
+                self._team.look()  # unwatched, too: events have their times, and the gone their age
             if audience.is_there:
-                audience.tell(self._team.state())
+                audience.tell(self._last or self._team.state())
             due = max(due + 1.0 / STATE_HZ, loop.time())
             await asyncio.sleep(due - loop.time())
 
@@ -84,7 +105,7 @@ class LiveFeed:
         said = False
         while True:
             await asyncio.sleep(SILENT_S)
-            if self._team.drones:
+            if self._team.drones or self._team.starting:
                 continue
             self._team.hint = hint = hint_at(await other_teams(self._listener, self._team.name))
             if hint and not said:
@@ -97,6 +118,9 @@ class LiveFeed:
             await self._wishes.wait()
             self._wishes.clear()
             wanted = audience.watched
+            if self._last is not None:
+                self._show_last_pictures(audience, wanted)
+                continue
             try:
                 for drone_id in wanted - self._subscribed:
                     await self._listener.listen_to(keys.key(self._team.name, Kind.VIDEO, drone_id))
@@ -106,3 +130,10 @@ class LiveFeed:
                     await self._listener.leave(keys.key(self._team.name, Kind.VIDEO, drone_id))
             except TransportError as error:
                 log.warning("video: %s", error)
+
+    def _show_last_pictures(self, audience: Audience, watched: frozenset[int]) -> None:
+        """After the flight: those that somebody looked at in it."""
+        for drone_id in watched:
+            view = self._team.last_view(drone_id)
+            if view is not None:
+                audience.show(drone_id, view, self._team.tracks_at(drone_id, view.t_utc_s))

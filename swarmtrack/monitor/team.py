@@ -11,6 +11,7 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.transport import keys
@@ -26,6 +27,7 @@ from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
 START_ONE = "start one: swarmtrack sim --monitor; another team: --team"
+STARTING = "its agents are starting"
 MAX_DRONES = 1024  # beyond it is an attack or a mistake
 SILENT_S = 2.0  # s without a word: gone, whatever its token says
 FORGOTTEN_S = 600.0  # s after which a drone that went is listed no more
@@ -66,6 +68,8 @@ class MonitoredTeam:
     def __init__(self, name: str, clock: Clock) -> None:
         self.name = name
         self.unreadable = 0
+        self.starting = False
+        """Whether somebody is starting drones."""
         self.hint = ""
         """Whom one could hear instead, while nobody of this team is there."""
         self._clock = clock
@@ -132,6 +136,7 @@ class MonitoredTeam:
         return {
             "team": self.name,
             "light": {"kind": kind, "text": text, "also": also},
+            "starting": self.starting,
             "drones": [self._drone_state(drone_id, now) for drone_id in sorted(self._drones)],
             "looks": [
                 [look.observer, look.called, look.whom, look.right, round(look.probability, 3)]
@@ -140,6 +145,17 @@ class MonitoredTeam:
             "events": list(self._events)[-EVENTS_SHOWN:],
             "unreadable": self.unreadable,
         }
+
+    def state_at_end(self, end: FlightEnd) -> dict[str, Any]:
+        """What the page shows from now on, when a flight is over."""
+        self._note(None, end.text, end.kind)
+        state = self.state()
+        light = {"kind": end.kind, "text": end.text, "also": end.also}
+        return {**state, "light": light, "over": {"rows": end.rows, "again": end.again}}
+
+    def last_view(self, drone_id: int) -> VideoMessage | None:
+        drone = self._drones.get(drone_id)
+        return None if drone is None else drone.view
 
     def look(self) -> None:
         """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
@@ -264,7 +280,11 @@ class MonitoredTeam:
             return "bad" if bad else "warn", said[0], said[1:]
         here = len(self._drones)
         if not here:
-            return "idle", f"no drone of team {self.name} is heard", [self.hint or START_ONE]
+            return (
+                "idle",
+                f"no drone of team {self.name} is heard",
+                [STARTING if self.starting else self.hint or START_ONE],
+            )
         drones = "1 drone" if here == 1 else f"{here} drones"
         if not any(look.right for look in verdict.looks):
             return "idle", f"{drones} here, no names to compare yet", []
@@ -322,9 +342,12 @@ def troubles(health: HealthMessage | None) -> list[str]:
     """What is wrong with a drone by its own word, in words that follow its name."""
     if health is None:
         return []
-    names = {"autopilot": "lost its autopilot", "camera": "lost its camera", "zenoh": "lost the network"}
+    names = {"autopilot": "its autopilot", "camera": "its camera", "zenoh": "the network"}
+    verb = "lost" if health.uptime_s >= SETTLED_S else "waits for"
     found = [
-        names.get(link.name, f"has trouble with its {link.name}") for link in health.links if not link.ok
+        f"{verb} {names[link.name]}" if link.name in names else f"has trouble with its {link.name}"
+        for link in health.links
+        if not link.ok
     ]
     autopilot_is_up = any(link.name == "autopilot" and link.ok for link in health.links)
     if health.uptime_s < SETTLED_S:

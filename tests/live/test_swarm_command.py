@@ -17,6 +17,7 @@ from urllib.request import urlopen
 
 import pytest
 
+from support.browser import browser_page, needs_chromium
 from support.launcher import finish, living, pid_of, start
 from support.pair_scenario import PAIR, is_fair, is_judged, pair
 from support.patience import PATIENCE, until
@@ -202,6 +203,37 @@ def test_the_monitor_serves_the_flights_page_and_ends_with_it(watched):
     assert b"swarmtrack" in watched.page
     with pytest.raises(OSError, match="refused"):
         urlopen(watched.url, timeout=PATIENCE)
+
+
+@needs_chromium
+async def test_the_page_stays_after_the_flight_with_its_verdict_until_ctrl_c(tmp_path):
+    flight = start(tmp_path, *pair(tmp_path), "--detector", "oracle", "--seconds", "6", "--stay")
+    try:
+        url = None
+        while url is None:
+            line = await asyncio.to_thread(flight.stdout.readline)
+            assert line, "the flight ended without naming a page"
+            url = re.search(r"http://127\.0\.0\.1:\d+/", line)
+        async with browser_page() as (page, misdeeds):
+            await page.goto(url[0])
+            said = [await asyncio.to_thread(flight.stdout.readline)]
+            while said[-1] and not said[-1].endswith("it stays until Ctrl-C\n"):
+                said.append(await asyncio.to_thread(flight.stdout.readline))
+            await page.wait_for_selector("body.over #verdict dd")
+            sentence = await page.inner_text("#sentence")
+            assert f"{sentence.removeprefix('the flight is over: ')}\n" in said
+            assert "right names" in await page.inner_text("#verdict")
+            await page.reload()
+            await page.wait_for_selector("body.over #verdict dd")
+            assert await page.locator(".camera").count() == 2
+            flight.send_signal(signal.SIGINT)
+            code, _, complained = await asyncio.to_thread(finish, flight)
+            assert (code in (0, 1, 3), complained) == (True, "")
+            # What is over is not out of date, and still says so.
+            assert await page.inner_text("#sentence") == sentence
+            assert [line for line in misdeeds if "ERR_CONNECTION_REFUSED" not in line] == []
+    finally:
+        flight.kill()
 
 
 def test_kept_configs_are_those_of_real_agents(watched):

@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import re
 
+from support.patience import eventually
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import TransportError
 from swarmtrack.monitor import live
+from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.monitor.live import LiveFeed
-from swarmtrack.monitor.team import START_ONE, MonitoredTeam
+from swarmtrack.monitor.team import START_ONE, STARTING, MonitoredTeam
+from swarmtrack.transport.base import Sample
 from swarmtrack.transport.listening import hint_at, other_teams
 
 
@@ -31,6 +34,49 @@ class Silence:
         if self.looks == 3:
             self.ended.set()
         return self.others | {"red"}
+
+
+class Somebody:
+    """Looks at drone 1."""
+
+    is_there = True
+    watched = frozenset({1})
+
+    def __init__(self) -> None:
+        self.told: list[dict] = []
+
+    def tell(self, state: dict) -> None:
+        self.told.append(state)
+
+
+async def test_when_the_flight_is_over_the_page_keeps_what_it_showed_and_the_verdict(monkeypatch):
+    monkeypatch.setattr(live, "STATE_HZ", 200.0)
+    clock = ManualClock(0.0)
+    team, listener, over, viewer = MonitoredTeam("red", clock), Silence(), asyncio.Event(), Somebody()
+    end = FlightEnd(
+        "bad", "the flight is over: FAILED", ["a line"], [("right names", "0.9", "≥ 0.97")], "look"
+    )
+
+    async def ending() -> FlightEnd:
+        await over.wait()
+        return end
+
+    feed = asyncio.create_task(LiveFeed(team, listener, ending).run(viewer))
+    await eventually(lambda: viewer.told)
+    assert viewer.told[-1]["starting"] is True
+    assert viewer.told[-1]["light"]["also"] == [STARTING]
+    team.on_sample(Sample("swarmtrack/red/v1/alive/1/00000001", b"", True, 0.0))
+    over.set()
+    await eventually(lambda: "over" in viewer.told[-1])
+    clock.set(60.0)  # drone 1 is long gone
+    count = len(viewer.told)
+    await eventually(lambda: len(viewer.told) >= count + 3)
+    last = viewer.told[-1]
+    assert last["light"] == {"kind": "bad", "text": "the flight is over: FAILED", "also": ["a line"]}
+    assert last["over"] == {"rows": [("right names", "0.9", "≥ 0.97")], "again": "look"}
+    assert [drone["gone_s"] for drone in last["drones"]] == [None]
+    listener.ended.set()
+    await feed
 
 
 class Nobody:

@@ -1,0 +1,15 @@
+"""What the page is told when a flight is over: its verdict, which stays there."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class FlightEnd(msgspec.Struct, frozen=True):
+    """kind: of the light (bad, warn, ok); rows: what was judged, found, expected; again: how to see it once more."""
+
+    kind: str
+    text: str
+    also: list[str]
+    rows: list[tuple[str, str, str]]
+    again: str = ""
