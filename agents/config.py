@@ -15,6 +15,7 @@ EXAMPLE = """\
 for example:
   swarmtrack config new                            # asks
   swarmtrack config new --id 2 --autopilot ardupilot-uart --calibration cam2.yaml --start 0 3 0 -90
+  swarmtrack config new --example                  # every key in one file, explained
   swarmtrack config check drone-1.toml drone-2.toml drone-3.toml
 """
 
@@ -51,9 +52,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _new(args: argparse.Namespace) -> int:
-    from swarmtrack.setup.wizard import create
+    from swarmtrack.setup.wizard import create, write_example
 
-    create(args)
+    if args.example:
+        write_example(args)
+    else:
+        create(args)
     return 0
 
 

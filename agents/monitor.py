@@ -22,7 +22,7 @@ from swarmtrack.errors import SwarmtrackError, TransportError
 if TYPE_CHECKING:
     import ssl
 
-    from swarmtrack.monitor.ending import FlightEnd
+    from swarmtrack.evaluation.flight_end import FlightEnd
     from swarmtrack.monitor.server import Feed, MonitorServer
 
 DEFAULT_PORT = 8080
@@ -113,7 +113,7 @@ async def _told_ending() -> FlightEnd | None:
     """How the flight ended, once that is said on standard input; None: nobody is there to say it."""
     import msgspec
 
-    from swarmtrack.monitor.ending import FlightEnd
+    from swarmtrack.evaluation.flight_end import FlightEnd
 
     reader = asyncio.StreamReader(limit=MAX_ENDING)
     await asyncio.get_running_loop().connect_read_pipe(

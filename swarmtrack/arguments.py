@@ -10,6 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from swarmtrack.plain_text import plain
+
 
 def add_commands(
     parser: argparse.ArgumentParser,
@@ -50,6 +52,13 @@ class _Command(argparse.ArgumentParser):
             import_module(self.module).add_arguments(self)
             self.module = None
         return super().parse_known_args(args, namespace)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        # Argparse lists all choices, also where one letter is missing.
+        if action.choices is not None and value not in action.choices:
+            what = "value" if action.option_strings else "word"
+            said = unknown(what, str(value), map(str, action.choices))
+            raise argparse.ArgumentError(action, f"found {plain(str(value), 40)}, {said}")
 
 
 def add_file(

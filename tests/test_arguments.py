@@ -49,6 +49,25 @@ def test_a_name_that_is_none_is_answered_with_the_nearest(word, said):
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["config", "chek"], "found chek, did you mean check?"),
+        (["bench", "identiy"], "found identiy, did you mean identity?"),
+        (["keys", "isue"], "found isue, did you mean issue?"),
+        (["sim", "--detector", "oracel"], "found oracel, did you mean oracle?"),
+        (["log", "\x1b[2J"], "expected a word: info, "),
+    ],
+)
+def test_a_misspelt_action_or_value_is_answered_with_the_nearest(words, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        swarmtrack.parse(words)
+    assert ended.value.code == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert "\x1b" not in err
+
+
+@pytest.mark.parametrize(
     ("word", "said"), [("sin", "did you mean sim?"), ("\x1b[2J", "expected a command: sim, ")]
 )
 def test_a_command_that_is_none_is_answered_with_the_nearest(capsys, word, said):

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import msgspec
 
+from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.localswarm.processes import Child, Children, ProcessDied
-from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.transport.settings import NetworkSettings
 
 

@@ -15,12 +15,12 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.evaluation.swarm_score import JudgedTrack, SwarmScore
 from swarmtrack.evaluation.swarm_verdict import BUSY, SwarmReport, Verdict
 from swarmtrack.localswarm.machine_load import lighter_flights
 from swarmtrack.localswarm.watch import AgentView, Watch
 from swarmtrack.messages import FOREIGN, Identity
-from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.simulation.scenarios import ScenarioFault
 from swarmtrack.wire.health import HealthMessage
 

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, Protocol
 
 from swarmtrack.errors import TransportError
-from swarmtrack.monitor.ending import FlightEnd
+from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.monitor.server import STATE_HZ, Audience
 from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.transport import keys

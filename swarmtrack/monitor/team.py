@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.clock import Clock
+from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.geometry.rotation import from_quaternion
-from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.transport import keys

@@ -50,10 +50,10 @@ line. Examples are in [configs/](../configs).
 
 def json_schema() -> Schema:
     """JSON schema of one config file. Its tables require nothing: what one file lacks, another may give."""
-    schema = _whole_schema()
+    schema = whole_schema()
     schema.pop("required", None)
     for entry in schema["properties"].values():
-        schema["$defs"][_referred(entry)].pop("required", None)
+        schema["$defs"][referred(entry)].pop("required", None)
     schema["properties"] = {"extends": EXTENDS, **schema["properties"]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -62,7 +62,7 @@ def json_schema() -> Schema:
     }
 
 
-def _whole_schema() -> Schema:
+def whole_schema() -> Schema:
     """Schema of a config once its files are merged."""
     schema = DroneConfig.model_json_schema(by_alias=True)
     definitions = schema["$defs"]
@@ -75,7 +75,7 @@ def _whole_schema() -> Schema:
         table = definitions[section]
         table["additionalProperties"] = False
         for kind in parameters:
-            for key, entry in _parameters(kind, agents[section]).items():
+            for key, entry in parameters_schema(kind, agents[section]).items():
                 known = table["properties"].setdefault(key, entry)
                 if known.get("default") != entry.get("default"):
                     # Each tracker has its own.
@@ -90,31 +90,31 @@ def _whole_schema() -> Schema:
 
 def reference() -> str:
     """The page docs/config.md."""
-    schema = _whole_schema()
+    schema = whole_schema()
     definitions = schema["$defs"]
     parts = [HEAD]
     for name, field in DroneConfig.model_fields.items():
         kind = field.annotation
         assert isinstance(kind, type)
         assert issubclass(kind, BaseModel)
-        parts.append(f"## [{name}]\n\n{_about(kind)}\n")
+        parts.append(f"## [{name}]\n\n{about(kind)}\n")
         if name == "tracker":
             parts += _tracker_tables(definitions)
         else:
-            parts.append(_table(_rows(definitions[_referred(schema["properties"][name])], definitions)))
+            parts.append(_table(_rows(definitions[referred(schema["properties"][name])], definitions)))
     return "\n".join(parts)
 
 
 def _tracker_tables(definitions: Schema) -> Iterator[str]:
     name = definitions["TrackerSection"]["properties"]["name"]
     yield _table([_row("name", name, definitions)])
-    common = _parameters(CommonParameters, AGENT_PARAMETERS)
+    common = parameters_schema(CommonParameters, AGENT_PARAMETERS)
     yield "All trackers have:\n"
     yield _table(_row(key, entry, definitions) for key, entry in common.items())
     for tracker, kind in TRACKERS.items():
         own = {
             key: entry
-            for key, entry in _parameters(kind.Parameters, AGENT_PARAMETERS).items()
+            for key, entry in parameters_schema(kind.Parameters, AGENT_PARAMETERS).items()
             if entry != common.get(key)
         }
         if own:
@@ -135,7 +135,7 @@ def _rows(table: Schema, definitions: Schema, prefix: str = "") -> Iterator[Row]
         name, what, default, meaning = _row(prefix + key, entry, definitions)
         yield name, what, "required" if key in required else default, meaning
         for referring, below in ((entry, f"{prefix}{key}."), (_each(entry), f"{prefix}{key}.ID.")):
-            inner = _referred(referring)
+            inner = referred(referring)
             if inner:
                 yield from _rows(definitions[inner], definitions, below)
 
@@ -194,7 +194,7 @@ def _bounds(entry: Schema) -> str:
 # ── from the models ──────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _parameters(kind: type[Any], agents: Mapping[str, Any]) -> Schema:
+def parameters_schema(kind: type[Any], agents: Mapping[str, Any]) -> Schema:
     """The schema of each field of a dataclass, described by the docstring below it. agents: other defaults."""
     entries: Schema = TypeAdapter(kind).json_schema()["properties"]
     said = _docstrings(kind)
@@ -225,7 +225,7 @@ def _docstrings(kind: type[Any]) -> dict[str, str]:
     return said
 
 
-def _about(kind: type[BaseModel]) -> str:
+def about(kind: type[BaseModel]) -> str:
     """What the docstring says after `[name]: `."""
     text = " ".join((kind.__doc__ or "").split())
     said = re.sub(r"docs/([\w/.-]+\.md)", r"[\1](\1)", text.partition("]: ")[2] or text)
@@ -238,7 +238,7 @@ def _each(entry: Schema) -> Schema:
     return each if isinstance(each, dict) else {}
 
 
-def _referred(entry: Schema) -> str:
+def referred(entry: Schema) -> str:
     """The name of the table that an entry refers to, or empty."""
     kinds = [entry, *entry.get("anyOf", [])]
     return next((kind["$ref"].rpartition("/")[2] for kind in kinds if "$ref" in kind), "")

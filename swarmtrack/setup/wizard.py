@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from swarmtrack.errors import ConfigError, SwarmtrackError
-from swarmtrack.setup import answers
+from swarmtrack.setup import answers, example
 from swarmtrack.setup.texts import (
     DronePlan,
     TeamPlan,
@@ -22,6 +22,9 @@ from swarmtrack.setup.texts import (
 USB_CAMERA = "v4l2:///dev/video0?width={width}&height={height}&fps=30"
 SMALL = "640x480"
 WEBCAM_DEG = "70"  # of the lens, from left to right
+ANSWERED = (
+    "id", "team", "camera", "size", "calibration", "fov", "autopilot", "start", "origin", "peer", "keys", "insecure",
+)  # fmt: skip
 OF_THE_TEAM = ("peer", "keys", "insecure", "origin")  # flags that say what stands in team.toml
 
 _T = TypeVar("_T")
@@ -58,6 +61,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tell("--insecure", action="store_true", help="speak beyond this machine without keys")
     tell("--out", type=Path, default=Path(), metavar="DIR", help="where the files go (default: here)")
     tell("--force", action="store_true", help="overwrite what is there")
+    tell(
+        "--example",
+        action="store_true",
+        help=f"write {example.NAME} instead: every key, explained; asks nothing",
+    )
+
+
+def write_example(args: argparse.Namespace) -> None:
+    """Raises ConfigError."""
+    file = args.out / example.NAME
+    given = [flag for flag in ANSWERED if getattr(args, flag)]
+    if given:
+        raise ConfigError(
+            [f"--{given[0]}: given with --example, which asks nothing: expected --out and --force"]
+        )
+    if file.exists() and not args.force:
+        raise ConfigError([f"{file}: is there already, expected another --out or --force"])
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+        file.write_text(example.example(), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError([f"--out: {args.out}: {error.strerror}, expected a folder for the file"]) from error
+    print(f"written: {file}")
+    print(f"next: change it, then swarmtrack config check {file}")
 
 
 def create(args: argparse.Namespace) -> None:

@@ -8,8 +8,8 @@ import re
 from support.patience import eventually
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import TransportError
+from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.monitor import live
-from swarmtrack.monitor.ending import FlightEnd
 from swarmtrack.monitor.live import LiveFeed
 from swarmtrack.monitor.team import START_ONE, STARTING, MonitoredTeam
 from swarmtrack.transport.base import Sample

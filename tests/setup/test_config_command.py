@@ -17,6 +17,7 @@ from support.places import ROOT
 from swarmtrack.agents.main import main
 from swarmtrack.config import DroneConfig, load_config
 from swarmtrack.setup.answers import WIRINGS
+from swarmtrack.setup.example import SHOWN, example
 from swarmtrack.setup.reference import json_schema, reference
 
 CONFIGS = ROOT / "configs"
@@ -52,6 +53,69 @@ def test_what_it_writes_is_a_config_for_every_kind_of_autopilot(config, tmp_path
     assert (made.drone.id, made.autopilot.link) == (4, WIRINGS[wiring].link)
     assert (made.drone.start.position_m, made.drone.start.yaw_deg) == ((1.0, 2.0, -0.5), -90.0)
     assert made.network.team == "swarm"
+
+
+def test_the_example_is_a_config_that_stands(config, tmp_path):
+    code, out, err = config("new", "--example")
+    assert (code, err) == (0, "")
+    assert "swarmtrack config check example.toml" in out
+    assert config("check", "example.toml")[0] == 0
+    code, _, err = config("new", "--example")
+    assert (code, "example.toml: is there already" in err) == (2, True)
+    code, _, err = config("new", "--example", "--id", "3", "--force")
+    assert (code, "--id: given with --example" in err) == (2, True)
+
+
+def commented() -> list[tuple[str, str]]:
+    """(section, line) of each key of the example that is a comment."""
+    found, section = [], ""
+    for line in example().splitlines():
+        section = line[1:-1] if line.startswith("[") else section
+        if section and re.match(r"#\w+ = ", line):
+            found.append((section, line))
+    return found
+
+
+def test_the_example_lacks_no_key_of_the_schema():
+    schema = json_schema()
+    written = {(section, line[1:].split(" = ")[0]) for section, line in commented()}
+    other_trackers = {
+        "exact_width",
+        "end_doubles",
+        "one_to_one",
+        "prune_below",
+        "merge_distance",
+        "components_per_label",
+    }
+    for section, entry in schema["properties"].items():
+        if section == "extends":
+            continue
+        keys = set(schema["$defs"][entry["$ref"].rpartition("/")[2]]["properties"])
+        missing = keys - {key for name, key in written if name == section} - other_trackers
+        assert missing <= {"id", "start", "source", "intrinsics"}, section
+
+
+# Those that only go together with others, or that look at a file.
+NOT_ALONE = {
+    "calibration", "calibration_camera", "plan", "code", "drones", "scale", "mean", "channel_order", "keys",
+    "signing_key", "names", "announce", "peers",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("section", "line"), commented())
+def test_each_line_of_the_example_is_one_that_a_config_may_have(tmp_path, section, line):
+    text, key = example(), line[1:].split(" = ")[0]
+    file = tmp_path / "example.toml"
+    file.write_text(text)
+    before = load_config(file).model_dump()
+    file.write_text(text.replace(f"\n{line}\n", f"\n{line[1:]}\n", 1))
+    tomllib.loads(file.read_text())
+    if key in NOT_ALONE:
+        return
+    after = load_config(file).model_dump()
+    # Those of a tracker and of identity are kept as they are written, and read with the same defaults.
+    if section not in ("tracker", "identity") and f"{section}.{key}" not in SHOWN:
+        assert after == before, "that is not the default"
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,12 @@
-"""What the page is told when a flight is over: its verdict, which stays there."""
+"""What the monitor's page is told when a flight is over: its verdict, which stays there."""
 
 from __future__ import annotations
 
-import msgspec
+from dataclasses import dataclass
 
 
-class FlightEnd(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class FlightEnd:
     """kind: of the light (bad, warn, ok); rows: what was judged, found, expected; again: how to see it once more."""
 
     kind: str
