@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from swarmtrack.localswarm.table import Spectator
 
 PASSED, FAILED, TIMING_NOT_JUDGED = 0, 1, 3
+SLOW_TO_PREPARE = 200  # drones: of more, their places take seconds to find
 DEFAULT_SCENARIO = "hover-triangle"
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -148,9 +149,12 @@ def run(args: argparse.Namespace) -> int:
         args.world,
         args.team,
     )
+    console = Console()
+    if plan.drones is not None and plan.drones > SLOW_TO_PREPARE:
+        console.print(f"preparing {plan.drones} drones …", highlight=False)
+    _check_room(plan)
     if plan.record is not None:
         check_empty(plan.record)
-    console = Console()
     spectator = _spectator(plan, console)
     stay = sys.stdout.isatty() if args.stay is None else args.stay
     landing = _Landing(console, args.json, stay=stay)
@@ -191,6 +195,15 @@ class _Landing:
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for task in waits:
             task.cancel()
+
+
+def _check_room(plan: FlightPlan) -> None:
+    """Before anything is prepared."""
+    from swarmtrack.localswarm.machine_load import too_large
+
+    problem = too_large(plan.drones or len(plan.load().scenario.members), plan.detector)
+    if problem:
+        raise SourceError(problem)
 
 
 def _scenario(args: argparse.Namespace) -> str | None:

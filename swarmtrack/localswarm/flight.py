@@ -50,6 +50,7 @@ AGENT_START_CPU_S = {"onnx": 1.6, "oracle": 1.2}
 MAX_SLOWDOWN = 4.0  # of the agents' start, by what else the machine is doing
 RECOGNISE_S = 2.5
 RADIO_LINKS_S = 6.0  # through a bad radio, a connection takes several attempts
+WORD_S = 3.0  # s between two words while one waits
 SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
 # The truth comes 50 ms after an exposure, and a picture takes up to 70 ms.
 MAX_OUTSIDE_FRAME_AGE_S = 0.3
@@ -258,17 +259,28 @@ class _SwarmFlight:
             argv += ["--host", self._emulator.wire_address]
         simulator = await self._children.start("simulator", argv, talks=True)
         assert simulator.process.stdout is not None
+        waiting = asyncio.create_task(self._say_how_long(what))
         try:
             async with asyncio.timeout(SIMULATOR_PATIENCE_S):
                 line = await simulator.process.stdout.readline()
         except TimeoutError:
             raise ProcessDied(f"the simulator is not ready after {SIMULATOR_PATIENCE_S:g} s") from None
+        finally:
+            waiting.cancel()
         if not line:
             raise ProcessDied((await self._children.died).describe_end())
         ready: dict[str, Any] = json.loads(line)
         if not ready["ready"]:
             raise NoTruth(ready["error"])
         return ready
+
+    async def _say_how_long(self, what: str) -> None:
+        """That something goes on, while nothing else is to be seen."""
+        count, seconds = len(self._scenario.members), 0.0
+        while True:
+            await asyncio.sleep(WORD_S)
+            seconds += WORD_S
+            self._spectator.note(f"waiting for {what}: {count} drones, {seconds:.0f} s …")
 
     def _sources(self, drones: dict[str, dict[str, str]]) -> dict[int, Sources]:
         """Where each agent finds its sensors. drones: as the simulator says it."""

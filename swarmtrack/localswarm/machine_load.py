@@ -1,4 +1,4 @@
-"""How busy the machine was, by what the kernel counts of all its cores."""
+"""What the machine has room for, and how busy it was, by what the kernel counts."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import math
 from pathlib import Path
 
 STAT = Path("/proc/stat")
+MEMORY = Path("/proc/meminfo")
+AGENT_MB = {"onnx": 85.0, "oracle": 55.0}
+"""What each agent has for itself alone, as the kernel counts it (Private_Dirty)."""
 
 
 class MachineLoad:
@@ -30,6 +33,23 @@ class MachineLoad:
             return ticks[3] + ticks[4], sum(ticks)
         except (OSError, ValueError, IndexError):
             return None
+
+
+def too_large(drones: int, detector: str, memory: Path = MEMORY) -> str:
+    """Why a flight of so many agents does not fit into the memory that is free; empty: it does, or nobody knows."""
+    try:
+        lines = memory.read_text(encoding="ascii").splitlines()
+        free_mb = next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")) / 1024.0
+    except (OSError, ValueError, IndexError, StopIteration):
+        return ""
+    each = AGENT_MB[detector]
+    if drones * each <= free_mb:
+        return ""
+    need_gb, free_gb = drones * each / 1024.0, free_mb / 1024.0
+    return (
+        f"{drones} drones: {drones} agents need {need_gb:.1f} GB of memory, {free_gb:.1f} GB are free, "
+        f"expected {int(free_mb / each)} drones at most on this machine"
+    )
 
 
 def lighter_flights(drones: int, detector: str) -> str:

@@ -43,8 +43,8 @@ the file itself overrides what it extends. Unknown keys are refused.
 Relative paths of input files start at the folder of the config that names them. Those in `[output]` start at the
 working directory.
 
-`swarmtrack config new` writes a first config. `swarmtrack config check drone-1.toml` reports mistakes with file and
-line. Examples are in [configs/](../configs).
+`swarmtrack config new` writes a first config, and `swarmtrack config new --example` one with every key. `swarmtrack
+config check drone-1.toml` reports mistakes with file and line. Examples are in [configs/](../configs).
 """
 
 

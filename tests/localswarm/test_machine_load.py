@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from swarmtrack.localswarm.machine_load import MachineLoad, lighter_flights
+from swarmtrack.localswarm.machine_load import MachineLoad, lighter_flights, too_large
 
 
 def stat(path, user, idle, waiting=0):
@@ -37,3 +37,14 @@ def test_this_machine_is_somewhere_between_idle_and_busy():
     sum(range(3_000_000))
     share = load.share()
     assert math.isnan(share) or 0.0 <= share <= 1.0
+
+
+def test_a_flight_that_does_not_fit_into_memory_says_how_large_one_may_be(tmp_path):
+    memory = tmp_path / "meminfo"
+    memory.write_text("MemTotal:       8000000 kB\nMemAvailable:   2097152 kB\n")
+    assert too_large(24, "onnx", memory) == ""
+    assert too_large(25, "onnx", memory) == (
+        "25 drones: 25 agents need 2.1 GB of memory, 2.0 GB are free, expected 24 drones at most on this machine"
+    )
+    assert too_large(25, "oracle", memory) == ""
+    assert too_large(1000, "oracle", tmp_path / "none") == ""
