@@ -8,9 +8,10 @@ import json
 import logging
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_flag, add_seconds, page
+from swarmtrack.arguments import add_file, add_flag, add_seconds, page, with_pages
 from swarmtrack.log_lines import log_to_stderr
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def as_record(finding: Finding) -> dict[str, str | None]:
 
 def show(findings: Sequence[Finding]) -> None:
     """Lines for people; in colour, and wrapped, on a terminal only."""
+    findings = [replace(one, found=with_pages(one.found), remedy=with_pages(one.remedy)) for one in findings]
     if not sys.stdout.isatty():
         for finding in findings:
             remedy = f" -> {finding.remedy}" if finding.remedy else ""

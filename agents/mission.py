@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_action, add_file, count, positive
+from swarmtrack.arguments import add_action, add_file, count, positive, with_pages
 from swarmtrack.errors import SourceError
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         actions,
         "sway",
         "set points of the codes by which a team is recognised without a message",
-        description=ABOUT,
+        description=with_pages(ABOUT),
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -150,6 +151,11 @@ def page(name: str) -> str:
     if not file.is_file():
         return f"docs/{name} in swarmtrack's source"
     return os.path.relpath(file) if file.is_relative_to(Path.cwd()) else str(file)
+
+
+def with_pages(text: str) -> str:
+    """A text that names pages as docs/NAME.md, with each named as `page` does."""
+    return re.sub(r"\bdocs/(\w+\.md)", lambda found: page(found[1]), text)
 
 
 def port(text: str) -> int:

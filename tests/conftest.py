@@ -34,6 +34,7 @@ TEAM = (
     "live/test_faults.py",
     "live/test_judge.py",
     "live/test_outside_world.py",
+    "live/test_strangers_hour.py::test_a_flight",
     "live/test_swarm_command.py",
     "project/test_docs.py::test_a_flight",
     "project/test_readme.py::test_the_main_command",

@@ -19,6 +19,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.arguments import page
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import LinkStatus
@@ -141,8 +142,9 @@ class MavlinkAutopilot:
         if self._link.address.reachable_from_outside and not self._codec.has_key:
             log.warning(
                 "%s: anybody who reaches this address may speak before the autopilot does, and then as it: listen on "
-                "127.0.0.1, or set autopilot.signing_key (docs/security.md)",
+                "127.0.0.1, or set autopilot.signing_key (%s)",
                 self._link.address,
+                page("security.md"),
             )
         if self._link.recording:
             await self._link.run(self)

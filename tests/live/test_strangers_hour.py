@@ -1,0 +1,216 @@
+"""The first hour of somebody who has just installed swarmtrack, in an empty folder, with no hardware.
+
+It runs the installed program where there is one, as CI does, else this checkout. No command may show a traceback, name
+a page or file that is not there, or promise a next step that does not work.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from urllib.request import urlopen
+
+import cv2
+import pytest
+
+from support.patience import PATIENCE
+from support.places import ROOT, SHARED
+
+pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+
+CLIP = SHARED / "drones_real" / "clips_more" / "V_DRONE_002.mp4"
+FLOWN = {0, 1, 3}  # a busy machine may fail a flight
+NOT_HERE = r"(?!\s+in\s+swarmtrack's\s+source)"
+PLACES = re.compile(rf"(?<![\w/.])(?:/[\w./-]*)?(?:docs|configs|examples)/[\w/-]++(?:\.[\w/-]++)*+{NOT_HERE}")
+
+
+class Stranger:
+    """Types commands into a shell in a folder, and reads all that they say."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.environment = {
+            name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST"))
+        }
+        self.environment |= {"TMPDIR": str(folder), "COLUMNS": "80"}
+        where = [sys.executable, "-c", "import swarmtrack.agents.main"]
+        found = subprocess.run(where, check=False, cwd=folder, env=self.environment, capture_output=True)
+        if found.returncode != 0:
+            self.environment["PYTHONPATH"] = str(ROOT)
+
+    def start(self, command: str) -> subprocess.Popen[str]:
+        program, *words = shlex.split(command)
+        module = {"swarmtrack": "swarmtrack.agents.main", "swarmtrack-agent": "swarmtrack.agents.vehicle"}[
+            program
+        ]
+        return subprocess.Popen(
+            [sys.executable, "-m", module, *words],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True, cwd=self.folder, env=self.environment,
+        )  # fmt: skip
+
+    def types(self, command: str, *codes: int) -> str:
+        """Everything that a command says; codes: with which it may end, 0 unless told."""
+        return self.reads(command, self.start(command), *codes)
+
+    def reads(self, command: str, process: subprocess.Popen[str], *codes: int, before: str = "") -> str:
+        out, err = process.communicate(timeout=PATIENCE)
+        said = before + out + err
+        assert process.returncode in (codes or (0,)), f"{command}: {process.returncode}\n{said}"
+        self.believes(command, said)
+        return said
+
+    def believes(self, command: str, said: str) -> None:
+        for sign in ("Traceback (most recent", "Error: <", "\x1b"):
+            assert sign not in said, f"{command}: {said}"
+        # Help is wrapped, also within a path.
+        for text in (said, re.sub(r"\n +", " ", said)):
+            missing = [place for place in PLACES.findall(text) if not (self.folder / place).exists()]
+            if not missing:
+                return
+        raise AssertionError(f"{command}: there is no {missing}\n{said}")
+
+
+@pytest.fixture(scope="module")
+def stranger(tmp_path_factory: pytest.TempPathFactory) -> Stranger:
+    return Stranger(tmp_path_factory.mktemp("hour"))
+
+
+def actions_of(text: str) -> Iterator[str]:
+    """The actions that the help of a command lists."""
+    listed = text.partition("positional arguments:\n")[2].partition("\n\n")[0]
+    yield from re.findall(r"^    ([\w-]+)(?: |$)", listed, re.MULTILINE)
+
+
+def test_help_of_every_command_and_action(stranger: Stranger) -> None:
+    overview = stranger.types("swarmtrack --help")
+    commands = re.findall(r"^  ([a-z]+) {2,}[a-z]", overview.partition("options:")[0], re.MULTILINE)
+    assert len(commands) > 15
+    with ThreadPoolExecutor(2) as pool:
+        helps = list(pool.map(lambda name: stranger.types(f"swarmtrack {name} --help"), commands))
+        deeper = [
+            f"swarmtrack {name} {action} --help"
+            for name, text in zip(commands, helps, strict=True)
+            if name != "bench"
+            for action in actions_of(text)
+        ]
+        assert "swarmtrack config check --help" in deeper
+        list(pool.map(stranger.types, deeper))
+    assert "heard no message" in stranger.types(
+        "swarmtrack echo 'health/*' --seconds 1 --team nobody-is-here"
+    )
+    stranger.types("swarmtrack --version")
+    stranger.types("swarmtrack-agent --help")
+    stranger.types("swarmtrack sim --list")
+
+
+def test_mistakes_are_answered_in_a_sentence(stranger: Stranger) -> None:
+    (stranger.folder / "wrong.toml").write_text('[drone]\nid = 0\n[camera]\nsorce = "v4l2:///dev/video0"\n')
+    (stranger.folder / "junk.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(range(256)))
+    for command, said in (
+        ("swarmtrack sin", "did you mean sim?"),
+        ("swarmtrack config chek drone.toml", "did you mean check?"),
+        ("swarmtrack sim crosing", "did you mean"),
+        ("swarmtrack sim --tracker jpdf", "did you mean jpdaf?"),
+        ("swarmtrack config check wrong.toml", 'did you mean "source"?'),
+        ("swarmtrack config check nowhere.toml", "nowhere.toml"),
+        ("swarmtrack doctor --config wrong.toml", 'did you mean "source"?'),
+        ("swarmtrack-agent --config wrong.toml", 'did you mean "source"?'),
+        ("swarmtrack video nowhere.mp4", "nowhere.mp4"),
+        ("swarmtrack video wrong.toml", "wrong.toml"),
+        ("swarmtrack replay nowhere", "nowhere"),
+        ("swarmtrack replay junk.mcap", "junk.mcap"),
+        ("swarmtrack log info junk.mcap", "junk.mcap"),
+        ("swarmtrack monitor --recording nowhere", "nowhere"),
+        ("swarmtrack keys list nowhere", "nowhere"),
+        ("swarmtrack sim --drones 100000", "drones"),
+    ):
+        assert said in stranger.types(command, 1, 2), command
+
+
+def test_a_config_from_the_first_question_to_the_doctor_and_keys(stranger: Stranger) -> None:
+    said = stranger.types("swarmtrack config new --id 1 --start 0 0 0 90 --autopilot px4-uart")
+    (following,) = re.findall(r"next: (swarmtrack .*)", said)
+    stranger.types("swarmtrack config new --id 2 --start 0 3 0 90")
+    assert "agree with each other" in stranger.types("swarmtrack config check drone-1.toml drone-2.toml")
+    stranger.types("swarmtrack-agent --config drone-1.toml --check")
+    stranger.types("swarmtrack config new --example")
+    stranger.types("swarmtrack config check example.toml")
+    stranger.types("swarmtrack config schema --out schema.json")
+    json.loads((stranger.folder / "schema.json").read_text())
+    # There is no camera and no autopilot: it says so, with what to do.
+    assert "/dev/video0" in stranger.types(f"{following} --seconds 3", 1)
+
+    stranger.types("swarmtrack keys init keys --team swarm")
+    stranger.types("swarmtrack keys issue keys 1 2 3 monitor")
+    assert "drone-3" in stranger.types("swarmtrack keys list keys")
+    stranger.types("swarmtrack keys revoke keys 3")
+    config = stranger.folder / "drone-1.toml"
+    config.write_text(config.read_text() + '\n[network]\nkeys = "keys/drone-{id}"\n')
+    stranger.types("swarmtrack config check drone-1.toml")
+
+
+def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: Stranger) -> None:
+    team = f"hour-{secrets.token_hex(4)}"
+    command = (
+        f"swarmtrack sim crossing --drones 2 --detector oracle --seconds 8 --record flight --team {team}"
+    )
+    flight = stranger.start(command)
+    assert flight.stdout is not None
+    told = ""
+    while "listen:" not in told or "look:" not in told:
+        line = flight.stdout.readline()
+        assert line, told
+        told += line
+    (listen,) = re.findall(r"^listen: (.*)$", told, re.MULTILINE)
+    with ThreadPoolExecutor(2) as pool:
+        heard = pool.submit(stranger.types, f"{listen} --count 2")
+        stranger.types(f"swarmtrack record heard --seconds 2 --team {team}")
+        assert heard.result().count('"key"') == 2
+    said = stranger.reads(command, flight, *FLOWN, before=told)
+    assert re.search("PASSED|FAILED", said)
+
+    assert "tracks" in stranger.types("swarmtrack log info flight")
+    stranger.types("swarmtrack log info heard")
+    stranger.types("swarmtrack replay flight --json replay.json", *FLOWN)
+    json.loads((stranger.folder / "replay.json").read_text())
+    assert "no pictures" in stranger.types("swarmtrack replay flight --detect", 1, 2)
+    page = stranger.start("swarmtrack monitor --recording flight --port 0")
+    assert page.stdout is not None
+    line = page.stdout.readline()
+    with urlopen(re.search(r"http\S+", line)[0], timeout=PATIENCE) as answer:
+        assert b"swarmtrack" in answer.read()
+    page.send_signal(signal.SIGTERM)
+    stranger.reads("swarmtrack monitor --recording flight", page)
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not CLIP.is_file(), reason="../shared/data is absent")
+def test_a_video_of_ones_own(stranger: Stranger) -> None:
+    clip, capture, writer = stranger.folder / "my clip.mp4", cv2.VideoCapture(str(CLIP)), None
+    for _ in range(45):
+        found, image = capture.read()
+        assert found
+        if writer is None:
+            size = (image.shape[1], image.shape[0])
+            writer = cv2.VideoWriter(str(clip), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, size)
+        writer.write(image)
+    assert writer is not None
+    writer.release()
+    said = stranger.types("swarmtrack video 'my clip.mp4' --out seen")
+    for name in re.findall(r"seen/[\w.-]+", said):
+        assert (stranger.folder / name).is_file(), said
+    rows = (stranger.folder / "seen" / "tracks.csv").read_text().splitlines()
+    assert len(rows) > 20
+    # What stands in the config that it wrote.
+    (again,) = re.findall(r"swarmtrack-agent .*", (stranger.folder / "seen" / "agent.toml").read_text())
+    stranger.types(again.replace("agent.toml", "seen/agent.toml") if "seen/" not in again else again)
