@@ -41,6 +41,10 @@ BENCHMARKS = {
         "what a delay of some scans is worth to a tracker's estimates",
     ),
     "flood": ("swarmtrack.benchmarks.flood", "what a member that floods does to the others"),
+    "formation": (
+        "swarmtrack.benchmarks.formation.benchmark",
+        "flying in formation by sight, the loop closed: slots, separations, who is lost",
+    ),
     "formation-command": (
         "swarmtrack.benchmarks.formation.command",
         "what a command in formation costs, and whether it is sound whatever it is told",

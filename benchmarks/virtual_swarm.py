@@ -123,7 +123,7 @@ class VirtualSwarm:
     eyes: what finds drones in frames, `oracle_eyes` by default. camera_clocks_told: every drone knows by
     how much its camera's stamps are late, and does not estimate it. observers: the members that perceive, all by
     default; of a team that tells each other nothing the rest need not be computed. mistakes: by drone. relative: what
-    all know of airframes and more.
+    all know of airframes and more. places_anybody: as `Onboard` has it. latency_s: from exposure to detections.
     """
 
     def __init__(
@@ -138,8 +138,12 @@ class VirtualSwarm:
         observers: Collection[int] | None = None,
         mistakes: Mapping[int, Mistake] | None = None,
         relative: RelativeParameters | None = None,
+        places_anybody: bool = False,
+        latency_s: float = LATENCY_S,
     ) -> None:
         self.scenario = scenario
+        self._latency_s = latency_s
+        self._places_anybody = places_anybody
         self.announcements = 0
         self.announced_at: dict[int, float] = {}
         """World time of each drone's first announcement [s]."""
@@ -172,6 +176,7 @@ class VirtualSwarm:
             identity=self._identity,
             relative=self._relative,
             start_sigma_m=start.position_sigma_m,
+            places_anybody=self._places_anybody,
         )
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
         ego = Ego(scenario.world, drone_id)
@@ -205,18 +210,17 @@ class VirtualSwarm:
 
     def fly(self, seconds: float) -> Iterator[ObservedScan]:
         """From world time −LEAD_S to `seconds`."""
-        scenario = self.scenario
-        rates = {"imu": scenario.imu_rate_hz, "pose": EgoParameters().rate_hz, "scan": scenario.fps}
+        scenario, rates = self.scenario, self._rates()
         queue: list[tuple[float, int, str, int]] = []
         for drone_id in self._drones:
             begin = max(scenario.starts_s.get(drone_id, 0.0) - LEAD_S, -LEAD_S)
             for what, rate in rates.items():
                 index = int(np.ceil(begin * rate))
-                queue.append((_due(what, index, rate), drone_id, what, index))
+                queue.append((self._due(what, index, rate), drone_id, what, index))
         heapq.heapify(queue)
         while queue:
             now, drone_id, what, index = heapq.heappop(queue)
-            if now >= seconds + LATENCY_S:
+            if now >= seconds + self._latency_s:
                 return
             drone = self._drones[drone_id]
             if what == "imu":
@@ -226,8 +230,10 @@ class VirtualSwarm:
                 if index % int(rates["pose"]) == 0:
                     drone.onboard.tell(drone.ego.flight_state(index / rates["pose"]))
                 drone.onboard.tell(self._pose(drone_id, index))
-            else:
+            elif what == "scan":
                 self._scan(drone_id, index)
+            else:
+                self._also(drone_id, now)
             for event in drone.onboard.events():
                 if isinstance(event, ScanReport):
                     centres, exposed_t = drone.found.pop(event.sequence)
@@ -237,7 +243,21 @@ class VirtualSwarm:
                 elif isinstance(event, HeadingNews | DoubtNews) and drone.announced:
                     drone.announce_at = min(drone.announce_at, now)
             rate = rates[what]
-            heapq.heappush(queue, (_due(what, index + 1, rate), drone_id, what, index + 1))
+            heapq.heappush(queue, (self._due(what, index + 1, rate), drone_id, what, index + 1))
+
+    def _rates(self) -> dict[str, float]:
+        """What happens how often to each drone, Hz; overridden where more does."""
+        return {
+            "imu": self.scenario.imu_rate_hz,
+            "pose": EgoParameters().rate_hz,
+            "scan": self.scenario.fps,
+        }
+
+    def _also(self, drone_id: int, now: float) -> None:
+        """What happens beside what every drone has; overridden where something does."""
+
+    def _due(self, what: str, index: int, rate: float) -> float:
+        return index / rate + (self._latency_s if what == "scan" else 0.0)
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
         pose = self._drones[drone_id].ego.pose(index)
@@ -330,7 +350,3 @@ class VirtualSwarm:
 def _yaw(angle: float) -> Array:
     """(3, 3): a turn about the vertical axis, rad."""
     return rotation.from_euler(0.0, 0.0, angle)
-
-
-def _due(what: str, index: int, rate: float) -> float:
-    return index / rate + (LATENCY_S if what == "scan" else 0.0)

@@ -88,6 +88,11 @@ class TeamFormation(Section):
         default=False,
         description="true: the drones have ranging radios, whose distances they hear (docs/client.md)",
     )
+    sure: Annotated[Number, Field(ge=0.9, lt=1.0)] = Field(
+        default=0.99,
+        description="how sure a reference's name has to be for a second before it is flown by; more than 0.97 is only "
+        "proved by motion, with [team] share",
+    )
     limits: FormationLimits = Field(default=FormationLimits(), description="what no setpoint exceeds")
 
     @field_validator("slots", "references")
@@ -101,7 +106,7 @@ class TeamFormation(Section):
     @model_validator(mode="after")
     def _whole(self) -> TeamFormation:
         if self.leader is None:
-            given = sorted(self.model_fields_set - {"ranging"})
+            given = sorted(self.model_fields_set - {"ranging", "sure"})
             if given:
                 raise ValueError(f"{given[0]} without leader, expected leader = ID as well")
             return self
@@ -156,6 +161,7 @@ class TeamFormation(Section):
             references=plan.references[drone_id],
             height=plan.height,
             limits=self.limits.in_si(),
+            sure=self.sure,
         )
 
 

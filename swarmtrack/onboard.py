@@ -13,12 +13,14 @@ once they are known well enough. Both are functions of the stamps, so that here 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import assert_never
 
 import numpy as np
 
+from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
@@ -40,6 +42,7 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     ImuSample,
     Input,
+    Membership,
     MotionReport,
     PeerArrived,
     PeerDeparted,
@@ -52,6 +55,7 @@ from swarmtrack.messages import (
     SightingReport,
     Track,
     TrackList,
+    TrackStatus,
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
@@ -62,7 +66,7 @@ from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
-from swarmtrack.relative.looks import TeamLook
+from swarmtrack.relative.looks import NamedBox, TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews, RangeWatch
 from swarmtrack.relative.reading import OwnMotion
@@ -114,9 +118,11 @@ class Onboard:
         relative: RelativeParameters | None = None,
         start_sigma_m: float = 0.0,
         estimate_gyro_bias: bool = True,
+        places_anybody: bool = False,
     ) -> None:
         """start_sigma_m: how well the drone knows where it starts, m per axis, beside what its autopilot says.
-        estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins."""
+        estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins. places_anybody: find
+        where confirmed tracks are by their size also while they have no name, for who has to keep clear of them."""
         self.counters = Counters()
         self.gyro = gyro
         self.camera_clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
@@ -138,12 +144,15 @@ class Onboard:
         self._tilt_var = relative.tilt_sigma**2
         self._padding_px = relative.box_width.padding_px
         self._relative = RelativeStates(relative)
+        self._anybody = RelativeStates(relative) if places_anybody else None
         self._frames = Frames(drone_id, relative)
         self._range_watch = RangeWatch()
         self._drone_id = drone_id
         self._consensus = Consensus()
         self._view: OwnView | None = None
         self._doubted = False
+        self._heading_stepped_at = -math.inf
+        self._clashing: frozenset[str] = frozenset()
         # Of the camera, at the tracker's time.
         self._orientation: Orientation | None = None
         self._waiting = WaitingScans(self.camera_clock, gyro)
@@ -188,6 +197,7 @@ class Onboard:
                     self.counters.announcements_refused += 1
             case PeerArrived() | PeerDeparted() | IdClash() | PeerExpelled():
                 self._identities.on_membership(event)
+                self._watch_clash(event)
                 if isinstance(event, IdClash | PeerExpelled):
                     self._relative.forget(event.drone_id)
             case AutopilotRebooted():
@@ -246,6 +256,42 @@ class Onboard:
     def body_from_camera(self) -> Pose:
         """How the camera is mounted: body FRD."""
         return self._mounting.body_from_camera
+
+    def anybody(self, now: float) -> dict[int, RelativeState]:
+        """By track: where confirmed ones are by their size, whoever they are (drone 0), seen from the own camera now;
+        nobody unless `places_anybody`."""
+        observer = self._ego.at(now)
+        if self._anybody is None or observer is None:
+            return {}
+        return self._anybody.at(now, self._own_motion(observer, now))
+
+    def own_flight(self, now: float) -> OwnFlight | None:
+        """How this drone flies now, and how old what it knows of that is; None where it knows no place."""
+        pose = self._ego.at(now)
+        if pose is None:
+            return None
+        way, velocity, _ = self._ego.flown_on(now)
+        axis = pose.world_from_body @ self._mounting.body_from_camera.rotation[:, 2]
+        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._tracker.t
+        north, east, down = (pose.position + way).tolist()
+        vn, ve, vd = velocity.tolist()
+        return OwnFlight(
+            (north, east, down),
+            (vn, ve, vd),
+            math.atan2(float(axis[1]), float(axis[0])),
+            position_sigma=self._as_sure_as_it_is(pose).position_sigma,
+            pose_age=math.inf if newest is None else now - newest,
+            gyro_age=math.inf if gyro is None else now - gyro,
+            scan_age=math.inf if scan is None else now - scan,
+            heading_step_age=now - self._heading_stepped_at,
+            clash=bool(self._clashing),
+            doubted=self._doubted,
+        )
+
+    @property
+    def team_from_local(self) -> Array:
+        """(3, 3): from the axes of the autopilot's local frame to the team's."""
+        return self._ego.team_from_local
 
     @property
     def scan_t(self) -> float | None:
@@ -307,10 +353,19 @@ class Onboard:
         steps = self._heading_steps.see(pose)
         for step in steps:
             self._ego.step_heading(pose.t, step)
+            self._heading_stepped_at = pose.t
         aligned = self._ego.heading.is_aligned(pose.t)
         news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned)
         if news is not None:
             self._events.append(news)
+
+    def _watch_clash(self, event: Membership) -> None:
+        """Who else speaks as this drone: told with all of them, and over once all but one are gone."""
+        if isinstance(event, IdClash) and event.ours:
+            self._clashing = frozenset(event.boots)
+        elif isinstance(event, PeerDeparted) and event.drone_id == self._drone_id:
+            left = self._clashing - {event.boot}
+            self._clashing = left if len(left) > 1 else frozenset()
 
     def _watch_doubt(self, t: float) -> None:
         if self.self_doubt != self._doubted:
@@ -395,8 +450,13 @@ class Onboard:
         R = scan.R if scan.R is not None else self._tracker.measurement_noise(_sizes(scan), scan.score)
         camera = observer.pose @ self._mounting.body_from_camera
         velocity, velocity_cov = self._ego.velocity(observer.t)
-        boxes = named_boxes(tracks, scan, R)
-        look = TeamLook.of(observer.t, boxes, self.camera, camera, velocity, padding_px=self._padding_px)
+
+        def looked(boxes: Sequence[NamedBox]) -> TeamLook:
+            return TeamLook.of(observer.t, boxes, self.camera, camera, velocity, padding_px=self._padding_px)
+
+        if self._anybody is not None:
+            self._anybody.observe(looked(named_boxes(_nameless(tracks), scan, R)))
+        look = looked(named_boxes(tracks, scan, R))
         self._frames.see(look)
         self._relative.observe(look)
         own = OwnMotion(camera.position, velocity, velocity_cov, self._attitude_cov(observer))
@@ -407,10 +467,13 @@ class Onboard:
         observer = self._ego.at(now) if any(isinstance(entry.identity, int) for entry in tracks) else None
         if observer is None:
             return tracks
+        return _with_places(tracks, self._relative.at(now, self._own_motion(observer, now)))
+
+    def _own_motion(self, observer: TeamPose, now: float) -> OwnMotion:
+        """Of the own camera by now, which has flown on since the newest pose."""
         camera = observer.position + observer.world_from_body @ self._mounting.body_from_camera.position
         way, velocity, velocity_cov = self._ego.flown_on(now)
-        own = OwnMotion(camera + way, velocity, velocity_cov, self._attitude_cov(observer))
-        return _with_places(tracks, self._relative.at(now, own))
+        return OwnMotion(camera + way, velocity, velocity_cov, self._attitude_cov(observer))
 
     def _attitude_cov(self, observer: TeamPose) -> Array:
         """(3, 3) rad², for places in metres: the tilt is as good as the user says, and not as bad as names allow for.
@@ -431,6 +494,14 @@ def _with_places(
         else entry
         for entry in tracks
     )
+
+
+def _nameless(tracks: tuple[IdentifiedTrack, ...]) -> list[IdentifiedTrack]:
+    """The same tracks, as if all that were confirmed were a drone 0, and the others nobody."""
+    return [
+        IdentifiedTrack(entry.track, None if entry.track.status is TrackStatus.TENTATIVE else 0, 0.0)
+        for entry in tracks
+    ]
 
 
 def _sizes(scan: Scan) -> Array:

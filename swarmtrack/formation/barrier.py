@@ -2,7 +2,10 @@
 
 For everyone seen, with d the direction there, ρ⁻ the least that the distance may be, and w the other's velocity,
 
-    d · v ≤ γ (ρ⁻ − D) + min(d · w, 0) + 0.8 max(d · w, 0),    never asking for a retreat faster than the speed limit.
+    d · v ≤ γ (ρ⁻ − D) + min(a, 0) + 0.8 max(a, 0),    a = d · w − σ(d · w),
+
+never asking for a retreat faster than the speed limit. σ is there because how fast something comes is what a camera
+knows worst. A retreat alone is a chase: whoever comes straight on is sidestepped as well (`sidestep`).
 
 Each is a half-space of velocities. The nearest point of all of them together is found by Hildreth's sweeps (Hildreth,
 1957), one closed form after another: no solver is needed, and the same input gives the same output to the last bit.
@@ -14,13 +17,17 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from swarmtrack.formation.setpoint import Velocity
+from swarmtrack.formation.setpoint import STILL, Velocity
 
 # 1/s: how fast the distance left may be used up. Of 0.5, 0.8 and 1.2 only the first kept 1.5 m from one that came at
 # 1.5 m/s, 150 ms late, in 60 of 60 runs.
 GAMMA = 0.5
 # Of the other's speed away from us: as much is relied on.
 TRUSTED_AWAY = 0.8
+# m/s, s, m: who moves slower, comes later, or passes farther off needs no step aside; and m/s of the longest step.
+COMES_M_S, SOON_S, PASSES_M, STEPS_ASIDE_M_S = 0.5, 4.0, 3.0, 2.0
+# m: who passes nearer comes straight on.
+STRAIGHT_ON_M = 0.4
 SWEEPS = 12
 # m/s: so little a sweep changes when it has found the nearest point.
 SETTLED = 1e-6
@@ -35,15 +42,38 @@ class HalfSpace(NamedTuple):
 
 
 def keep_clear(
-    track: int, direction: Velocity, nearest: float, velocity: Velocity, *, clearance: float, fastest: float
+    track: int, direction: Velocity, nearest: float, away: float, *, clearance: float, fastest: float
 ) -> HalfSpace:
-    """direction: of length 1, to the other; nearest [m]: the least that its distance may be; velocity [m/s]: its own.
+    """direction: of length 1, to the other; nearest [m]: the least that its distance may be; away [m/s]: how fast it
+    flies off along that, at least; below 0 it comes.
 
     fastest [m/s]: so fast it is asked to retreat at most. A cap below the others' speed breaks it.
     """
-    away = _dot(direction, velocity)
     bound = GAMMA * (nearest - clearance) + min(away, 0.0) + TRUSTED_AWAY * max(away, 0.0)
     return HalfSpace(direction, max(bound, -fastest), track)
+
+
+def sidestep(place: Velocity, motion: Velocity) -> Velocity:
+    """m/s, level: out of the way of somebody at `place` [m, from here] who passes soon and near. motion [m/s]: its
+    velocity less the wanted one. Who comes straight on is passed on its left: both step to their right."""
+    north, east, _ = place
+    vn, ve, _ = motion
+    square = vn * vn + ve * ve
+    if square < COMES_M_S**2:
+        return STILL
+    soon = -(north * vn + east * ve) / square
+    if not 0.0 < soon < SOON_S:
+        return STILL
+    pn, pe = north + soon * vn, east + soon * ve
+    miss = math.hypot(pn, pe)
+    if miss >= PASSES_M:
+        return STILL
+    speed = STEPS_ASIDE_M_S * (1.0 - miss / PASSES_M)
+    if miss < STRAIGHT_ON_M:
+        # Its left is a quarter turn back from its course; we stand on it when we go there.
+        length = math.sqrt(square)
+        return speed * ve / length, -speed * vn / length, 0.0
+    return -speed * pn / miss, -speed * pe / miss, 0.0
 
 
 def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace]) -> Velocity:

@@ -19,8 +19,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from swarmtrack.formation.barrier import HalfSpace, binding, fence, keep_clear, nearest_velocity
-from swarmtrack.formation.law import SeenReference, displacement, saturated, towards, turn_rate
+from swarmtrack.formation.barrier import (
+    STEPS_ASIDE_M_S,
+    HalfSpace,
+    binding,
+    fence,
+    keep_clear,
+    nearest_velocity,
+    sidestep,
+)
+from swarmtrack.formation.law import SeenReference, added, displacement, saturated, towards, turn_rate
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.references import ReferenceWatch
 from swarmtrack.formation.setpoint import FASTEST_M_S, STILL, OwnFlight, Setpoint, Velocity, Why
@@ -32,8 +40,9 @@ OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
 VAGUEST_PLACE_M = 1.0
 # s: so long after its heading stepped a drone does not fly by it.
 HEADING_SETTLES_S = 3.0
-# s: with this time constant the last command fades, and s: then it is over.
-FADE_S, FADED_S = 0.5, 1.5
+# s: with this time constant the last command fades, and s: then it is over. Who brakes harder tilts its camera away
+# from what it has just lost.
+FADE_S, FADED_S = 1.0, 2.0
 # 1/s, on the error of the height; and m: nearer to its height than this a drone may fly level.
 HEIGHT_GAIN, AT_HEIGHT_M = 0.8, 0.3
 # 1/s, on the error of the heading.
@@ -44,6 +53,8 @@ LONGEST_STEP_S = 0.3
 WATCHED_M = 6.0
 # Sigmas of ln(range) that somebody may be nearer than it seems; a range that is not known at all counts as 0.6.
 SIGMAS, VAGUEST_RANGE = 2.0, 0.6
+# m/s, one sigma: nobody's speed is taken to be known worse.
+VAGUEST_SPEED = 1.0
 # m: who seems to be beyond could not be seen.
 FARTHEST_M = 1e3
 
@@ -64,13 +75,13 @@ class Formation:
 
     def __init__(self, parameters: FormationParameters) -> None:
         self.parameters = parameters
-        self._watches = [ReferenceWatch(drone_id) for drone_id in parameters.references]
+        self._watches = [ReferenceWatch(drone_id, parameters.sure) for drone_id in parameters.references]
         self.engage()
 
     def engage(self) -> None:
         """From rest: the fence stands around where the next command finds the drone."""
         for watch in self._watches:
-            watch.restart()
+            watch.engage()
         self._t: float | None = None
         self._engaged_at: Velocity | None = None
         self._at_height = False
@@ -231,39 +242,55 @@ class Formation:
             highest=here[2] - limits.fence_height,
             pull=limits.climb,
         )
-        spaces += self._in_the_way(states, own, tracks)
-        north, east, down = nearest_velocity(velocity, spaces)
+        near, aside = self._in_the_way(velocity, states, own, tracks)
+        spaces += near
+        north, east, down = nearest_velocity(added(velocity, aside), spaces)
         most_down, most_up = (min(space.bound, limits.climb) for space in spaces[:2])
         down = min(max(down, -most_up), most_down)
-        return saturated((north, east, down), limits.speed), binding(velocity, spaces)
+        bent = saturated((north, east, down), limits.speed)
+        return bent, binding(velocity, spaces)
 
     def _in_the_way(
-        self, states: Mapping[int, RelativeState], own: OwnFlight, tracks: Sequence[IdentifiedTrack]
-    ) -> list[HalfSpace]:
-        """A half-space for every confirmed track whose distance is known, named or not."""
+        self,
+        wanted: Velocity,
+        states: Mapping[int, RelativeState],
+        own: OwnFlight,
+        tracks: Sequence[IdentifiedTrack],
+    ) -> tuple[list[HalfSpace], Velocity]:
+        """A half-space for every track that was confirmed and whose distance is known, named or not; and a step aside,
+        m/s, from those who come."""
         near = [
             (entry.track.id, states[entry.track.id])
             for entry in tracks
-            if entry.track.status is TrackStatus.CONFIRMED and entry.track.id in states
+            if entry.track.status is not TrackStatus.TENTATIVE and entry.track.id in states
         ]
         if not near:
-            return []
+            return [], STILL
         r = np.array([state.position for _, state in near])
         v = np.array([state.velocity for _, state in near]) + own.velocity
         distance = np.sqrt((r * r).sum(axis=1))
         d = r / distance[:, None]
-        cov = np.array([state.cov[:3, :3] for _, state in near])
-        variance = (d[:, :, None] * cov * d[:, None, :]).sum(axis=(1, 2))
-        sigma = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / distance, VAGUEST_RANGE)
-        nearest = (distance * np.exp(-SIGMAS * sigma)).tolist()
+        cov = np.array([state.cov for _, state in near])
+        place, speed = (
+            np.sqrt(np.maximum((d[:, :, None] * cov[:, k, k] * d[:, None, :]).sum(axis=(1, 2)), 0.0))
+            for k in (slice(0, 3), slice(3, 6))
+        )
+        nearest = distance * np.exp(-SIGMAS * np.minimum(place / distance, VAGUEST_RANGE))
+        away = (d * v).sum(axis=1) - np.minimum(speed, VAGUEST_SPEED)
         p = self.parameters
-        return [
-            keep_clear(
-                near[i][0], tuple(ray), low, tuple(speed), clearance=p.clearance, fastest=p.limits.speed
-            )
-            for i, (ray, low, speed) in enumerate(zip(d.tolist(), nearest, v.tolist(), strict=True))
-            if low < p.clearance + WATCHED_M
-        ]
+        spaces, aside = [], STILL
+        rows = zip(
+            near, d.tolist(), nearest.tolist(), away.tolist(), r.tolist(), (v - wanted).tolist(), strict=True
+        )
+        for (track, _), ray, least, leaves, there, motion in rows:
+            if least < p.clearance + WATCHED_M:
+                spaces.append(
+                    keep_clear(
+                        track, tuple(ray), least, leaves, clearance=p.clearance, fastest=p.limits.speed
+                    )
+                )
+                aside = added(aside, sidestep(tuple(there), tuple(motion)))
+        return spaces, saturated(aside, STEPS_ASIDE_M_S)
 
     # ── the nose ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -296,7 +323,9 @@ class Formation:
 
 def _forbidden(own: OwnFlight) -> Why | None:
     """Why this drone may not fly by what it sees; None where it may. Of several reasons the gravest."""
-    if not own.pose_age <= OLDEST_POSE_S or not own.position_sigma <= VAGUEST_PLACE_M:
+    # Who doubts its start says that it knows its place to a kilometre: its autopilot still knows how it moves.
+    vague = not own.doubted and not own.position_sigma <= VAGUEST_PLACE_M
+    if vague or not own.pose_age <= OLDEST_POSE_S:
         return Why.OWN_POSE
     reasons = (
         (not own.gyro_age <= OLDEST_GYRO_S, Why.GYRO),

@@ -61,6 +61,10 @@ def saturated(v: Velocity, most: float) -> Velocity:
     return north * share, east * share, down * share
 
 
+def added(a: Velocity, b: Velocity) -> Velocity:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
 def towards(now: Velocity, wanted: Velocity, most: float) -> Velocity:
     """From one velocity to another, by no more than `most`."""
     north, east, down = (goal - here for here, goal in zip(now, wanted, strict=True))

@@ -17,8 +17,9 @@ class FlightLimits:
     """m/s, of the whole velocity."""
     climb: float = 1.0
     """m/s, up and down."""
-    acceleration: float = 3.0
-    """m/s²: how fast a command changes. Evading is not slowed down by it."""
+    acceleration: float = 1.5
+    """m/s²: how fast a command changes. Evading is not slowed down by it. A drone tilts for it, and so does its camera:
+    by 9° for this."""
     yaw_rate: float = 0.8
     """rad/s"""
     yaw_acceleration: float = 3.0
@@ -72,6 +73,9 @@ class FormationParameters:
     """m/s: as fast a slot is flown to, beside the references' own velocity."""
     clearance: float = 1.5
     """m: nobody is to come nearer than this."""
+    sure: float = 0.99
+    """Of a reference's name, for a second, before it is flown by. By place alone no name is surer than 0.97: more means
+    that how it moved has proved it, so that swapped pads lead nobody astray."""
 
     def __post_init__(self) -> None:
         for drone in (self.drone_id, self.leader, *self.references):
@@ -83,6 +87,8 @@ class FormationParameters:
             raise ValueError(f"formation: drone {self.drone_id} is its own reference, expected others")
         if self.drone_id != self.leader and not self.references:
             raise ValueError(f"formation: drone {self.drone_id} has no reference, expected one or two")
+        if not 0.9 <= self.sure < 1.0:
+            raise ValueError(f"formation.sure: found {self.sure!r}, expected 0.9 to 1")
         numbers = [x for place in self.slots.values() for x in place]
         numbers += [self.height, self.gain, self.approach, self.clearance]
         if not all(map(math.isfinite, numbers)):

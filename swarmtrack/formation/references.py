@@ -7,9 +7,10 @@ import math
 from swarmtrack.formation.setpoint import OwnFlight, Velocity
 from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
-# A name comes in at more than this for ENTRY_S seconds, and goes out below the second.
-SURE, DOUBTED = 0.99, 0.9
+# A name comes in when it was surer than the parameters' `sure` for so many seconds. A track that was flown by before is
+# known: its name comes back at KNOWN, and one that is flown by goes out below DOUBTED.
 ENTRY_S = 1.0
+KNOWN, DOUBTED = 0.95, 0.9
 # s without a detection: then where it is is not known well enough any more.
 UNSEEN_S = 1.5
 # Of ln(range): a range that is known no better is none.
@@ -23,8 +24,10 @@ LOOKED_AFTER_S = 4.0
 class ReferenceWatch:
     """One reference. Times [s]; places in the team frame."""
 
-    def __init__(self, drone_id: int) -> None:
+    def __init__(self, drone_id: int, sure: float) -> None:
         self.drone_id = drone_id
+        self._sure = sure
+        self._known_track: int | None = None
         self.trusted = False
         """Whether it may be flown by."""
         self.entering = False
@@ -34,6 +37,11 @@ class ReferenceWatch:
         self._place: Velocity = (0.0, 0.0, 0.0)
         self._velocity: Velocity = (0.0, 0.0, 0.0)
         self._placed_at = -math.inf
+
+    def engage(self) -> None:
+        """A new flight: nothing of the last one is known."""
+        self.restart()
+        self._known_track = None
 
     def restart(self) -> None:
         """Its name has to hold for `ENTRY_S` again."""
@@ -45,24 +53,29 @@ class ReferenceWatch:
         coasting = entry.track.coasting_since
         unseen = coasting is not None and t - coasting > UNSEEN_S
         vague = not state.range_sigma_log < VAGUE_RANGE
-        if unseen or vague or entry.track.status is not TrackStatus.CONFIRMED:
+        if unseen or vague or entry.track.status is TrackStatus.TENTATIVE:
             return self.miss()
         north, east, down = state.position.tolist()
         vn, ve, vd = state.velocity.tolist()
         place = (own.position[0] + north, own.position[1] + east, own.position[2] + down)
-        if entry.track.id != self._track or self._is_elsewhere(place, t):
+        leaps = self._is_elsewhere(place, t)
+        if leaps:
+            self._known_track = None
+        if leaps or entry.track.id != self._track:
             self.restart()
         self._track = entry.track.id
         self._place, self._placed_at = place, t
         self._velocity = (own.velocity[0] + vn, own.velocity[1] + ve, own.velocity[2] + vd)
         # While it is not detected its probability falls with the track's own, which says nothing against the name.
         p = entry.identity_probability if coasting is None or not self.trusted else 1.0
-        if p > SURE:
+        if p > (min(self._sure, KNOWN) if entry.track.id == self._known_track else self._sure):
             self._sure_since = t if self._sure_since is None else self._sure_since
         elif p < DOUBTED or not self.trusted:
             self._sure_since = None
         self.trusted = self._sure_since is not None and t - self._sure_since >= ENTRY_S
         self.entering = not self.trusted
+        if self.trusted:
+            self._known_track = entry.track.id
         return None
 
     def miss(self) -> None:

@@ -28,6 +28,7 @@ class Why(enum.StrEnum):
     DOUBT = "doubt"
     HEADING = "heading"
     CLOCK = "clock"
+    NOT_ENGAGED = "not_engaged"
     BROKEN = "broken"  # what came of it was no number
 
     @property

@@ -115,6 +115,16 @@ class EgoHistory:
             "heading_jumps": self.heading_jumps,
         }
 
+    @property
+    def newest_t(self) -> float | None:
+        """When the newest pose held whose place the autopilot knew, s."""
+        return None if self._placed is None else self._placed.t
+
+    @property
+    def team_from_local(self) -> Array:
+        """(3, 3): from the axes of the autopilot's local frame to the team's: a turn about the vertical."""
+        return _EYE if self._turn is None else self._turn
+
     def append(self, pose: EgoPose) -> None:
         """Add a pose in the autopilot's frame. One that is older than the history is dropped and counted."""
         if self._poses and pose.t <= self._poses[-1].t - self.history_s:

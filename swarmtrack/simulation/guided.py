@@ -29,16 +29,19 @@ ON_THE_GROUND = 1e-6  # m
 class GuidedDrone:
     """An entry of `World.drones`. All times are world times [s]; positions NED, m.
 
-    start: where it stands on the ground; yaw [rad]; response: of its autopilot; sway: a path about zero.
+    start: where it stands on the ground; yaw [rad]; response: of its autopilot; sway: a path about zero. hovers: it has
+    always hovered there instead, and the ground is at 0.
     heading_error: by how much its autopilot is off in its heading, clockwise [rad], at a world time.
     Safe to ask from several threads: pictures are drawn beside the loop that flies.
     """
 
-    def __init__(self, start: Triple, yaw: float, response: Response, sway: Path) -> None:
+    def __init__(
+        self, start: Triple, yaw: float, response: Response, sway: Path, *, hovers: bool = False
+    ) -> None:
         self.start = start
-        self.takes_off_s = math.inf
+        self.takes_off_s = -math.inf if hovers else math.inf
         """World time of its first take-off."""
-        self.left_s = -math.inf
+        self.left_s = 0.0 if hovers else -math.inf
         """World time of its last one."""
         self.touched_s = -math.inf
         """World time of its last touch-down."""
@@ -47,6 +50,7 @@ class GuidedDrone:
         self._sway = sway
         self._told = SetPoint(math.inf)
         self._states = [at_rest(-math.inf, start, yaw), at_rest(0.0, start, yaw)]
+        self._ground = 0.0 if hovers else start[2]
         self._lock = threading.Lock()
 
     @property
@@ -109,7 +113,7 @@ class GuidedDrone:
     def _swaying(self, state: FlownState) -> Array:
         """The derivatives (4, 3) of its sway, which grows smoothly with the height."""
         heights = [
-            (self.start[2] - state.position[2]) / SWAYS_FROM_M,
+            (self._ground - state.position[2]) / SWAYS_FROM_M,
             *(-rate[2] / SWAYS_FROM_M for rate in (state.velocity, state.acceleration, state.jerk)),
         ]
         share, s1, s2, s3 = smooth_step(heights[0]).tolist()
@@ -136,10 +140,10 @@ class GuidedDrone:
     def _above_ground(self, state: FlownState) -> FlownState:
         """The same state, or that of a drone that has just touched the ground."""
         north, east, down = state.position
-        if down < self.start[2] - ON_THE_GROUND or state.velocity[2] <= 0.0:
+        if down < self._ground - ON_THE_GROUND or state.velocity[2] <= 0.0:
             return state
         self.touched_s = state.t
-        return at_rest(state.t, (north, east, self.start[2]), state.yaw)
+        return at_rest(state.t, (north, east, self._ground), state.yaw)
 
     def _forget(self, before: float) -> None:
         """Now and then, so that it costs nothing."""

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from support.formation_states import Flying, in_slot, parameters, state, track
-from swarmtrack.formation.barrier import HalfSpace, binding, keep_clear, nearest_velocity
+from swarmtrack.formation.barrier import HalfSpace, binding, keep_clear, nearest_velocity, sidestep
 from swarmtrack.formation.formation import Formation
 from swarmtrack.messages import TrackStatus
 
@@ -40,18 +40,56 @@ def test_nobody_in_the_way_changes_nothing(wanted):
 
 
 def test_the_distance_left_is_used_up_by_half_per_second():
-    space = keep_clear(7, NORTH, 3.5, (0.0, 0.0, 0.0), clearance=1.5, fastest=2.5)
+    space = keep_clear(7, NORTH, 3.5, 0.0, clearance=1.5, fastest=2.5)
     assert space.bound == pytest.approx(1.0)
     assert nearest_velocity((2.0, 1.0, 0.0), [space]) == pytest.approx((1.0, 1.0, 0.0))
 
 
 def test_somebody_that_comes_is_retreated_from_as_fast_and_somebody_that_leaves_is_followed_by_less():
     def bound(speed):
-        return keep_clear(7, NORTH, 1.5, (speed, 0.0, 0.0), clearance=1.5, fastest=2.5).bound
+        return keep_clear(7, NORTH, 1.5, speed, clearance=1.5, fastest=2.5).bound
 
     assert bound(-1.5) == pytest.approx(-1.5)
     assert bound(1.5) == pytest.approx(1.2)
     assert bound(-9.0) == -2.5
+
+
+def test_who_passes_near_is_stepped_aside_from_to_the_other_side():
+    # It comes from the north, and passes a metre in the east of here.
+    north, east, _ = sidestep((6.0, 1.0, 0.0), (-2.0, 0.0, 0.0))
+    assert north == pytest.approx(0.0, abs=1e-9)
+    assert east < -0.5
+
+
+def test_two_that_come_straight_on_both_step_to_their_right():
+    assert sidestep((6.0, 0.0, 0.0), (-2.0, 0.0, 0.0))[1] == pytest.approx(2.0)
+    assert sidestep((-6.0, 0.0, 0.0), (2.0, 0.0, 0.0))[1] == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize(
+    ("place", "motion"),
+    [
+        ((6.0, 0.0, 0.0), (2.0, 0.0, 0.0)),
+        ((6.0, 0.0, 0.0), (0.3, 0.0, 0.0)),
+        ((60.0, 0.0, 0.0), (-2.0, 0.0, 0.0)),
+        ((6.0, 4.0, 0.0), (-2.0, 0.0, 0.0)),
+        ((6.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ],
+    ids=["leaves", "slow", "later", "passes far off", "stands"],
+)
+def test_who_does_not_come_near_is_not_stepped_aside_from(place, motion):
+    assert sidestep(place, motion) == (0.0, 0.0, 0.0)
+
+
+def test_somebody_whose_speed_is_not_known_may_come():
+    def retreat(sigma):
+        flying = Flying(Formation(parameters()))
+        seen = state((0.0, -2.2, 0.0), drone_id=0, sigma=0.01)
+        seen.cov[3:, 3:] = sigma**2 * np.eye(3)
+        return flying.tell(in_slot(), {12: seen}, [track(None, 12)], seconds=1.0).velocity[1]
+
+    assert retreat(0.1) == pytest.approx(0.0, abs=1e-6)
+    assert retreat(0.8) == pytest.approx(0.8 - 0.5 * 0.7, abs=0.02)
 
 
 @pytest.mark.parametrize("identity", [None, 3, "foreign"])
@@ -76,6 +114,7 @@ def test_a_distance_that_is_known_badly_counts_as_the_least_that_it_may_be():
     def retreat(sigma):
         flying = Flying(Formation(parameters()))
         seen = {12: state((0.0, -2.0, 0.0), drone_id=0, sigma=sigma)}
+        seen[12].cov[3:, 3:] = 0.0
         return flying.tell(in_slot(), seen, [track(None, 12)], seconds=1.0).velocity[1]
 
     assert retreat(0.05) == pytest.approx(0.0, abs=1e-9)

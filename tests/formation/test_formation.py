@@ -116,13 +116,23 @@ def test_a_name_that_does_not_hold_ends_it_at_once_softly_and_it_comes_back_afte
     own = in_slot(velocity=(1.0, 0.0, 0.0))
     seen = {n: leader_from(own, velocity=(1.0, 0.0, 0.0)) for n in (10, 11)}
     flying.tell(own, seen, [track()], seconds=3.0)
-    speeds = [level(setpoint := flying.tell(own, seen, tracks)) for _ in range(16)]
+    speeds = [level(setpoint := flying.tell(own, seen, tracks)) for _ in range(round(10 * FADED_S) + 1)]
     assert speeds == sorted(speeds, reverse=True)
     assert speeds[0] > 0.7
-    assert speeds[round(10 * FADED_S)] == 0.0
+    assert speeds[-1] == 0.0
     assert setpoint.holds
     flying.tell(own, seen, [track()], seconds=ENTRY_S)
     assert flying.tell(own, seen, [track()], seconds=0.2).why is Why.FOLLOW
+
+
+def test_a_known_track_needs_no_second_proof_and_a_new_engagement_asks_for_one(flying):
+    own = in_slot()
+    flying.settled(own)
+    seen, place_only = {10: leader_from(own)}, [track(probability=0.96)]
+    flying.tell(own, seen, [track(identity=None)], seconds=2.0)
+    assert flying.tell(own, seen, place_only, seconds=1.2).why is Why.FOLLOW
+    flying.formation.engage()
+    assert flying.tell(own, seen, place_only, seconds=3.0).why is Why.ENTRY
 
 
 def test_a_name_that_goes_to_another_track_is_flown_by_after_a_second(flying):

@@ -17,7 +17,7 @@ LAYERS: list[set[str]] = [
     {"errors", "messages", "clock", "arguments", "plain_text", "log_lines"},
     {"geometry"},
     {"motion", "tracking", "identity", "relative", "formation"},
-    {"onboard", "perceived"},
+    {"onboard", "perceived", "follower"},
     {"simulation", "evaluation"},
     {"toml", "wire", "security", "camera_files", "trajectory_file"},
     {"team_config", "formation_config", "config", "scenario_file"},
@@ -33,7 +33,7 @@ LAYERS: list[set[str]] = [
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
 CORE = {
     "errors", "messages", "plain_text", "geometry", "motion", "tracking", "identity", "relative", "formation",
-    "onboard", "perceived",
+    "onboard", "perceived", "follower",
 }  # fmt: skip
 # What judges and says, and touches nothing: facts in, sentences out.
 JUDGES = {"diagnosis", "evaluation", "monitor.verdict", "monitor.team", "monitor.timeline"}

@@ -1,0 +1,264 @@
+"""Drones that fly in formation by what they see: the loop closed, in one process, as fast as it computes.
+
+Every follower's real `Onboard` (tracker, names, places in metres), the real `Follower` and its barrier, and an
+autopilot's measured response (`simulation/response.py`); oracle detections with misses, noise and clutter. The leader
+hovers, flies to and fro to be known, then off,
+turns a quarter and stops.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, VirtualSwarm, oracle_eyes
+from swarmtrack.follower import Engagement, Follower
+from swarmtrack.formation.parameters import FlightLimits, FormationParameters, Place
+from swarmtrack.formation.setpoint import Why
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Array, Detections
+from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.simulation.airframe import Airframe
+from swarmtrack.simulation.guided import GuidedDrone
+from swarmtrack.simulation.response import ARDUPILOT, SetPoint, Triple
+from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, DRIFT_M, Scenario, announced_starts
+from swarmtrack.simulation.sensors import DetectorParameters, visible
+from swarmtrack.simulation.trajectory import wander
+from swarmtrack.simulation.world import World
+
+LEADER, INTRUDER = 1, 99
+HEIGHT_M = 8.0
+COMMAND_HZ = 10.0
+JUDGE_HZ = 20.0
+FPS, LATENCY_S, IMU_HZ = 20.0 / 3.0, 0.15, 50.0
+START_SIGMA_M = 0.3
+# s, world time: engaged, and off they fly.
+ENGAGED_S, DEPARTS_S, TURNS_S, TURN_S, STOPS_S, ENDS_S = 3.0, 14.0, 26.0, 5.0, 40.0, 50.0
+# s: before that the leader flies to and fro, by which it is known; and m/s.
+SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 3.0, 0.8
+# m: farther off than this in the mean of the last LAST_S seconds a follower is lost.
+LOST_M, LAST_S = 3.0, 3.0
+NEAR_M = 1.5
+# s, world time: the intruder sets out, so far from the slot that it flies through [m].
+INTRUDES_S, INTRUDER_FROM_M = 16.0, 14.0
+SPAN_M = 0.5
+# 90° by 74°.
+CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
+
+
+def arc(n: int, gap_m: float, *, layer_m: float = 1.0) -> dict[int, Place]:
+    """Slots of n drones on an arc of 120° behind the leader, in layers: one above, one below, and for more than five
+    one level."""
+    slots: dict[int, Place] = {LEADER: (0.0, 0.0, 0.0)}
+    for k in range(n - 1):
+        angle = math.radians(-60.0 + 120.0 * k / (n - 2)) if n > 2 else 0.0
+        radius = gap_m if n <= 5 or k % 2 == 0 else 1.6 * gap_m
+        levels = (1, -1, 0)[k % 3] if n > 5 else (k // 2 + 1) * (-1 if k % 2 else 1)
+        slots[k + 2] = (-radius * math.cos(angle), radius * math.sin(angle), -layer_m * levels)
+    return slots
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightPlan:
+    """n drones, gap_m from the leader, which flies at speed_m_s. share_hz: how often they tell how they move, 0: never.
+
+    size_drone, size_white: how far boxes are off, from drone to drone and from frame to frame, as shares. gone_s: when
+    the leader vanishes from everybody's sight, world time; intruder_m_s: as fast a drone that is nobody's flies through
+    the slot of the first follower, 0: there is none, while the leader hovers; sure: of names, see the law's parameters.
+    """
+
+    name: str
+    drones: int = 3
+    gap_m: float = 5.0
+    layer_m: float = 1.0
+    speed_m_s: float = 1.5
+    share_hz: float = 5.0
+    size_drone: float = 0.19
+    size_white: float = 0.11
+    p_detection: float = 0.9
+    latency_s: float = LATENCY_S
+    gone_s: float = math.inf
+    intruder_m_s: float = 0.0
+    sure: float = 0.99
+    ends_s: float = ENDS_S
+
+
+class FlightSample(NamedTuple):
+    """positions (n, 3) m and speeds (n,) m/s, leader first, intruder last; whys: of the followers' last setpoints.
+
+    intruder_seen: whether the first follower's camera could see it."""
+
+    t: float
+    positions: Array
+    speeds: Array
+    whys: tuple[Why, ...]
+    intruder_seen: bool = False
+
+
+class FormationFlight(VirtualSwarm):
+    """One flight; `samples` holds what truly happened."""
+
+    def __init__(self, plan: FlightPlan, seed: int) -> None:
+        self.plan = plan
+        self.slots = arc(plan.drones, plan.gap_m, layer_m=plan.layer_m)
+        scenario = _scenario(plan, self.slots, seed)
+        box_width = BoxWidth(
+            drone_sigma=plan.size_drone, wander_sigma=0.02, white_sigma=max(plan.size_white, 0.01)
+        )
+        super().__init__(
+            scenario,
+            share_hz=plan.share_hz,
+            camera_clocks_told=True,
+            relative=RelativeParameters(airframe_span_m=SPAN_M, box_width=box_width),
+            places_anybody=True,
+            latency_s=plan.latency_s,
+            eyes=_eyes(scenario, plan.gone_s),
+        )
+        self._followers = {drone: Follower(self._of(drone)) for drone in self.slots if drone != LEADER}
+        self._whys = dict.fromkeys(self._followers, Why.NOT_ENGAGED)
+        self._judged = -1
+        self.samples: list[FlightSample] = []
+
+    def run(self) -> list[FlightSample]:
+        """Fly it to its end."""
+        for _ in self.fly(self.plan.ends_s):
+            pass
+        return self.samples
+
+    def _of(self, drone: int) -> FormationParameters:
+        return FormationParameters(
+            drone_id=drone,
+            leader=LEADER,
+            slots=self.slots,
+            references=(LEADER,),
+            height=HEIGHT_M,
+            limits=FlightLimits(fence_radius=100.0),
+            sure=self.plan.sure,
+        )
+
+    def _rates(self) -> dict[str, float]:
+        return {**super()._rates(), "command": COMMAND_HZ}
+
+    def _also(self, drone_id: int, now: float) -> None:
+        drone = self.scenario.world.drones[drone_id]
+        assert isinstance(drone, GuidedDrone)
+        self._judge(now)
+        if now < 0.0:
+            return
+        if drone_id == LEADER:
+            drone.tell(now, SetPoint(now, velocity=leader_velocity(now, self.plan.speed_m_s), yaw_rate=0.0))
+            self._intrude(now)
+            return
+        onboard = self.onboard(drone_id)
+        engagement = Engagement(int(now >= ENGAGED_S))
+        told = self._followers[drone_id].command(onboard, onboard.tracks(now), engagement)
+        self._whys[drone_id] = told.setpoint.why
+        drone.tell(now, SetPoint(now, velocity=told.velocity, yaw_rate=told.yaw_rate))
+
+    def _intrude(self, now: float) -> None:
+        intruder = self.scenario.world.drones.get(INTRUDER)
+        if isinstance(intruder, GuidedDrone) and now >= INTRUDES_S:
+            way = _intruder_way(self.slots[LEADER + 1], self.scenario.seed)
+            speed = self.plan.intruder_m_s
+            velocity = speed * math.cos(way), speed * math.sin(way), 0.0
+            intruder.tell(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
+
+    def _judge(self, now: float) -> None:
+        """Once per instant."""
+        number = round(now * COMMAND_HZ)
+        if number <= self._judged or now < 0.0:
+            return
+        self._judged = number
+        states = [self.scenario.world.flown(drone).motion(now) for drone in self.scenario.world.drones]
+        self.samples.append(
+            FlightSample(
+                now,
+                np.array([state.position for state in states]),
+                np.array([math.hypot(*state.velocity) for state in states]),
+                tuple(self._whys.values()),
+                self._sees_intruder(now),
+            )
+        )
+
+    def _sees_intruder(self, now: float) -> bool:
+        scenario = self.scenario
+        if INTRUDER not in scenario.world.drones:
+            return False
+        seen = visible(scenario.world, LEADER + 1, scenario.camera, scenario.body_from_camera, now)
+        return INTRUDER in seen
+
+    def _scan(self, drone_id: int, index: int) -> None:
+        if drone_id != LEADER:
+            super()._scan(drone_id, index)
+
+
+def leader_velocity(t: float, speed: float) -> Triple:
+    """To and fro; then north, a quarter turn to the right, and stop, each over two seconds."""
+    if SHOWS_S <= t < SHOWS_S + 2.0 * SHOW_S:
+        return (SHOW_M_S if t < SHOWS_S + SHOW_S else -SHOW_M_S), 0.0, 0.0
+    share = min(max((t - DEPARTS_S) / 2.0, 0.0), 1.0) - min(max((t - STOPS_S) / 2.0, 0.0), 1.0)
+    heading = 0.5 * math.pi * min(max((t - TURNS_S) / TURN_S, 0.0), 1.0)
+    return speed * share * math.cos(heading), speed * share * math.sin(heading), 0.0
+
+
+def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenario:
+    chance = World(seed, {}).chance
+    drones, airframes = {}, {}
+    for drone, slot in slots.items():
+        off = chance("beside its slot", drone).standard_normal(3) * (1.0, 1.0, 0.4)
+        if drone == LEADER:
+            off = np.zeros(3)
+        north, east, down = (np.array(slot) + off - (0.0, 0.0, HEIGHT_M)).tolist()
+        yaw = math.atan2(-slot[1], -slot[0]) if drone != LEADER else 0.0
+        drift = wander(chance("wander", drone), DRIFT_M)
+        drones[drone] = GuidedDrone((north, east, down), yaw, ARDUPILOT, drift, hovers=True)
+        airframes[drone] = Airframe().scaled(
+            SPAN_M * math.exp(plan.size_drone * chance("size", drone).standard_normal())
+        )
+    if plan.intruder_m_s:
+        way = _intruder_way(slots[LEADER + 1], seed)
+        north, east, down = slots[LEADER + 1]
+        start = (
+            north - INTRUDER_FROM_M * math.cos(way),
+            east - INTRUDER_FROM_M * math.sin(way),
+            down - HEIGHT_M,
+        )
+        drift = wander(chance("wander", INTRUDER), DRIFT_M)
+        drones[INTRUDER] = GuidedDrone(start, 0.0, ARDUPILOT, drift, hovers=True)
+        airframes[INTRUDER] = Airframe()
+    world = World(seed, drones, airframes)
+    return Scenario(
+        strangers=frozenset(drones) - frozenset(slots),
+        world=world,
+        camera=CAMERA,
+        body_from_camera=BODY_FROM_CAMERA,
+        fps=FPS,
+        imu_rate_hz=IMU_HZ,
+        detector=DetectorParameters(
+            p_detection=plan.p_detection, centre_sigma=2.6, size_sigma=plan.size_white, clutter_per_frame=0.1
+        ),
+        announced=announced_starts(world, START_SIGMA_M),
+    )
+
+
+def _intruder_way(slot: Place, seed: int) -> float:
+    """Rad, clockwise from north: towards a follower, from about where its camera looks."""
+    chance = World(seed, {}).chance("intruder")
+    return math.atan2(-slot[1], -slot[0]) + math.pi + float(chance.uniform(-0.5, 0.5))
+
+
+def _eyes(scenario: Scenario, gone_s: float) -> Eyes:
+    """The scenario's own detector, which from then on does not see the leader any more."""
+    others = {drone: flown for drone, flown in scenario.world.drones.items() if drone != LEADER}
+    before = oracle_eyes(scenario)
+    after = oracle_eyes(replace(scenario, world=replace(scenario.world, drones=others)))
+
+    def eyes(seen: Exposure) -> Detections:
+        return before(seen) if seen.t < gone_s else after(seen)
+
+    return eyes

@@ -1,0 +1,140 @@
+"""A follower is what its Onboard perceives, the law, and the axes of its autopilot."""
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmtrack.benchmarks.relative_cost import CAMERA, IN_VIEW, SPAN_M, Hovering, places
+from swarmtrack.follower import Engagement, Follower
+from swarmtrack.formation.parameters import FormationParameters
+from swarmtrack.formation.setpoint import Setpoint, Why
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.messages import EgoPose, IdClash, ImuSample, PeerDeparted
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracker
+
+PARAMETERS = FormationParameters(
+    drone_id=2, leader=1, slots={1: (0.0, 0.0, 0.0), 2: (-4.0, 3.0, -1.0)}, references=(1,), height=5.0
+)
+
+
+def onboard(drone_id=1, start=None, *, places_anybody=True):
+    return Onboard(
+        drone_id,
+        camera=CAMERA,
+        mounting=Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
+        tracker=create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
+        gyro=GyroHistory(),
+        ego=EgoHistory(start=start) if start else EgoHistory(origin=np.zeros(3)),
+        identity=IdentityParameters(),
+        relative=RelativeParameters(airframe_span_m=SPAN_M),
+        places_anybody=places_anybody,
+    )
+
+
+def hover(drone, seconds=1.0, velocity=(0.0, 0.0, 0.0), yaw=0.0, t=0.0):
+    """Poses and gyro samples of a drone that flies like that from the origin on; when the last came."""
+    for k in range(round(seconds * 50.0)):
+        t += 0.02
+        turned = rotation.from_euler(0.0, 0.0, yaw)
+        place = np.array(velocity) * (k + 1) * 0.02
+        drone.tell(EgoPose(t=t, position=place, world_from_body=turned, attitude_sigma=0.001))
+        drone.tell(ImuSample(t, np.zeros(3), np.full(3, np.nan)))
+    return t
+
+
+@pytest.fixture
+def crowd(monkeypatch):
+    """An Onboard that has seen five drones without names for some seconds."""
+    made = Onboard.__init__
+
+    def with_places(self, *args, **kwargs):
+        made(self, *args, **kwargs, places_anybody=True)
+
+    monkeypatch.setattr(Onboard, "__init__", with_places)
+    return Hovering(announced=False)
+
+
+def test_whoever_is_seen_has_a_place_by_its_size_without_a_name(crowd):
+    found = crowd.onboard.anybody(crowd.t)
+    tracks = {entry.track.id: entry for entry in crowd.tracks().tracks}
+    assert len(found) == IN_VIEW
+    assert {state.drone_id for state in found.values()} == {0}
+    assert all(tracks[track].identity is None and tracks[track].relative is None for track in found)
+    ways = np.array([state.position / np.linalg.norm(state.position) for state in found.values()])
+    true = places(IN_VIEW) / np.linalg.norm(places(IN_VIEW), axis=1)[:, None]
+    assert np.sort(ways[:, 1]) == pytest.approx(np.sort(true[:, 1]), abs=0.02)
+
+
+def test_who_was_not_asked_to_finds_nobodys_place():
+    assert Hovering(announced=False).onboard.anybody(1.0) == {}
+
+
+def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
+    drone = onboard()
+    assert drone.own_flight(0.0) is None
+    t = hover(drone, velocity=(1.0, 0.0, 0.0), yaw=math.pi / 2)
+    own = drone.own_flight(t + 0.1)
+    assert own.position == pytest.approx((1.1, 0.0, 0.0), abs=1e-6)
+    assert own.velocity == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+    assert own.heading == pytest.approx(math.pi / 2)
+    assert (own.pose_age, own.gyro_age) == (pytest.approx(0.1), pytest.approx(0.1))
+    assert own.scan_age == math.inf
+    assert not own.clash
+    assert not own.doubted
+
+
+def test_another_process_that_speaks_as_this_drone_is_a_clash_until_it_is_gone():
+    drone = onboard(7)
+    t = hover(drone)
+    drone.tell(IdClash(7, ("0000000a", "0000000b"), ours=True))
+    assert drone.own_flight(t).clash
+    drone.tell(PeerDeparted(8, "0000000b"))
+    assert drone.own_flight(t).clash
+    drone.tell(PeerDeparted(7, "0000000b"))
+    assert not drone.own_flight(t).clash
+
+
+def test_what_is_sent_is_in_the_axes_of_the_autopilot():
+    """Its config says that it looks east, while its autopilot believes that it looks north."""
+    start = Pose(rotation.from_euler(0.0, 0.0, math.pi / 2), np.array([-4.0, 3.0, -6.0]))
+    drone = onboard(2, start=start)
+    t = hover(drone, yaw=0.0)
+    follower = Follower(PARAMETERS)
+    follower.formation.command = lambda states, own, tracks, t: _north(t)
+    told = follower.command(drone, drone.tracks(t), Engagement(1))
+    # The team's north is to its left, which its autopilot calls west.
+    assert told.velocity == pytest.approx((0.0, -1.0, 0.2), abs=1e-6)
+    assert told.setpoint.velocity == (1.0, 0.0, 0.2)
+
+
+def _north(t):
+    return Setpoint(t, (1.0, 0.0, 0.2), 0.1, Why.FOLLOW, "")
+
+
+def test_nobody_is_told_to_fly_until_it_is_engaged_and_each_engagement_begins_anew():
+    drone = onboard(2)
+    t = hover(drone, velocity=(0.5, 0.0, 0.0))
+    follower = Follower(PARAMETERS)
+    told = follower.command(drone, drone.tracks(t), Engagement(0))
+    assert (told.velocity, told.yaw_rate, told.setpoint.why) == ((0.0, 0.0, 0.0), 0.0, Why.NOT_ENGAGED)
+    begun = []
+    follower.formation.engage = lambda: begun.append(1)
+    for number in (1, 1, 1, 0, 2, 2):
+        follower.command(drone, drone.tracks(t), Engagement(number))
+    assert len(begun) == 3
+
+
+def test_an_autopilot_whose_clock_is_not_known_holds():
+    drone = onboard(2)
+    t = hover(drone)
+    told = Follower(PARAMETERS).command(drone, drone.tracks(t), Engagement(1, clock_known=False))
+    assert told.setpoint.why is Why.CLOCK
