@@ -2,6 +2,7 @@
 
 * Reading: `RelativeStates.at`, of 1, 5 and 10 teammates, between two scans.
 * Scan: `RelativeStates.observe` of as many.
+* Alignment: `align` of a full window, each sighting mutual: the dearest that a report can cost.
 * Publishing: a whole `Onboard` that tracks five drones, asked for its tracks a hundred times a second while poses come
   at 50 Hz, and its message encoded; once of teammates with names and places, once of five that nobody announced. The
   difference is what metres (and names) cost.
@@ -12,6 +13,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -32,6 +34,8 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
+from swarmtrack.relative.alignment import WINDOW_S, FrameSight, SightErrors, align
+from swarmtrack.relative.frames import APART_S
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.reading import OwnMotion
@@ -43,7 +47,7 @@ from swarmtrack.wire.tracks import tracks_message
 NAME = "relative-cost"
 REPEATS, QUICK_REPEATS = 3000, 200
 TEAMMATES = (1, 5, 10)
-READ_BUDGET_US, SCAN_BUDGET_MS, PUBLISH_BUDGET_MS = 60.0, 1.0, 0.1
+READ_BUDGET_US, SCAN_BUDGET_MS, ALIGN_BUDGET_MS, PUBLISH_BUDGET_MS = 60.0, 1.0, 1.0, 0.1
 SPAN_M = 0.5
 POSE_HZ, FPS, PUBLISH_HZ = 50.0, 15.0, 100.0
 WARM_UP_S = 4.0
@@ -116,6 +120,25 @@ def scanning(n: int, repeats: int) -> Cost:
     looks = iter([look(n, t + (k + 1) / 7.0) for k in range(repeats)])
     spent = median_cpu(lambda: states.observe(next(looks)), repeats)
     return Cost(f"scan of {n}", 1e3 * spent, "ms", SCAN_BUDGET_MS if n == max(TEAMMATES) else None)
+
+
+def circling() -> list[FrameSight]:
+    """A full window of a teammate that circles and sees us, too."""
+    sights = []
+    for t in np.arange(0.0, WINDOW_S, APART_S).tolist():
+        said = np.array([8.0 + 1.5 * math.cos(0.7 * t), 1.5 * math.sin(0.7 * t), 0.0])
+        far = float(np.linalg.norm(said))
+        sights.append(FrameSight(t, np.zeros(3), said, said / far, math.log(far), -said / far))
+    return sights
+
+
+def aligning(repeats: int) -> Cost:
+    """The frame of one teammate, from a full window."""
+    sights = circling()
+    errors = SightErrors(ray=8e-3, place=0.1, size=0.14, lasting=0.19, drift=0.02, turn_drift=0.002)
+    assert align(sights, sights[-1].t, errors) is not None
+    spent = median_cpu(lambda: align(sights, sights[-1].t, errors), repeats)
+    return Cost(f"align {len(sights)} mutual sightings", 1e3 * spent, "ms", ALIGN_BUDGET_MS)
 
 
 class Hovering:
@@ -217,6 +240,7 @@ def publish(out: Path, repeats: int) -> dict[str, Any]:
     """Measure everything, write relative-cost.json and .md into `out`, and return what is in the JSON."""
     parts = [partial(reading, n, repeats) for n in TEAMMATES]
     parts += [partial(scanning, n, max(repeats // 10, 20)) for n in TEAMMATES]
+    parts.append(partial(aligning, max(repeats // 10, 20)))
     costs: list[Cost] = []
     with report.progress(NAME, len(parts) + 1) as advance:
         for part in parts:

@@ -5,6 +5,10 @@ name is right or not.
 
     swarmtrack bench relative-flights [--seeds 20] [--processes N] --out DIR
 
+Simulated autopilots are better than agents are told that autopilots are: their headings are within 1° in flight where
+1.5° (one sigma) is stated. In rows *errors as stated* each drone has lasting errors of heading, tilt and place beside,
+drawn such that all together they are as large as what is stated.
+
 * range error: |range / truth − 1|, median and 95 %.
 * NEES / 6: median and mean over all states, and the mean of its parts: along and across the ray, place and velocity.
 """
@@ -12,6 +16,7 @@ name is right or not.
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
 from collections.abc import Sequence
 from functools import partial
@@ -22,13 +27,15 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
-from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
+from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
 from swarmtrack.evaluation.relative_score import PlaceError, error_of, relative_score
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Array, RelativeState
+from swarmtrack.messages import Array, EgoPose, RelativeState
+from swarmtrack.motion.heading import HeadingSigma
 from swarmtrack.relative.log_range import across
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.sensors import EgoParameters
 from swarmtrack.simulation.world import World
 
 NAME = "relative-flights"
@@ -39,12 +46,13 @@ BEGIN_S = 1.0
 
 
 class Kind(NamedTuple):
-    """share_hz: of the velocities that all tell; 0: none do."""
+    """share_hz: of the velocities that all tell; 0: none do. stated: errors are drawn as large as they are stated."""
 
     scenario: str
     words: str
     span_known: bool = True
     share_hz: float = 0.0
+    stated: bool = False
 
 
 KINDS = tuple(
@@ -54,6 +62,7 @@ KINDS = tuple(
         Kind(scenario, "span unknown", span_known=False),
         Kind(scenario, "span"),
         Kind(scenario, "span, velocities at 5 Hz", share_hz=5.0),
+        Kind(scenario, "span, errors as stated", stated=True),
     )
 )
 
@@ -72,7 +81,10 @@ def fly(kind: Kind, seed: int) -> list[Compared]:
     scenario = load_scenario(kind.scenario, seed=seed, drones=DRONES)
     span = scenario.world.airframe(scenario.members[0]).span if kind.span_known else None
     swarm = VirtualSwarm(
-        scenario, share_hz=kind.share_hz or None, relative=RelativeParameters(airframe_span_m=span)
+        scenario,
+        share_hz=kind.share_hz or None,
+        relative=RelativeParameters(airframe_span_m=span),
+        mistakes={d: as_stated(scenario.world, d) for d in scenario.members} if kind.stated else None,
     )
     found = []
     for scan in swarm.fly(SECONDS[kind.scenario]):
@@ -83,6 +95,26 @@ def fly(kind: Kind, seed: int) -> list[Compared]:
             )
             found += [compared(state, truth(state.drone_id)) for state in states]
     return found
+
+
+def as_stated(world: World, drone_id: int) -> Mistake:
+    """Lasting errors, drawn: with those that the simulated autopilot has, as large as agents are told."""
+    flown = EgoParameters()
+    # An aligned heading's error is uniform between its limits.
+    heading = _beside(HeadingSigma().flight, math.radians(flown.aligned_error_deg) / math.sqrt(3.0))
+    tilt = _beside(RelativeParameters().tilt_sigma, flown.attitude_sigma)
+    place = _beside(EgoPose(0.0, None, np.eye(3)).position_sigma, flown.position_sigma)
+    compass, *others = world.chance("errors as stated", drone_id).standard_normal(6).tolist()
+    return Mistake(
+        compass=heading * compass,
+        tilt=(tilt * others[0], tilt * others[1]),
+        place_m=(place * others[2], place * others[3], place * others[4]),
+    )
+
+
+def _beside(stated: float, flown: float) -> float:
+    """One sigma of what is missing for the stated one."""
+    return math.sqrt(stated**2 - flown**2)
 
 
 def true_state(world: World, observer: int, body_from_camera: Pose, t: float, drone_id: int) -> Array:

@@ -90,12 +90,17 @@ class ObservedScan(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Mistake:
-    """What is wrong with one drone before it flies, rad, clockwise seen from above; its start is the scenario's."""
+    """What is wrong with one drone for the whole flight, rad, turns about the vertical clockwise seen from above; its
+    start is the scenario's."""
 
     compass: float = 0.0
     """The autopilot's heading less the true one."""
     mounting: float = 0.0
     """The yaw of the camera in the config less the true one."""
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """By how much the autopilot's attitude is turned about north and east."""
+    place_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The autopilot's position less the true one."""
 
 
 @dataclasses.dataclass(slots=True)
@@ -261,8 +266,12 @@ class VirtualSwarm:
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
         pose = self._drones[drone_id].ego.pose(index)
-        turned = _yaw(self._mistake(drone_id).compass) @ pose.world_from_body
-        return dataclasses.replace(pose, world_from_body=turned)
+        wrong = self._mistake(drone_id)
+        assert pose.position is not None, "simulated autopilots know where they are"
+        turned = _yaw(wrong.compass) @ pose.world_from_body
+        if any(wrong.tilt):
+            turned = rotation.exp(np.array([*wrong.tilt, 0.0])) @ turned
+        return dataclasses.replace(pose, world_from_body=turned, position=pose.position + wrong.place_m)
 
     def _scan(self, drone_id: int, index: int) -> None:
         drone, t = self._drones[drone_id], index / self.scenario.fps

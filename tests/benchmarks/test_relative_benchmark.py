@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from swarmtrack.benchmarks import relative, relative_flights
+from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
+from swarmtrack.geometry import rotation
 from swarmtrack.messages import RelativeState
+from swarmtrack.motion.heading import HeadingSigma
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.sensors import EgoParameters
+from swarmtrack.simulation.world import World
 
 
 def test_the_table_has_a_row_for_each_kind_and_range(tmp_path):
@@ -62,6 +69,38 @@ def test_in_a_whole_flight_the_range_is_within_a_tenth_whatever_is_known(tmp_pat
     assert row["range_error"]["p50"] < 0.1
     assert row["nees6"]["median"] < 1.4
     assert "crossing" in (tmp_path / "relative-flights.md").read_text(encoding="utf-8")
+
+
+def test_errors_as_stated_are_with_those_of_the_simulation_as_large_as_agents_are_told():
+    worlds = [World(seed, {}) for seed in range(400)]
+    drawn = [relative_flights.as_stated(world, drone) for world in worlds for drone in (1, 2, 3)]
+    compass = np.array([mistake.compass for mistake in drawn])
+    tilt = np.array([mistake.tilt for mistake in drawn])
+    place = np.array([mistake.place_m for mistake in drawn])
+    flown = EgoParameters()
+    heading = math.radians(flown.aligned_error_deg) / math.sqrt(3.0)
+    assert math.hypot(compass.std(), heading) == pytest.approx(HeadingSigma().flight, rel=0.06)
+    assert math.hypot(tilt.std(), flown.attitude_sigma) == pytest.approx(
+        RelativeParameters().tilt_sigma, rel=0.05
+    )
+    assert math.hypot(place.std(), flown.position_sigma) == pytest.approx(0.1, rel=0.05)
+    assert abs(np.corrcoef(np.column_stack([compass, tilt, place]).T) - np.eye(6)).max() < 0.1
+
+
+def test_an_autopilot_that_is_wrong_says_another_tilt_and_place_for_the_whole_flight():
+    scenario = load_scenario("crossing", seed=1, drones=2)
+    tilt, place = (0.02, -0.01), (0.3, -0.2, 0.1)
+    true, wrong = (
+        VirtualSwarm(scenario, observers=[1], mistakes=mistakes)
+        for mistakes in (None, {1: Mistake(tilt=tilt, place_m=place)})
+    )
+    for swarm in (true, wrong):
+        next(iter(swarm.fly(1.0)))
+    poses = [swarm.onboard(1).ego_pose(-0.5) for swarm in (true, wrong)]
+    assert all(pose is not None for pose in poses)
+    assert poses[1].position - poses[0].position == pytest.approx(np.array(place))
+    turn = poses[1].world_from_body @ poses[0].world_from_body.T
+    assert rotation.log(turn) == pytest.approx(np.array([*tilt, 0.0]), abs=1e-9)
 
 
 def test_who_does_not_know_how_fast_teammates_fly_knows_less_of_where_they_are():
