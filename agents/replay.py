@@ -251,9 +251,14 @@ def _print(one: _Flown, what_if: bool) -> None:
 
 def _sameness(replayed: Replayed) -> str:
     scans, answers = replayed.scans_compared, replayed.answers_compared
+    setpoints = replayed.setpoints_compared
     if replayed.exact:
-        return f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks compared"
-    streams = (scans, answers, replayed.states_compared)
+        also = f", {setpoints.recorded} setpoints" if setpoints.recorded else ""
+        return (
+            f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks{also} "
+            "compared"
+        )
+    streams = (scans, answers, replayed.states_compared, setpoints)
     parted = min((s.parted_s for s in streams if s.parted_s is not None), default=math.nan)
     return (
         f"not as recorded from {parted:.3f} s on: {scans.same} of {scans.recorded} scans, "
@@ -314,6 +319,7 @@ def _record(one: _Flown) -> dict[str, Any]:
         "scans_compared": replayed.scans_compared._asdict(),
         "answers_compared": replayed.answers_compared._asdict(),
         "states_compared": replayed.states_compared._asdict(),
+        "setpoints_compared": replayed.setpoints_compared._asdict(),
         "diff": one.diff and one.diff.as_record(),
         "scans": scans_record(one.scans),
     }

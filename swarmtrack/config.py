@@ -601,6 +601,11 @@ class DroneConfig(LayeredConfig):
     motion: MotionSection = MotionSection()
     formation: TeamFormation = TeamFormation()
 
+    @property
+    def flies_in_formation(self) -> bool:
+        """Whether this drone's agent may fly it: it is a follower, and somebody has enabled that."""
+        return self.formation.enabled and self.formation.parameters(self.drone.id) is not None
+
 
 class TeamConfig(LayeredConfig):
     """What team members other than drones need: the network. The rest of the file is for agents to judge."""
@@ -637,7 +642,9 @@ def config_of(layers: Layers) -> DroneConfig:
     problems += switch_problems(layers)
 
     def among(config: DroneConfig) -> Iterable[Problem]:
-        return formation_problems(config.formation, config.drone.id, config.team.airframe_span_m, layers)
+        return formation_problems(
+            config.formation, config.drone.id, config.team.airframe_span_m, config.autopilot.link, layers
+        )
 
     return _validated(DroneConfig, layers, problems, among)
 

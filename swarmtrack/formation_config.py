@@ -21,6 +21,8 @@ DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
 # m: a slot farther from the leader cannot be held by sight.
 FARTHEST_SLOT_M = 60.0
 USUAL = FlightLimits()
+# Links to autopilots that fly.
+FLYABLE = ("udpin", "udpout", "udp", "tcp", "tcpin", "serial")
 
 
 def _within(name: str, scale: float = 1.0) -> object:
@@ -70,6 +72,10 @@ class TeamFormation(Section):
     Without `leader` there is no formation.
     """
 
+    enabled: Switch = Field(
+        default=False,
+        description="true: the agent of a follower flies it while its pilot has engaged that (docs/formation.md)",
+    )
     leader: DroneId | None = Field(
         default=None, description="the drone that a pilot flies, and that others follow"
     )
@@ -106,7 +112,10 @@ class TeamFormation(Section):
     @model_validator(mode="after")
     def _whole(self) -> TeamFormation:
         if self.leader is None:
-            given = sorted(self.model_fields_set - {"ranging", "sure"})
+            fields = type(self).model_fields
+            given = sorted(
+                name for name in self.model_fields_set if getattr(self, name) != fields[name].default
+            )
             if given:
                 raise ValueError(f"{given[0]} without leader, expected leader = ID as well")
             return self
@@ -166,9 +175,10 @@ class TeamFormation(Section):
 
 
 def formation_problems(
-    section: TeamFormation, drone_id: int, span: float | None, layers: Layers
+    section: TeamFormation, drone_id: int, span: float | None, link: str, layers: Layers
 ) -> Iterable[Problem]:
-    """What a formation has against the rest of a config, and against itself. span [m]: of the team's drones."""
+    """What a formation has against the rest of a config, and against itself. span [m]: of the team's drones; link: to
+    the autopilot."""
     plan = section.plan()
     if plan is None:
         return []
@@ -180,6 +190,9 @@ def formation_problems(
     if drone_id not in plan.slots:
         text = f"no slot of drone {drone_id}, expected one in [formation.slots], or that it is the leader"
         return [layers.problem(("formation", "slots"), f"formation.slots: {text}")]
+    if section.enabled and drone_id != plan.leader and link.partition(":")[0] not in FLYABLE:
+        text = f"{found(link)}, expected a MAVLink link, over which [formation] enabled = true could fly the drone"
+        return [layers.problem(("autopilot", "link"), f"autopilot.link: {text}")]
     return [_problem(layers, fault) for fault in plan_faults(plan, span)]
 
 

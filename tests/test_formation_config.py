@@ -6,8 +6,11 @@ from xml.etree import ElementTree
 import pytest
 
 from swarmtrack.agents.main import main
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_config
 from swarmtrack.errors import ConfigError
+from swarmtrack.runtime.agent import make_formation_pilot
+from swarmtrack.runtime.assembly import assemble
 
 TEAM = """\
 [team]
@@ -82,7 +85,7 @@ def test_without_a_leader_there_is_no_formation(team):
     ("old", "new", "said"),
     [
         ("airframe_span_m = 0.5", "", "team.airframe_span_m: found none"),
-        ("leader = 1\n", "", "formation: height_m without leader"),
+        ("leader = 1\n", "", "formation: limits without leader"),
         ("leader = 1", "leader = 2", "formation: found a slot of the leader 2"),
         ("2 = [-4.0, 3.0, -1.0]", "4 = [-4.0, 3.0, -1.0]", "team.toml:10: formation.slots: no slot of drone 2"),
         ("3 = [-4.0, -3.0, 1.0]", "3 = [-4.0, 2.0, -0.5]", "team.toml:12: formation.slots.3: 1.1 m from the slot"),
@@ -149,6 +152,25 @@ def test_a_drawing_of_no_formation_is_an_error_in_words(team, capsys, tmp_path):
     code, _, err = check(capsys, *files, "--drawing", tmp_path / "formation.svg")
     assert code == 2
     assert "formation.leader: found none, expected a formation to draw" in err
+
+
+def test_nobody_is_flown_unless_it_is_enabled_and_the_leader_never(team, capsys):
+    files = team()
+    assert [load_config(file).flies_in_formation for file in files] == [False, False, False]
+    assert "not enabled: its agent only watches" in check(capsys, *files)[1]
+    files = team("leader = 1", "leader = 1\nenabled = true")
+    assert [load_config(file).flies_in_formation for file in files] == [False, True, True]
+    assert "enabled: its agent flies it while its pilot has it in GUIDED" in check(capsys, *files)[1]
+    flown = [make_formation_pilot(assemble(load_config(file), SystemClock()), None) for file in files]
+    assert [pilot is not None for pilot in flown] == [False, True, True]
+
+
+@pytest.mark.parametrize("link", ["none", "tlog:flight.tlog"])
+def test_a_drone_that_cannot_be_flown_cannot_be_enabled(team, link):
+    [file] = team("leader = 1", "leader = 1\nenabled = true", ids=[2])
+    file.write_text(file.read_text().replace("udpin:127.0.0.1:14540", link))
+    with pytest.raises(ConfigError, match=r"autopilot\.link: .*, expected a MAVLink link"):
+        load_config(file)
 
 
 def test_drones_of_two_formations_contradict_each_other(team, capsys):

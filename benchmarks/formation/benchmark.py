@@ -1,8 +1,8 @@
 """Flying in formation by what each drone sees, the loop closed: how far off slots, how near to each other, who is lost.
 
 Whole flights in one process (`flights.py`): real trackers, names, places in metres, law and barrier; an ArduPilot's
-measured response; oracle detections at 6.7 Hz, 150 ms late, with misses, noise and clutter. The leader flies to and
-fro, then off, a quarter turn, and stops.
+measured response; oracle detections at 6.7 Hz, 150 ms late, with misses, noise and clutter. The leader flies a
+square, then off, a quarter turn, and stops.
 
     swarmtrack bench formation [--flights NAME …] [--seeds N] [--quick] --out DIR
 """

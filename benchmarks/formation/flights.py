@@ -2,8 +2,7 @@
 
 Every follower's real `Onboard` (tracker, names, places in metres), the real `Follower` and its barrier, and an
 autopilot's measured response (`simulation/response.py`); oracle detections with misses, noise and clutter. The leader
-hovers, flies to and fro to be known, then off,
-turns a quarter and stops.
+hovers, flies a square to be known, then off, turns a quarter and stops.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ FPS, LATENCY_S, IMU_HZ = 20.0 / 3.0, 0.15, 50.0
 START_SIGMA_M = 0.3
 # s, world time: engaged, and off they fly.
 ENGAGED_S, DEPARTS_S, TURNS_S, TURN_S, STOPS_S, ENDS_S = 3.0, 14.0, 26.0, 5.0, 40.0, 50.0
-# s: before that the leader flies to and fro, by which it is known; and m/s.
-SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 3.0, 0.8
+# s: before that the leader flies a square, by which it is known: so long each side; and m/s.
+SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 2.0, 0.8
 # m: farther off than this in the mean of the last LAST_S seconds a follower is lost.
 LOST_M, LAST_S = 3.0, 3.0
 NEAR_M = 1.5
@@ -198,9 +197,10 @@ class FormationFlight(VirtualSwarm):
 
 
 def leader_velocity(t: float, speed: float) -> Triple:
-    """To and fro; then north, a quarter turn to the right, and stop, each over two seconds."""
-    if SHOWS_S <= t < SHOWS_S + 2.0 * SHOW_S:
-        return (SHOW_M_S if t < SHOWS_S + SHOW_S else -SHOW_M_S), 0.0, 0.0
+    """A square; then north, a quarter turn to the right, and stop, each over two seconds."""
+    side = math.floor((t - SHOWS_S) / SHOW_S)
+    if 0 <= side < 4:
+        return SHOW_M_S * (1.0, 0.0, -1.0, 0.0)[side], SHOW_M_S * (0.0, 1.0, 0.0, -1.0)[side], 0.0
     share = min(max((t - DEPARTS_S) / 2.0, 0.0), 1.0) - min(max((t - STOPS_S) / 2.0, 0.0), 1.0)
     heading = 0.5 * math.pi * min(max((t - TURNS_S) / TURN_S, 0.0), 1.0)
     return speed * share * math.cos(heading), speed * share * math.sin(heading), 0.0

@@ -28,7 +28,7 @@ TRUSTED_AWAY = 0.8
 COMES_M_S, SOON_S, PASSES_M, STEPS_ASIDE_M_S = 0.5, 4.0, 3.0, 2.0
 # m: who passes nearer comes straight on.
 STRAIGHT_ON_M = 0.4
-SWEEPS = 12
+SWEEPS = 25
 # m/s: so little a sweep changes when it has found the nearest point.
 SETTLED = 1e-6
 
@@ -76,11 +76,11 @@ def sidestep(place: Velocity, motion: Velocity) -> Velocity:
     return -speed * pn / miss, -speed * pe / miss, 0.0
 
 
-def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace]) -> Velocity:
+def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace], sweeps: int = SWEEPS) -> Velocity:
     """The velocity nearest to `wanted` within all half-spaces; a compromise where they have nothing in common."""
     north, east, down = wanted
     pushed = [0.0] * len(spaces)
-    for _ in range(SWEEPS):
+    for _ in range(sweeps):
         most = 0.0
         for k, ((x, y, z), bound, _) in enumerate(spaces):
             step = max(x * north + y * east + z * down - bound, -pushed[k])

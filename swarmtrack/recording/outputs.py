@@ -10,11 +10,13 @@ import msgspec
 import numpy as np
 
 from swarmtrack.errors import RecordingError
+from swarmtrack.follower import Engagement, LocalSetpoint
 from swarmtrack.messages import IdentifiedTrack, RelativeState, ScanReport, Track, TrackList, TrackStatus
 from swarmtrack.recording.inputs import numbers, plain
 
 TRACKS_TOPIC = "/tracks"
 ASKED_TOPIC = "/asked"
+SETPOINTS_TOPIC = "/setpoints"
 
 _ENCODER = msgspec.json.Encoder()
 _DECODER = msgspec.json.Decoder(dict[str, Any])
@@ -96,6 +98,54 @@ def decode_asked(data: bytes) -> tuple[int, float, str]:
         return record["n"], float(record["t_s"]), str(record["digest"])
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{ASKED_TOPIC}: a record that is no swarmtrack.Asked: {error}") from None
+
+
+class RecordedCommand(NamedTuple):
+    """The n-th input: that a setpoint was asked for as of t, with what, and the digest of the answer."""
+
+    n: int
+    t: float
+    engagement: Engagement
+    digest: str
+
+
+def setpoint_digest(told: LocalSetpoint) -> str:
+    """16 hex digits of every bit of a setpoint, and of why."""
+    setpoint = told.setpoint
+    state = hashlib.blake2b(f"{setpoint.why} {setpoint.clear_of}".encode(), digest_size=8)
+    state.update(struct.pack("<8d", setpoint.t, *told.velocity, *setpoint.velocity, told.yaw_rate))
+    return state.hexdigest()
+
+
+def encode_command(n: int, engagement: Engagement, told: LocalSetpoint) -> bytes:
+    """That a setpoint was asked for is an input, too: the n-th of the recording."""
+    setpoint = told.setpoint
+    return _ENCODER.encode(
+        {
+            "n": n,
+            "t_s": float(setpoint.t),
+            "engagement": engagement.number,
+            "clock_known": engagement.clock_known,
+            "why": str(setpoint.why),
+            "text": setpoint.text,
+            "velocity_m_s": list(map(float, setpoint.velocity)),
+            "sent_velocity_m_s": list(map(float, told.velocity)),
+            "yaw_rate_rad_s": float(told.yaw_rate),
+            "error_m": setpoint.error,
+            "clear_of": list(setpoint.clear_of),
+            "digest": setpoint_digest(told),
+        }
+    )
+
+
+def decode_command(data: bytes) -> RecordedCommand:
+    """Raises RecordingError."""
+    try:
+        record = _DECODER.decode(data)
+        engagement = Engagement(int(record["engagement"]), bool(record["clock_known"]))
+        return RecordedCommand(record["n"], float(record["t_s"]), engagement, str(record["digest"]))
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"{SETPOINTS_TOPIC}: a record that is no swarmtrack.Setpoint: {error}") from None
 
 
 def _track_record(entry: IdentifiedTrack) -> dict[str, Any]:

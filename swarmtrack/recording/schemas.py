@@ -66,6 +66,21 @@ TRACKS = table(
     ),
 )
 ASKED = table("swarmtrack.Asked", n=INTEGER, t_s=NUMBER, digest=TEXT, tracks=INTEGER)
+SETPOINTS = table(
+    "swarmtrack.Setpoint",
+    n=INTEGER,
+    t_s=NUMBER,
+    engagement=INTEGER,
+    clock_known={"type": "boolean"},
+    why=TEXT,
+    text=TEXT,
+    velocity_m_s=array(NUMBER),
+    sent_velocity_m_s=array(NUMBER),
+    yaw_rate_rad_s=NUMBER,
+    error_m=NUMBER,
+    clear_of=array(INTEGER),
+    digest=TEXT,
+)
 SAID = table("swarmtrack.Said", drone_id=INTEGER, boot=TEXT, sequence=INTEGER, t_s=NUMBER)
 FRAME = table("swarmtrack.Frame", sequence=INTEGER, t_s=NUMBER, t_sigma_s=NUMBER)
 HEALTH: Schema = {"title": "swarmtrack.Health", "type": "object"}

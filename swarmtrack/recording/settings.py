@@ -26,7 +26,7 @@ from swarmtrack.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.tracking import TRACKERS
 
 CONFIG, RESOLVED, CALIBRATION = "config.json", "resolved_config.json", "calibration.json"
-WHAT_IF = ("drone", "camera", "autopilot", "tracker", "identity", "motion", "detector")
+WHAT_IF = ("drone", "camera", "autopilot", "tracker", "identity", "motion", "detector", "formation")
 """Tables of the config that have a say in a replay."""
 
 

@@ -21,7 +21,7 @@ from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.runtime.door import Door
-from swarmtrack.runtime.perception import make_onboard
+from swarmtrack.runtime.perception import make_follower, make_onboard
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
@@ -30,7 +30,9 @@ FRAMES_TOPIC, IMAGES_TOPIC = "/camera/frames", "/camera/image"
 ANSWER_EVERY = 10
 FRAMES_KEPT = 64  # read, and their detections not met yet
 
-TOPICS = frozenset({*inputs.FORM_OF_TOPIC, outputs.ASKED_TOPIC, outputs.TRACKS_TOPIC})
+TOPICS = frozenset(
+    {*inputs.FORM_OF_TOPIC, outputs.ASKED_TOPIC, outputs.TRACKS_TOPIC, outputs.SETPOINTS_TOPIC}
+)
 
 Watcher = Callable[[TrackList], None]
 """Is given every answer to the question for tracks, in order."""
@@ -90,6 +92,8 @@ class Replayed:
     answers_compared: Stream = NOTHING
     states_compared: Stream = NOTHING
     """Of every scan, where teammates are in metres; older recordings hold none."""
+    setpoints_compared: Stream = NOTHING
+    """What a drone that flew in formation was told to fly."""
     digest: str = ""
     """Of all scans replayed: equal digests, equal flights."""
     refused: int = 0
@@ -98,7 +102,7 @@ class Replayed:
     @property
     def exact(self) -> bool:
         """Whether everything that was recorded came out again, bit for bit."""
-        streams = (self.scans_compared, self.answers_compared, self.states_compared)
+        streams = (self.scans_compared, self.answers_compared, self.states_compared, self.setpoints_compared)
         return self.inputs_lost == 0 and all(stream.same == stream.recorded for stream in streams)
 
 
@@ -123,7 +127,11 @@ class Replayer:
     ) -> None:
         self._recording = recording
         box_width = settings.box_width if detector is None else detector.description.box_width
-        self._door = Door(make_onboard(settings.config, settings.mounted, settings.start, box_width))
+        follower = make_follower(settings.config)
+        self._follows = follower is not None
+        self._door = Door(
+            make_onboard(settings.config, settings.mounted, settings.start, box_width), follower
+        )
         self._gyro_delay_s = settings.config.motion.gyro_delay_s
         self._detector = detector
         self._expectation = PerceivedExpectation(self._door.perceived)
@@ -134,6 +142,7 @@ class Replayer:
         self._scans = _Compared()
         self._answers = _Compared()
         self._states = _Compared()
+        self._setpoints = _Compared()
         self._hash = hashlib.blake2b(digest_size=16)
         self._last_n = 0
         self._exact_times: dict[str, Any] | None = None
@@ -161,6 +170,7 @@ class Replayer:
         result.scans_compared = self._scans.result(result.begin)
         result.answers_compared = self._answers.result(result.begin)
         result.states_compared = self._states.result(result.begin)
+        result.setpoints_compared = self._setpoints.result(result.begin)
         result.digest = self._hash.hexdigest()
         return result
 
@@ -184,6 +194,8 @@ class Replayer:
             if self._watcher is not None:
                 self._watcher(tracks)
             self._collect()
+        elif topic == outputs.SETPOINTS_TOPIC:
+            self._take_command(outputs.decode_command(message.data))
         elif topic == outputs.TRACKS_TOPIC:
             recorded = outputs.decode_report(message.data)
             self._scans.recorded.append(recorded.digest)
@@ -195,6 +207,18 @@ class Replayer:
                 self._take_frame(topic, message.data)
             except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
                 raise RecordingError(f"{topic}: no frame of ours: {error}") from None
+
+    def _take_command(self, command: outputs.RecordedCommand) -> None:
+        """A drone that flew in formation asks again what to fly."""
+        self._count(command.n)
+        if self._follows:
+            told = self._door.command(command.t, command.engagement)
+            self._note(self._setpoints, outputs.setpoint_digest(told), command.t)
+            self._setpoints.recorded.append(command.digest)
+        else:
+            # Replayed as one that does not: the scan that may wait was tracked all the same.
+            self._door.tracks(command.t)
+        self._collect()
 
     def _count(self, n: int) -> None:
         self._result.inputs += 1

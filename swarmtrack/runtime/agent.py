@@ -29,6 +29,7 @@ from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
+from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.live_video import LiveVideo
@@ -72,8 +73,9 @@ class Agent:
             self._video = _open_video(output.video, lossless=parts.paced is not None, alone=alone)
         health_file = health_path(output.health)
         self._health_file = HealthFile(health_file) if health_file else None
-        self.health = make_health(parts)
         self._notices = make_notices(parts)
+        self._formation = make_formation_pilot(parts, self._notices)
+        self.health = make_health(parts, self._formation)
         self._team = make_teamwork(parts, self.health, self._notices, self.tell)
         self._live = LiveVideo(
             parts.transport,
@@ -121,6 +123,7 @@ class Agent:
                     tasks.create_task(self._feel_lag(), name="lag"),
                     tasks.create_task(self._notices.run(), name="tell"),
                     tasks.create_task(self._renew_keys(), name="keys"),
+                    tasks.create_task(self._fly_in_formation(), name="formation"),
                 ]
                 stop = tasks.create_task(self._stop.wait(), name="stop")
                 await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
@@ -138,6 +141,10 @@ class Agent:
     async def _renew_keys(self) -> None:
         if self._renewal is not None:
             await self._renewal.run()
+
+    async def _fly_in_formation(self) -> None:
+        if self._formation is not None:
+            await self._formation.run()
 
     def _begin_recording(self) -> None:
         if self._recorder is not None:
@@ -163,6 +170,8 @@ class Agent:
     def on_autopilot_reboot(self) -> None:
         """From the autopilot, on the event loop."""
         self.tell(AutopilotRebooted())
+        if self._formation is not None:
+            self._formation.on_reboot()
 
     def on_switch(self, t: float) -> None:
         """From the autopilot, on the event loop."""
@@ -344,13 +353,13 @@ class Agent:
             self._health_file.close()
 
 
-def make_health(parts: Parts) -> Health:
+def make_health(parts: Parts, formation: FormationPilot | None = None) -> Health:
     """The meters of an agent of these parts."""
     config, autopilot = parts.config, parts.autopilot
     return Health(
         config.drone.id,
         parts.boot,
-        Connections(parts.camera, parts.transport, autopilot, parts.detector, parts.recorder),
+        Connections(parts.camera, parts.transport, autopilot, parts.detector, parts.recorder, formation),
         parts.door.perceived,
         Expected(
             config.autopilot.imu_rate_hz if autopilot else None,
@@ -362,6 +371,13 @@ def make_health(parts: Parts) -> Health:
         wall=parts.wall,
         live=parts.paced is None,
     )
+
+
+def make_formation_pilot(parts: Parts, notices: PilotNotices) -> FormationPilot | None:
+    """What flies the drone of these parts; None where nobody may."""
+    if parts.engagement is None or not isinstance(parts.autopilot, MavlinkAutopilot):
+        return None
+    return FormationPilot(parts.door, parts.autopilot, parts.engagement, notices, parts.clock)
 
 
 def make_notices(parts: Parts) -> PilotNotices:

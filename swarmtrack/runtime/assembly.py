@@ -16,7 +16,7 @@ from swarmtrack.messages import AgreedMotion, Announcement
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.filed import agreed_motions, filed_announcements
-from swarmtrack.runtime.perception import make_detector, make_onboard
+from swarmtrack.runtime.perception import make_detector, make_follower, make_onboard
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
@@ -25,6 +25,7 @@ from swarmtrack.sensors.detection_stream import DetectionStream
 from swarmtrack.sensors.mavlink.address import is_recording
 from swarmtrack.sensors.mavlink.address import parse_address as parse_link
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.engagement import PilotEngagement
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
 from swarmtrack.transport import topology
@@ -61,6 +62,8 @@ class Parts:
     """None where the camera detects by itself."""
     door: Door
     """The way into its Onboard, and what may be read of it."""
+    engagement: PilotEngagement | None
+    """Whether the pilot wants to be flown; None: nobody may fly it."""
     recorder: FlightRecorder | None
     transport: Transport
     renewal: KeyRenewal | None
@@ -99,7 +102,8 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
             _refuse_video(config)
     with config.blamed("autopilot", "link"):
         in_step = imported is None and paced is not None
-        autopilot = make_autopilot(config, clock, simulation, in_step=in_step)
+        engagement = PilotEngagement() if config.flies_in_formation else None
+        autopilot = make_autopilot(config, clock, simulation, in_step=in_step, engagement=engagement)
     with config.blamed("detector", "model"):
         detector = make_detector(config, wall)
     hub = MemoryHub()
@@ -121,7 +125,8 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         camera=camera,
         autopilot=autopilot,
         detector=detector,
-        door=Door(make_onboard(config, mounted, start, box_width)),
+        door=Door(make_onboard(config, mounted, start, box_width), make_follower(config)),
+        engagement=engagement,
         recorder=recorder,
         transport=transport,
         renewal=renewal,
@@ -193,9 +198,15 @@ def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
 
 
 def make_autopilot(
-    config: DroneConfig, clock: Clock, simulation: Simulation | None, *, in_step: bool = False
+    config: DroneConfig,
+    clock: Clock,
+    simulation: Simulation | None,
+    *,
+    in_step: bool = False,
+    engagement: PilotEngagement | None = None,
 ) -> Autopilot | None:
-    """None where the config names no link. in_step: a log is played in step with the frames."""
+    """None where the config names no link. in_step: a log is played in step with the frames. engagement: is told of the
+    flight mode."""
     section = config.autopilot
     if section.link == "none":
         return None
@@ -215,6 +226,7 @@ def make_autopilot(
         gps=_gps(config),
         gyro_delay_s=config.motion.gyro_delay_s,
         switch=_switch(config),
+        engagement=engagement,
     )
 
 

@@ -26,6 +26,9 @@ DANGERS = {
     "are not known in metres are the teammates' own word, checked by the camera's direction only",
 }
 
+FLOWN = "enabled: its agent flies it while its pilot has it in GUIDED or OFFBOARD"
+NOT_FLOWN = "not enabled: its agent only watches"
+
 
 def check(path: Path) -> None:
     """`--check`: print what an agent would do with this config. Raises SwarmtrackError where it could not."""
@@ -60,6 +63,8 @@ def check(path: Path) -> None:
     plan = config.formation.plan()
     if plan is not None:
         print(f"formation  {_role(plan, config.drone.id)}")
+        if config.drone.id != plan.leader:
+            print(f"           {FLOWN if config.flies_in_formation else NOT_FLOWN}")
         view = field_of_view(lens, parts.door.perceived.body_from_camera)
         print(textwrap.indent(as_text(plan, config.drone.id, view), "           "))
     start = config.drone.start

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from swarmtrack.follower import Engagement, Follower, LocalSetpoint
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Input, ScanReport, TrackList
 from swarmtrack.onboard import Onboard, Output
@@ -25,6 +26,10 @@ class DoorListener(Protocol):
         """Somebody asked for the tracks as of `tracks.t`, and got these."""
         ...
 
+    def commanded(self, engagement: Engagement, told: LocalSetpoint) -> None:
+        """A setpoint was asked for as of `told.setpoint.t`, and this is it."""
+        ...
+
     def scanned(self, report: ScanReport, world_from_camera: Pose | None) -> None:
         """A scan was tracked; from there, in the team frame, where the drone knows that."""
         ...
@@ -33,10 +38,12 @@ class DoorListener(Protocol):
 class Door:
     """Onboard with a listener. What `perceived` shows may be read by anyone; what changes it comes through here."""
 
-    def __init__(self, onboard: Onboard) -> None:
+    def __init__(self, onboard: Onboard, follower: Follower | None = None) -> None:
+        """follower: where the drone flies in formation."""
         self.listener: DoorListener | None = None
         self.perceived: Perceived = onboard
         self._onboard = onboard
+        self._follower = follower
 
     def tell(self, event: Input) -> None:
         """`Onboard.tell`."""
@@ -59,3 +66,11 @@ class Door:
         if self.listener is not None:
             self.listener.asked(tracks)
         return tracks
+
+    def command(self, now: float, engagement: Engagement) -> LocalSetpoint:
+        """What a follower is to fly from now on; for that, too, a scan may be tracked that has waited in vain."""
+        assert self._follower is not None, "flies in no formation"
+        told = self._follower.command(self._onboard, self._onboard.tracks(now), engagement)
+        if self.listener is not None:
+            self.listener.commanded(engagement, told)
+        return told

@@ -12,6 +12,7 @@ from functools import partial
 import msgspec
 
 from swarmtrack.clock import Clock
+from swarmtrack.follower import Engagement, LocalSetpoint
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Frame, Input, LinkStatus, ScanReport, SightingReport, TrackList
 from swarmtrack.recording import inputs, outputs, schemas
@@ -26,6 +27,7 @@ from swarmtrack.wire.records import as_record
 _INPUTS = {form.kind: Topic.of_json(form.topic, schemas.of_form(form)) for form in inputs.FORMS}
 TRACKS = Topic.of_json(outputs.TRACKS_TOPIC, schemas.TRACKS)
 ASKED = Topic.of_json(outputs.ASKED_TOPIC, schemas.ASKED)
+SETPOINTS = Topic.of_json(outputs.SETPOINTS_TOPIC, schemas.SETPOINTS)
 SAID = Topic.of_json("/said", schemas.SAID)
 HEALTH = Topic.of_json("/health", schemas.HEALTH)
 
@@ -84,6 +86,10 @@ class FlightRecorder:
         self._n += 1
         self._put(partial(self._write_asked, self._n, tracks))
 
+    def commanded(self, engagement: Engagement, told: LocalSetpoint) -> None:
+        self._n += 1
+        self._put(partial(self._write_command, self._n, engagement, told))
+
     def scanned(self, report: ScanReport, world_from_camera: Pose | None) -> None:
         self._put(partial(self._write_report, report, world_from_camera))
 
@@ -119,6 +125,11 @@ class FlightRecorder:
 
     def _write_asked(self, n: int, tracks: TrackList, write: Write, log_time: int) -> None:
         write(ASKED, log_time, outputs.encode_asked(n, tracks))
+
+    def _write_command(
+        self, n: int, engagement: Engagement, told: LocalSetpoint, write: Write, log_time: int
+    ) -> None:
+        write(SETPOINTS, log_time, outputs.encode_command(n, engagement, told))
 
     def _write_report(
         self, report: ScanReport, world_from_camera: Pose | None, write: Write, log_time: int

@@ -51,9 +51,10 @@ class Connections:
     autopilot: HasStatus | None = None
     detector: HasStatus | None = None
     recorder: HasStatus | None = None
+    formation: HasStatus | None = None
 
     def statuses(self) -> list[LinkStatus]:
-        sources = (self.autopilot, self.camera, self.detector, self.network, self.recorder)
+        sources = (self.autopilot, self.camera, self.detector, self.network, self.recorder, self.formation)
         return [source.status() for source in sources if source is not None]
 
 

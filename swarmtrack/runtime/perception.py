@@ -8,6 +8,7 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.config import DetectorSection, DroneConfig, MountedCamera
+from swarmtrack.follower import Follower
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.ego import EgoHistory
@@ -56,7 +57,14 @@ def make_onboard(
         ),
         start_sigma_m=config.drone.start.frame_sigma_m,
         estimate_gyro_bias=motion.estimate_gyro_bias,
+        places_anybody=config.flies_in_formation,
     )
+
+
+def make_follower(config: DroneConfig) -> Follower | None:
+    """None where the drone does not fly in formation: it leads, or nobody has enabled it."""
+    parameters = config.formation.parameters(config.drone.id)
+    return Follower(parameters) if parameters is not None and config.flies_in_formation else None
 
 
 def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: float) -> EgoHistory:

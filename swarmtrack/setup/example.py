@@ -58,6 +58,9 @@ SHOWN = {
     "output.health": '"health.json"',
     "recording.dir": '"recordings"',
     "motion.gyro_delay_s": "0.0",
+    "formation.leader": "1",
+    "formation.slots": "{ 2 = [-4.0, 3.0, -1.0], 3 = [-4.0, -3.0, 1.0] }",
+    "formation.references": "{ 2 = [1], 3 = [1] }",
 }
 """Values of keys without a default, or whose default shows little."""
 

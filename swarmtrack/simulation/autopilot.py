@@ -22,7 +22,7 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.simulation.channel import Channel, MavlinkAddress, SteadyReports, datagrams, target_of
-from swarmtrack.simulation.firmware import ARDUCOPTER, Firmware
+from swarmtrack.simulation.firmware import ARDUCOPTER, Firmware, ModeNumbers
 from swarmtrack.simulation.pilot import OnItsPath, Pilot
 from swarmtrack.simulation.reports import INERTIAL, SENSED, TRUE
 from swarmtrack.simulation.senses import SensedState, Senses
@@ -101,6 +101,7 @@ class SimulatedVehicle:
         self._reboots_at = math.inf
         self._truth = truth
         self._sensed: tuple[int, SensedState] | None = None
+        self._state_said: tuple[ModeNumbers, bool] | None = None
 
     def stamp(self, t: float) -> float:
         """Seconds since boot on its own clock."""
@@ -244,6 +245,12 @@ class SimulatedVehicle:
         for severity, text in self.pilot.take_texts():
             for each in self.channels:
                 each.send(common.MAVLink_statustext_message(severity, text.encode()))
+        state = (self.pilot.mode, self.pilot.armed)
+        if state != self._state_said:
+            # Each change of the mode is said at once.
+            self._state_said = state
+            for each in self.channels:
+                each.heartbeat_due = min(each.heartbeat_due, now)
         channel = self.channels[port]
         frames = channel.take()
         if now >= channel.heartbeat_due:

@@ -24,7 +24,8 @@ def test_the_slots_that_are_flown_are_a_sound_plan(n, gap_m):
 
 def test_the_leader_is_known_by_its_motion_before_it_flies_off():
     assert flights.leader_velocity(2.0, 1.5) == (0.0, 0.0, 0.0)
-    assert flights.leader_velocity(5.0, 1.5)[0] > 0.0 > flights.leader_velocity(8.0, 1.5)[0]
+    square = [flights.leader_velocity(5.0 + 2.0 * side, 1.5) for side in range(4)]
+    assert [v[:2] for v in square] == [(0.8, 0.0), (0.0, 0.8), (-0.8, 0.0), (0.0, -0.8)]
     assert flights.leader_velocity(20.0, 1.5) == pytest.approx((1.5, 0.0, 0.0))
     assert flights.leader_velocity(35.0, 1.5) == pytest.approx((0.0, 1.5, 0.0))
 

@@ -29,6 +29,7 @@ from swarmtrack.config import load_config
 from swarmtrack.detection.detector import Detector
 from swarmtrack.evaluation.replay_diff import ConfirmedTrack, SeenScan, compare
 from swarmtrack.evaluation.swarm_verdict import Limits
+from swarmtrack.formation.setpoint import Why
 from swarmtrack.recording import inputs
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.repair import repair
@@ -55,6 +56,41 @@ def replay(path: Path, *arguments: str) -> int:
 def replayed(path: Path, **changes):
     recording = recordings_below(path)[0]
     return Replayer(recording, read_settings(recording, **changes)[0]).run()
+
+
+FORMATION = """
+[formation]
+enabled = true
+leader = 1
+height_m = 6.0
+
+[formation.slots]
+2 = [-4.0, 3.0, -1.0]
+3 = [-4.0, -3.0, 1.0]
+
+[team]
+airframe_span_m = 0.5
+"""
+
+
+def test_a_follower_s_setpoints_come_out_bit_for_bit(tmp_path, capsys):
+    leader, second, _ = fly(tmp_path, 5.0, extra=FORMATION, faults=False)
+    whys = {told.setpoint.why for told in second.setpoints}
+    assert leader.setpoints == []
+    assert {Why.CLOCK, Why.HEIGHT} <= whys
+    result = replayed(tmp_path / "rec" / "drone-2")
+    assert result.exact
+    assert result.inputs_lost == 0
+    assert result.setpoints_compared.recorded == result.setpoints_compared.same == len(second.setpoints) >= 39
+    assert replay(tmp_path / "rec" / "drone-2") == 0
+    assert f"{len(second.setpoints)} setpoints compared" in " ".join(capsys.readouterr().out.split())
+    # With another limit setpoints are others, and that is seen.
+    changed = replayed(tmp_path / "rec" / "drone-2", changes=["formation.limits.climb_m_s=0.5"])
+    assert changed.setpoints_compared.same < changed.setpoints_compared.recorded
+    # One that does not fly perceives the same.
+    watching = replayed(tmp_path / "rec" / "drone-2", changes=["formation.enabled=false"])
+    assert watching.digest == result.digest
+    assert watching.setpoints_compared.recorded == 0
 
 
 # --- as it was ------------------------------------------------------------------------------------

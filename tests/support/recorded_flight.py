@@ -13,6 +13,7 @@ import numpy as np
 
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config, mount_camera
+from swarmtrack.follower import Engagement
 from swarmtrack.localswarm.configs import Sources, write_configs
 from swarmtrack.messages import (
     Announcement,
@@ -29,7 +30,7 @@ from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.flight_recorder import FlightRecorder
-from swarmtrack.runtime.perception import make_onboard
+from swarmtrack.runtime.perception import make_follower, make_onboard
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters, detect, visible
 
@@ -54,7 +55,7 @@ class Flight:
         mounted = mount_camera(self.config.camera)
         self.drone_id, self.begin = drone_id, BEGIN[drone_id]
         self.clock = ManualClock(self.begin - 1.0, 1.8e9 - 1.0 + UTC_ERROR[drone_id])
-        self.door = Door(make_onboard(self.config, mounted, None, SAID))
+        self.door = Door(make_onboard(self.config, mounted, None, SAID), make_follower(self.config))
         self.boot = f"{drone_id:08x}"
         settings = FlightSettings(self.config, mounted, None, SAID)
         self.recorder = FlightRecorder(settings, self.boot, self.clock, SystemClock(), waits=True)
@@ -64,6 +65,7 @@ class Flight:
         self.ego = Ego(scenario.world, drone_id, EGO)
         self.scans = []
         self.answers = []
+        self.setpoints = []
         self.reports = 0
 
     def _collect(self) -> None:
@@ -97,6 +99,8 @@ def fly(
     }
     queue = []
     for d in drones:
+        if flights[d].config.flies_in_formation:
+            queue.append((1.05, d, "command", 11, 10.0))
         for what, rate in rates.items():
             heapq.heappush(queue, (0.0, d, what, 0, rate))
         for other in drones:
@@ -133,6 +137,11 @@ def _happen(flights, flight, scenario, what, index, t) -> None:
             pose = flight.ego.pose(index)
             sure = {"position_sigma": EGO.position_sigma, "attitude_sigma": EGO.attitude_sigma}
             flight.tell(dataclasses.replace(pose, t=begin + pose.t, **sure))
+        case "command":
+            # Engaged anew on the way, and once with a clock that is not known.
+            engagement = Engagement(1 if t < 3.0 else 2, clock_known=not 2.0 < t < 2.2)
+            flight.setpoints.append(flight.door.command(begin + t, engagement))
+            flight._collect()
         case "scan":
             exposed = index / scenario.fps
             boxes = visible(world, d, scenario.camera, scenario.body_from_camera, exposed)

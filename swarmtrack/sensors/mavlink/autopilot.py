@@ -25,6 +25,7 @@ from swarmtrack.errors import SourceError
 from swarmtrack.messages import LinkStatus
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.contact import Contact, News, heartbeat
+from swarmtrack.sensors.mavlink.engagement import PilotEngagement
 from swarmtrack.sensors.mavlink.flight import FlightWatch
 from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
@@ -63,8 +64,8 @@ class MavlinkAutopilot:
     link: an address such as `udpin:127.0.0.1:14540`, or a link already made; system_id: the vehicle to listen to, None
     for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
     see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
-    gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched. Raises
-    `SourceError` for what can never work.
+    gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched; engagement:
+    is told of the flight mode. Raises `SourceError` for what can never work.
 
     Beside `run`, `opened`, `received` and `tick` are all there is to it: told the time, it needs no event loop.
     """
@@ -81,6 +82,7 @@ class MavlinkAutopilot:
         gps: GlobalPosition | None = None,
         gyro_delay_s: float | None = None,
         switch: PilotSwitch | None = None,
+        engagement: PilotEngagement | None = None,
     ) -> None:
         _check(imu_rate_hz, system_id)
         self._clock = clock
@@ -93,6 +95,7 @@ class MavlinkAutopilot:
         self._news = News(self._now)
         self._flight = FlightWatch()
         self._switch = switch
+        self._engagement = engagement
         self._requests = StreamRequests(
             imu_rate_hz,
             (LOCAL_POSE if gps is None else GLOBAL_POSE) | ({RC_CHANNELS: REPORTS_HZ} if switch else {}),
@@ -213,6 +216,16 @@ class MavlinkAutopilot:
     def trouble(self) -> str:
         """What of the autopilot's is missing, in a few words for a pilot; empty while gyro and position come."""
         return self._link_state.trouble(self._now())
+
+    @property
+    def system(self) -> int:
+        """The vehicle that is listened to; 0 before one is heard."""
+        return self._contact.system or 0
+
+    @property
+    def clock_known(self) -> bool:
+        """Whether its times can be mapped to ours."""
+        return self._telemetry.clock_map.offset is not None
 
     def tell(self, message: Any) -> bool:
         """Say a message of the dialect to the autopilot, and by way of it to ground stations. Never blocks.
@@ -347,6 +360,9 @@ class MavlinkAutopilot:
         """Each tells that the autopilot is there, and whether the drone flies."""
         state = self._flight.on_heartbeat(t, m)
         self._telemetry.listener.on_flight_state(state)
+        if self._engagement is not None:
+            airborne = state.airborne_since is not None
+            self._engagement.on_heartbeat(t, m, self._contact.kind, airborne=airborne)
         if not self._greeted and state.airborne_since is not None:
             self._telemetry.listener.on_found_flying()
         self._greeted = True
