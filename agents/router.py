@@ -20,6 +20,7 @@ from swarmtrack.errors import TransportError
 from swarmtrack.log_lines import log_to_stderr
 from swarmtrack.security.names import Role
 from swarmtrack.transport import settings, topology
+from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.listening import credentials_in
 from swarmtrack.transport.settings import NetworkSettings
@@ -66,7 +67,10 @@ async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) ->
         loop.add_signal_handler(number, stopped.set)
     session = await open_session(network)
     watch = LinkWatch(network)
-    tasks = [asyncio.create_task(watch.run(lambda: links_up(session)))]
+    tasks = [
+        asyncio.create_task(watch.run(lambda: links_up(session))),
+        asyncio.create_task(close_at_once()),
+    ]
     if not quiet:
         tasks.append(asyncio.create_task(_tell_health(session, watch)))
     try:

@@ -120,7 +120,7 @@ class MemoryTransport:
         self.token = keys.key(team, Kind.ALIVE, drone_id, boot)
         self._hub = hub
         self._clock = clock
-        self._peers = Peers(team, drone_id, boot, clock, verify, clash_s=CLASH_S)
+        self._peers = Peers(team, drone_id, boot, clock, verify, clash_s=CLASH_S, lease_s=CLASH_S)
         self._outgoing = Outgoing(team, drone_id, boot, clock, sign)
         self._reconciliation: asyncio.Task[None] | None = None
         self._published: Counter[str] = Counter()

@@ -21,6 +21,7 @@ from swarmtrack.transport.membership import LiveBoot, Membership, Numbered
 from swarmtrack.transport.outgoing import REQUEST_S
 from swarmtrack.transport.ranging_radios import RangingRadios
 from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
+from swarmtrack.transport.silence import Silence
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, signed_part
 from swarmtrack.wire.checks import DecodeError
@@ -56,15 +57,24 @@ class Peers:
     """What the team told us, until the agent takes it. Only the event loop may call."""
 
     def __init__(
-        self, team: str, drone_id: int, boot: str, clock: Clock, verify: Verify | None, *, clash_s: float
+        self,
+        team: str,
+        drone_id: int,
+        boot: str,
+        clock: Clock,
+        verify: Verify | None,
+        *,
+        clash_s: float,
+        lease_s: float,
     ) -> None:
-        """clash_s: after so long two boots of one ID are no restart."""
+        """clash_s: after so long two boots of one ID are no restart; lease_s: a report may be so late."""
         self._team = team
         self._drone_id = drone_id
         self._clock = clock
         self._verify = verify
         self._membership = Membership(drone_id, boot, clash_s)
         self._radios = RangingRadios()
+        self._silence = Silence(lease_s)
         self._events: deque[PeerEvent] = deque()
         self._news = asyncio.Event()
         self._newcomer = asyncio.Event()
@@ -122,8 +132,26 @@ class Peers:
         """All links were closed because of a newer roster, by which announcements are checked from now on. expelled:
         who has left the team."""
         self._verify = verify
-        self._tell(self._membership.part())
+        self.part()
         self._tell([PeerExpelled(drone_id) for drone_id in expelled])
+
+    def part(self) -> None:
+        """All links were closed."""
+        self._silence.forget()
+        self._tell(self._membership.part())
+
+    @property
+    def silent(self) -> tuple[int, ...]:
+        """Who lives and says nothing any more."""
+        now = asyncio.get_running_loop().time()
+        return tuple(sorted(self._silence.silent(self._membership.peers, now)))
+
+    def listen_for_silence(self) -> bool:
+        """Says who falls silent; whether nobody has been heard for so long that links are to be made anew."""
+        now = asyncio.get_running_loop().time()
+        for line in self._silence.news(self._membership.peers, now):
+            log.warning("%s", line)
+        return self._silence.is_deaf(self._membership.peers, now)
 
     def on_request(self) -> None:
         """Somebody wants us to announce anew."""
@@ -149,6 +177,8 @@ class Peers:
         if life is None:
             return
         life.reported[type(message)] = message.sequence
+        if isinstance(message, SightingsMessage):
+            self._silence.heard(drone_id, asyncio.get_running_loop().time())
         t, t_sigma = life.clock.time_of(
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )

@@ -13,6 +13,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge
@@ -57,12 +58,14 @@ class ZenohListener:
         self._samples: asyncio.Queue[Sample | None] = asyncio.Queue(capacity)
         self._bridge: Bridge | None = None
         self._dropped = 0
+        self._closing_at_once: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
         bridge = Bridge(self._take, self._capacity, int(self._newest_per_key), clock=self._clock)
         tokens = Bridge(self._on_token, 65536, newest_per_key=1, clock=self._clock)
         self._bridge = bridge
         self._session = await open_session(self._network, listening=False)
+        self._closing_at_once = asyncio.create_task(close_at_once(), name="lingering")
 
         def declare(session: zenoh.Session) -> None:
             everyone = keys.key(self._network.team, Kind.ALIVE, "*", "*")
@@ -119,6 +122,8 @@ class ZenohListener:
 
     async def close(self) -> None:
         session, self._session = self._session, None
+        if self._closing_at_once is not None:
+            self._closing_at_once.cancel()
         if session is not None:
             await close_session(session, [*self._later.values(), *self._declared])
         self._make_room()

@@ -25,6 +25,7 @@ from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
+from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
@@ -44,6 +45,7 @@ log = logging.getLogger(__name__)
 PUT_S: Final = 3.0
 # Beyond the lease: of a process that was killed, the token is gone by then.
 CLASH_MARGIN_S: Final = 0.5
+SILENCE_S: Final = 0.5  # between two looks at who says nothing
 REJOIN_S: Final = 1.0  # between two attempts to reach a router
 
 _MAX_TOKENS: Final = 65536
@@ -87,7 +89,9 @@ class ZenohTransport:
         self._boot = boot
         self._clock = clock
         clash_s = network.lease_s + CLASH_MARGIN_S
-        self._peers = Peers(network.team, drone_id, boot, clock, verify, clash_s=clash_s)
+        self._peers = Peers(
+            network.team, drone_id, boot, clock, verify, clash_s=clash_s, lease_s=network.lease_s
+        )
         self._outgoing = Outgoing(network.team, drone_id, boot, clock, sign)
         self._session: zenoh.Session | None = None
         self._publishers: dict[Kind, zenoh.Publisher] = {}
@@ -97,6 +101,8 @@ class ZenohTransport:
         self._bridges: list[Bridge] = []
         self._watch = LinkWatch(network)
         self._tasks: list[asyncio.Task[None]] = []
+        self._listening: asyncio.Task[None] | None = None
+        self._changing = asyncio.Lock()
         self._counters: Counter[str] = Counter()
 
     async def open(self) -> None:
@@ -115,6 +121,7 @@ class ZenohTransport:
         self._bridges = [tokens, messages]
         self._tokens, self._messages = tokens, messages
         self._loop = asyncio.get_running_loop()
+        self._listening = asyncio.create_task(self._listen_for_silence(), name="silence")
         if self._network.mode == Mode.CLIENT:  # a router that is not there yet is no reason not to fly
             self._tasks = [asyncio.create_task(self._keep_joining(), name="joining")]
             return
@@ -130,11 +137,28 @@ class ZenohTransport:
         assert before is not None, "who had no keys gets none in flight"
         network = replace(self._network, credentials=credentials)
         settings.check(network)
-        await self._leave()
-        self._network, self._watch, self._renewed = network, LinkWatch(network), True
         expelled = sorted(before.roster.drones.keys() - credentials.roster.drones.keys())
-        self._peers.renew(credentials.verify, expelled)
+        async with self._changing:
+            await self._leave()
+            self._network = network
+            self._peers.renew(credentials.verify, expelled)
+            self._join_again()
+
+    def _join_again(self) -> None:
+        self._watch, self._renewed = LinkWatch(self._network), True
         self._tasks = [asyncio.create_task(self._keep_joining(), name="joining")]
+
+    async def _listen_for_silence(self) -> None:
+        """Until cancelled. Links that stand and carry nothing are made anew."""
+        while True:
+            await asyncio.sleep(SILENCE_S)
+            if self._session is None or not self._peers.listen_for_silence():
+                continue
+            log.warning("network: nobody is heard, though links stand: they are made anew")
+            async with self._changing:
+                await self._leave()
+                self._peers.part()
+                self._join_again()
 
     async def _keep_joining(self) -> None:
         for attempt in itertools.count():
@@ -155,6 +179,7 @@ class ZenohTransport:
         self._tasks += [
             asyncio.create_task(self._peers.ask_for_missing(self._ask), name="reconciliation"),
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
+            asyncio.create_task(close_at_once(), name="lingering"),
         ]
 
     def _declare(self, session: zenoh.Session) -> None:
@@ -251,9 +276,11 @@ class ZenohTransport:
     def status(self) -> LinkStatus:
         up = links_up(self._session)
         alive, missing = self._peers.alive, self._peers.missing
+        silent = self._peers.silent
         counters = {
             "peers": len(alive),
             "missing": len(missing),
+            "silent": len(silent),
             "links": up.count,
             "strangers": len(self._watch.strangers(up)),
             **self._certificate(),
@@ -267,6 +294,8 @@ class ZenohTransport:
             f"team {self._network.team}: {len(alive)} peers, {len(missing)} of them unannounced, "
             f"{self._watch.describe(up)}"
         )
+        if silent:
+            text += f"; not heard: drone {', '.join(map(str, silent))}"
         ok = self._session is not None and self._watch.is_connected(up)
         return LinkStatus("zenoh", ok, text, tuple(counters.items()))
 
@@ -280,6 +309,8 @@ class ZenohTransport:
         )
 
     async def close(self) -> None:
+        if self._listening is not None:
+            self._listening.cancel()
         await self._leave()
         self._peers.close()
 

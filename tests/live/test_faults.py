@@ -84,6 +84,18 @@ def report(claim: str, value: float, unit: str = "s") -> None:
     print(f"\n  {claim}: {value:.3g} {unit}", end="", flush=True)
 
 
+async def readdress(team: Team, drone: int) -> None:
+    """Its radio's address is replaced by another of the same network."""
+    old = team.emulator.radio_address(drone)
+    new = f"{old.rpartition('.')[0]}.{200 + drone}"
+    for words in (
+        f"addr del {old}/16 dev radio0",
+        f"addr add {new}/16 brd + dev radio0",
+    ):
+        changing = await asyncio.create_subprocess_exec(*team.emulator.wrap(drone, ["ip", *words.split()]))
+        await changing.wait()
+
+
 @pytest.mark.parametrize("seconds", PARTITIONS_S)
 async def test_after_a_partition_everybody_is_met_and_named_again(gather: Gather, seconds: float) -> None:
     team = await gather(TRIANGLE)
@@ -107,6 +119,31 @@ async def test_after_a_partition_everybody_is_met_and_named_again(gather: Gather
     report("identities right again, after healing", named - healed)
     assert agents[2].times(r"drone 3 is gone") == []  # of one side, all the time
     assert team.wrong(team.drones, since=cut, until=named) == 0
+
+
+async def test_after_a_change_of_its_address_a_drone_hears_what_becomes_of_the_others(gather: Gather) -> None:
+    """A new lease, roaming: packets of the old address stay unanswered, and links are made anew."""
+    team = await gather(TRIANGLE)
+    agents = {drone: await team.start(drone) for drone in team.drones}
+    await team.until_known(team.drones, since=time.monotonic())
+
+    await asyncio.sleep(SETTLED_S)
+    changed = time.monotonic()
+    await readdress(team, 3)
+    await asyncio.sleep(4.0)
+    killed = await agents[2].end(signal.SIGKILL)
+    missed = [await agents[drone].until(r"drone 2 is gone", changed) for drone in (1, 3)]
+    report("drone 2 was missed by 1 after", missed[0] - killed)
+    report("drone 2 was missed by 3 after", missed[1] - killed)
+    started = time.monotonic()
+    await team.start(2)
+    met = [await agents[drone].until(r"drone 2 announced itself", started) for drone in (1, 3)]
+    report("drone 2 was known to 1 after", met[0] - started)
+    report("drone 2 was known to 3 after", met[1] - started)
+    assert team.wrong((1, 3), since=changed, until=max(met)) == 0
+    assert (
+        missed[1] - killed < 6.0
+    )  # two seconds on a machine that has the time; ten and more while Zenoh lingers
 
 
 @pytest.mark.parametrize("seconds", LOSSES_S)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import itertools
 import math
 import os
 import secrets
@@ -520,6 +521,43 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
     await friend.announce(sequence=1)
     await victim.hears(2, friend.boot, 1)
     assert heard(victim.told) == [(2, friend.boot, 0), (2, friend.boot, 1)]
+
+
+async def test_where_everybody_has_fallen_silent_though_links_stand_they_are_made_anew(
+    team: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    monkeypatch.setattr("swarmtrack.transport.silence.REPORTS_S", 0.2)
+    monkeypatch.setattr("swarmtrack.transport.silence.DEAF_S", 1.5)
+    world = ZenohWorld()
+    agents = []
+    for drone_id in (1, 2):
+        boot, clock = keys.new_boot(), ManualClock()
+        transport = world.transport(team, drone_id, boot, clock)
+        await transport.open()
+        agents.append(Agent(transport, drone_id, boot, clock))
+    listener, silent = agents
+    await silent.announce()
+    await listener.hears(2, silent.boot)
+    silent.report(1)
+    await listener.until(lambda told: bool(reports(told)))
+    await eventually(lambda: listener.counter("silent") == 1)
+    assert "not heard: drone 2" in listener.transport.status().text
+    await listener.until(lambda told: PeerDeparted(2, silent.boot) in told)
+    await listener.until(lambda told: heard(told).count((2, silent.boot, 0)) == 2)
+    assert listener.counter("silent") == 0
+    sequences = itertools.count(2)
+
+    def is_heard() -> bool:
+        silent.report(next(sequences))
+        return reports(listener.told)[-1].sequence > 1
+
+    await eventually(is_heard)
+    said = [record.getMessage() for record in caplog.records]
+    assert sum("has said nothing for" in line for line in said) >= 1
+    assert said.count("network: nobody is heard, though links stand: they are made anew") == 1
+    for agent in agents:
+        await agent.leave()
 
 
 async def test_a_camera_is_told_to_whoever_comes_and_asks(team: str) -> None:
