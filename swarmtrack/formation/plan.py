@@ -19,6 +19,8 @@ from swarmtrack.relative.box_width import BoxWidth
 LEAST_APART_M = 2.0
 # Of the half view: beyond it a reference is lost in the first gust.
 VIEW_SHARE = 0.8
+# m/s²: a drone tilts to accelerate, and its camera with it.
+GRAVITY_M_S2 = 9.81
 # From the leader on: the last of four in a row swings more than twice as far as the first.
 LONGEST_CHAIN = 3
 # Of the distance, by size: with 35 % every third flight lost a follower, with 15 % none did.
@@ -110,18 +112,29 @@ def plan_faults(plan: FormationPlan, span: float) -> list[PlanFault]:
     return [*_slot_faults(plan), *_chain_faults(plan), *_hidden_faults(plan, span)]
 
 
-def view_faults(plan: FormationPlan, drone: int, view: HalfView) -> list[PlanFault]:
-    """References that are too near to the border of this drone's view, or beyond it."""
+def view_faults(
+    plan: FormationPlan, drone: int, view: HalfView, acceleration: float = 0.0
+) -> list[PlanFault]:
+    """References that are too near to the border of this drone's view, or beyond it. acceleration [m/s²]: with which it
+    flies, and for which it tilts."""
     faults = []
+    tilt = math.atan(acceleration / GRAVITY_M_S2)
+    high = min(VIEW_SHARE * view.half_height, view.half_height - tilt)
     for look in plan.looks(drone, view.up):
-        for off, half, axis, name in (
-            (look.right, view.half_width, "beside", "width"),
-            (look.up, view.half_height, "above" if look.up > 0.0 else "below", "height"),
+        up = "above" if look.up > 0.0 else "below"
+        for off, most, axis, name in (
+            (
+                look.right,
+                VIEW_SHARE * view.half_width,
+                "beside",
+                f"{VIEW_SHARE:.0%} of half the view's width",
+            ),
+            (look.up, high, up, f"of half the view's height, {math.degrees(tilt):.0f}° are for its tilt"),
         ):
-            if abs(off) > VIEW_SHARE * half:
+            if abs(off) > most:
                 text = (
                     f"drone {look.reference} is {math.degrees(abs(off)):.0f}° {axis} the camera's axis, expected at "
-                    f"most {VIEW_SHARE:.0%} of half the view's {name}: {math.degrees(VIEW_SHARE * half):.0f}°"
+                    f"most {math.degrees(most):.0f}°: {name}"
                 )
                 faults.append(PlanFault(("slots", str(drone)), text))
     return faults

@@ -143,7 +143,8 @@ def check_formation(config: DroneConfig, mounted: MountedCamera, detector: Detec
     plan = section.plan()
     if plan is None or drone_id == plan.leader:
         return
-    faults = view_faults(plan, drone_id, field_of_view(mounted.camera, mounted.body_from_camera))
+    view = field_of_view(mounted.camera, mounted.body_from_camera)
+    faults = view_faults(plan, drone_id, view, section.limits.acceleration_m_s2)
     told = config.team.share == "velocity" or section.ranging
     described = BoxWidth() if detector is None else detector.description.box_width or BoxWidth()
     faults += range_faults(config.detector.box_width.over(described), told=told)

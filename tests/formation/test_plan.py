@@ -90,6 +90,13 @@ def test_references_beyond_the_view_are_refused(slots, references, said):
     assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
 
 
+def test_a_drone_that_tilts_for_its_acceleration_needs_a_higher_view():
+    steep = plan({2: (-4.0, 0.0, -2.0)})  # 27° below the axis, of 37°
+    assert view_faults(steep, 2, VIEW) == []
+    [fault] = view_faults(steep, 2, VIEW, acceleration=3.0)
+    assert "27° below the camera's axis, expected at most 20°" in fault.text
+
+
 def test_a_camera_that_looks_up_sees_a_leader_that_is_higher():
     steep = plan({2: (-3.0, 0.0, 3.0)})
     assert view_faults(steep, 2, VIEW._replace(up=math.radians(30.0))) == []

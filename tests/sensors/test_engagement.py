@@ -64,7 +64,9 @@ def test_nobody_is_flown_on_the_ground_or_disarmed():
     pilot.to(LOITER)
     assert not pilot.to(GUIDED, armed=False)
     assert not pilot.to(GUIDED, airborne=False)
-    # Taking off in GUIDED, as ArduCopter does it, is the pilot's; once it flies, it is engaged.
+    # Taking off in GUIDED, as ArduCopter does it by command, is not for us to steer.
+    assert not pilot.to(GUIDED)
+    assert not pilot.to(LOITER)
     assert pilot.to(GUIDED)
     assert not pilot.to(GUIDED, armed=False)
     assert pilot.engagement.take_end() == "disarmed"
@@ -76,6 +78,7 @@ def test_landing_in_the_mode_ends_it():
     pilot.to(GUIDED)
     assert not pilot.to(GUIDED, airborne=False)
     assert pilot.engagement.take_end() == "on the ground"
+    assert not pilot.to(GUIDED)
 
 
 @pytest.mark.parametrize(

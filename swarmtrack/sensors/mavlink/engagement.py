@@ -2,6 +2,7 @@
 
 A pilot engages by changing into GUIDED (ArduCopter) or OFFBOARD (PX4), and disengages by any other mode. Nothing else
 engages: who finds the mode on, or loses sight of it, or has failed, waits until the pilot has left it and comes again.
+A take-off in the mode, as ArduCopter makes it by command, does not either.
 """
 
 from __future__ import annotations
@@ -75,9 +76,8 @@ class PilotEngagement:
         elif airborne:
             self._fire(EngagementEvent.ENTERED, "")
         else:
-            # On the ground in the mode: it is the pilot who takes off, and only then is anything flown.
+            # On the ground in the mode: a take-off in it must not be steered away from.
             self._fire(EngagementEvent.FAILED, "on the ground")
-            self._fire(EngagementEvent.LEFT, "")
         self.wants_stream = kind == common.MAV_AUTOPILOT_PX4 and armed and self.stage is EngagementStage.AWAY
 
     def tick(self, now: float) -> None:
