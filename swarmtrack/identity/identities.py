@@ -35,6 +35,7 @@ from swarmtrack.identity.proof import Astray
 from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, is_vague, joined
 from swarmtrack.identity.self_doubt import SelfDoubt
 from swarmtrack.identity.standing import Event
+from swarmtrack.identity.team_fit import TeamFit
 from swarmtrack.identity.teammates import Teammates
 from swarmtrack.identity.weighing import PLACE_ALONE, Match, Weighing
 from swarmtrack.messages import (
@@ -81,6 +82,7 @@ class Identities:
         )
         self._occlusion = OcclusionWatch(self._names, self._weighing, self._pose_requests)
         self._candidates = CandidateDrones(parameters, self._teammates, self._names, self._weighing)
+        self._team_fit = TeamFit(self._teammates, self._names, self._weighing)
         self._judgement = Judgement(
             parameters,
             teammates=self._teammates,
@@ -89,6 +91,7 @@ class Identities:
             disputes=self._disputes,
             pose_requests=self._pose_requests,
             occlusion=self._occlusion,
+            team_fit=self._team_fit,
         )
 
     @property
@@ -124,6 +127,7 @@ class Identities:
         if known is not None and known.boot != announcement.boot:
             self._weighing.forget(drone)
             self._disputes.begin_life(drone)
+            self._team_fit.forget(drone)
         return True
 
     def agree(self, motion: AgreedMotion) -> None:
@@ -251,15 +255,16 @@ class Identities:
         # Of a team that nobody has heard of, anybody may be.
         foreign = bool(self._teammates.announced) and not self._self_doubt.said
         foreign &= not self._weighing.misses_somebody(predicted, p_drone)
+        self._team_fit.look(tracks, predicted, p_drone, t)
         for i, track in enumerate(tracks):
             matches = self._weighing.matches(
                 track, predicted, t, p_drone=p_drone[i], p_seen=p_drone.sum(axis=0), ratios=ratios[i]
             )
             self._judge(track, matches, t, seen_in=self._weighing.seen_in(i))
             if self._names.of(track.id) is None and track.status is TrackStatus.CONFIRMED:
-                self._judgement.leave_unassigned(
-                    track, matches, min(p_none[i], PLACE_ALONE), t, may_be_foreign=foreign
-                )
+                p = min(p_none[i], PLACE_ALONE)
+                may_be_foreign = foreign and not self._team_fit.may_be_missing(track, view)
+                self._judgement.leave_unassigned(track, matches, p, t, may_be_foreign=may_be_foreign)
 
     def _watch(self, view: ObserverCamera) -> None:
         """What all tracks tell, named or not: how they move, and whether this drone is where it thinks it is."""

@@ -23,6 +23,7 @@ from swarmtrack.identity.posterior import LOG_ANYWHERE
 from swarmtrack.identity.proof import Astray
 from swarmtrack.identity.reprojection import ObserverCamera, Predictions, is_vague
 from swarmtrack.identity.standing import Event, Standing
+from swarmtrack.identity.team_fit import TeamFit
 from swarmtrack.identity.teammates import Teammates
 from swarmtrack.identity.weighing import Match, Weighing
 from swarmtrack.messages import Announcement, Array, Track, TrackStatus
@@ -50,6 +51,7 @@ class Judgement:
         disputes: Disputes,
         pose_requests: PoseRequests,
         occlusion: OcclusionWatch,
+        team_fit: TeamFit,
     ) -> None:
         self._parameters = parameters
         self._teammates = teammates
@@ -58,6 +60,7 @@ class Judgement:
         self._disputes = disputes
         self._pose_requests = pose_requests
         self._occlusion = occlusion
+        self._team_fit = team_fit
         self._vouched: set[int] = set()
         self._astray: list[Astray] = []
 
@@ -186,7 +189,8 @@ class Judgement:
             return False
         if self._weighing.proofs.lasts(track.id, drone, t):
             return True
-        return not self._disputes.needs_proof(drone) and not (in_doubt and tells_motion)
+        in_doubt = (in_doubt and tells_motion) or self._disputes.needs_proof(drone)
+        return not in_doubt and self._team_fit.tells(drone)
 
     def _doubt(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
         """Another track may be the drone: where this one was seen says nothing of where the drone is."""

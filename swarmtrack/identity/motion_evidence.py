@@ -236,7 +236,7 @@ class MotionEvidence:
         if tried.any():
             ratio[:, tried] = _if_flown(ratio[:, tried])
         # What is more than it may give is taken off all turns alike: which of them is likelier stays what it is.
-        over = np.maximum(ratio.max(axis=2) - most, 0.0)
+        over = np.maximum((ratio.max(axis=2) - most).max(axis=1, initial=0.0, keepdims=True), 0.0)
         return np.moveaxis(np.maximum(ratio - over[..., None], -most[:, None]), 2, 0)
 
     def _compare(self, sayings: Sequence[Saying]) -> None:

@@ -366,3 +366,18 @@ def test_who_tells_less_is_not_heard_while_somebody_tells_more():
     falls_silent = [of_source("boot", sways, PUBLISHED, until=0.2), of_source("report", sways, REPORTED)]
     later = flight.watched(9.0, falls_silent, rng=np.random.default_rng(5))
     assert later.exact == ()
+
+
+def test_of_two_that_are_both_as_sure_as_any_may_be_the_likelier_one_stays_so():
+    """They fly nearly alike: each alone is beyond what may be remembered."""
+    flown, else_ = hovering(3, size=0.5), hovering(4, size=0.05)
+
+    def nearly(t):
+        return tuple(one + other for one, other in zip(flown(t), else_(t), strict=True))
+
+    flight = Flight([(8.0, 0.0, 0.0)], [flown])
+    found = flight.watched(2.0, [published(1, flown), published(2, nearly)])
+    assert found.log_ratio(1, 1) == found.log_ratio(1, 2) == MOST
+    of_it, of_other = found.log_ratios([1], [1, 2])[0, 0]
+    assert of_it == MOST
+    assert of_other < MOST - 0.5
