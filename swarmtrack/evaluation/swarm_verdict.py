@@ -76,7 +76,7 @@ class AgentFigures:
 @dataclass(frozen=True, slots=True)
 class SwarmReport:
     """All numbers of one flight, and what they should have been. machine_busy: the share of all cores' time that was
-    spent meanwhile, by others too; NaN where nobody knows."""
+    spent, by others too, while something was late, else over the whole flight; NaN where nobody knows."""
 
     scenario: str
     drones: int

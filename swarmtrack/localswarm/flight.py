@@ -422,6 +422,7 @@ class _SwarmFlight:
         self._spectator.note("starting the agents …")
         while True:
             self._spectator.show(self._watch)
+            self._load.look(self._watch.t)
             await asyncio.sleep(1.0 / SHOW_HZ)
 
     def _faults(self) -> Iterator[ScenarioFault]:
@@ -476,6 +477,11 @@ class _SwarmFlight:
                 f"{self._watch.unjudged} views were not judged: nobody told the truth at their times"
             )
 
+    def _busy(self) -> float:
+        """How busy the machine was while something was late, else over the whole flight."""
+        busy = self._load.share_in(self._watch.late(self._flown.limits))
+        return self._load.share() if math.isnan(busy) else busy
+
     def _report(self) -> SwarmReport:
         plan = self._plan
         return self._watch.report(
@@ -484,7 +490,7 @@ class _SwarmFlight:
             tracker=plan.tracker,
             detector=plan.detector,
             limits=self._flown.limits,
-            machine_busy=round(self._load.share(), 3),
+            machine_busy=round(self._busy(), 3),
         )
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
+from itertools import pairwise
 from pathlib import Path
 
 STAT = Path("/proc/stat")
@@ -12,11 +14,26 @@ AGENT_MB = {"onnx": 85.0, "oracle": 55.0}
 
 
 class MachineLoad:
-    """From when it was made until it is asked."""
+    """From when it was made until it is asked, and over parts of that time."""
 
     def __init__(self, stat: Path = STAT) -> None:
         self._stat = stat
         self._began = self._ticks()
+        self._looks: list[tuple[float, tuple[int, int]]] = []
+
+    def look(self, t: float) -> None:
+        """To be called a few times a second. t [s] by any clock that only rises."""
+        ticks = self._ticks()
+        if ticks is not None:
+            self._looks.append((t, ticks))
+
+    def share_in(self, spans: Collection[tuple[float, float]]) -> float:
+        """As `share`, over those spans of time (from, to) [s] alone; NaN where there was no look in them."""
+        idle = total = 0
+        for (begin, before), (end, after) in pairwise(self._looks):
+            if any(begin < last and first < end for first, last in spans):
+                idle, total = idle + after[0] - before[0], total + after[1] - before[1]
+        return 1.0 - idle / total if total else math.nan
 
     def share(self) -> float:
         """0…1 of all cores' time that was spent on anything, by others too; NaN where the kernel does not say."""

@@ -269,7 +269,7 @@ def team_rows(report: SwarmReport) -> list[tuple[str, str, str]]:
 def conclusion(report: SwarmReport) -> tuple[list[str], list[str]]:
     """The verdict in words, and what fell short; with advice where the machine was short itself."""
     verdict, lines = report.verdict, report.shortfalls
-    busy = f"this machine's {os.cpu_count()} cores were {report.machine_busy:.0%} busy"
+    busy = f"this machine's {os.cpu_count()} cores were {report.machine_busy:.0%} busy meanwhile"
     match verdict:
         case Verdict.PASSED:
             words = ["PASSED"]

@@ -35,6 +35,7 @@ from swarmtrack.wire.tracks import TracksMessage
 
 JUDGING_SHARE = 0.15  # of one core, in flight
 MAX_JUDGED_IN_FLIGHT = 10  # drones: of more the judge would be behind anyway
+HEALTH_S = 1.0  # that a health message looks back upon
 SETTLED_S = 3.0  # s of an agent's life: the second that its health message looks back upon is an ordinary one
 TRUTH_AHEAD_S = 1.0 / KNOTS_HZ  # of what is judged: the truth is interpolated between knots
 NEW_SCAN_S = 1e-3  # s: exposures nearer to each other than this are one
@@ -374,6 +375,30 @@ class Watch:
             relative=relative_score(self._place_errors),
             machine_busy=machine_busy,
         )
+
+    def late(self, limits: Limits) -> list[tuple[float, float]]:
+        """Spans of world time (from, to) [s] in which something took longer than it may: each second of which an agent
+        told too low a rate, and the time until all was known and named where that was too long."""
+        asked = {"tracks": self._scenario.tracks_hz, "imu": self._scenario.imu_rate_hz}
+        spans = [
+            (t - HEALTH_S, t)
+            for agent in self.agents.values()
+            for t, message in agent.health
+            if t >= self._start + HEALTH_S
+            and message.uptime_s >= SETTLED_S
+            and any(
+                message.rates[name].got_hz < limits.rate * hz
+                for name, hz in asked.items()
+                if name in message.rates
+            )
+        ]
+        if not self.all_known_s <= limits.all_known_s:
+            known_s = self._end - self._last_start if math.isnan(self.all_known_s) else self.all_known_s
+            spans.append((self._last_start, self._last_start + known_s))
+        slowest = max(self.scorer.score().time_to_identify_s.values(), default=0.0)
+        if not slowest <= limits.time_to_identify_s:
+            spans.append((self._start, self._end if math.isnan(slowest) else self._start + slowest))
+        return spans
 
     def figures(self) -> tuple[AgentFigures, ...]:
         """Of every agent, over the flight so far."""

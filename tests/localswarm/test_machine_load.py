@@ -18,6 +18,20 @@ def test_the_share_is_that_of_the_time_since_it_was_made(tmp_path):
     assert load.share() == pytest.approx(0.9)
 
 
+def test_the_share_of_some_seconds_is_theirs_alone(tmp_path):
+    file = tmp_path / "stat"
+    stat(file, user=0, idle=0)
+    load = MachineLoad(file)
+    for second, (user, idle) in enumerate([(0, 0), (50, 150), (250, 150), (440, 160), (460, 340)]):
+        stat(file, user=user, idle=idle)
+        load.look(float(second))
+    assert load.share_in([(1.2, 1.9)]) == pytest.approx(1.0)
+    assert load.share_in([(1.5, 2.5)]) == pytest.approx(390 / 400)
+    assert load.share() == pytest.approx(0.575)
+    assert math.isnan(load.share_in([]))
+    assert math.isnan(load.share_in([(10.0, 11.0)]))
+
+
 @pytest.mark.parametrize("content", ["", "cpu one two", "nonsense"])
 def test_where_the_kernel_does_not_say_it_is_unknown(tmp_path, content):
     assert math.isnan(MachineLoad(tmp_path / "missing").share())
