@@ -25,6 +25,7 @@ STONE_SOUP_RMSE_PX = {  # 50 runs each, measured when this project began; `--pee
 FAMILIES = {
     "paper": "The paper's conditions",
     "crossing": "Drones that meet",
+    "untold": "Drones that meet, and trackers that are told nothing",
     "crowd": "Crowds, and bursts of misses",
     "births": "Targets that nobody announces",
     "rotating": "An observer that turns",

@@ -17,7 +17,7 @@ from swarmtrack.benchmarks.trackers.scenes import SCENES, Scene, Take, film
 from swarmtrack.evaluation.gospa import gospa
 from swarmtrack.evaluation.track_score import FoundScore, StatedTracks, score_found, score_named
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
-from swarmtrack.tracking import TRACKERS, create_tracker
+from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker
 
 ORACLES: dict[str, Callable[[int, Scene], OracleFilter]] = {
     "oracle_cv": ConstantVelocity,
@@ -112,7 +112,10 @@ def make_tracker(scene: Scene, tracker: str, parameters: Mapping[str, Any] | Non
             f"--tracker: found {tracker!r}, expected one of {', '.join([*TRACKERS, *ORACLES, SMOOTHER])}"
         )
     names = {entry.name for entry in fields(TRACKERS[tracker].Parameters)}
-    told = {name: value for name, value in scene.parameters().items() if name in names}
+    scene_tells: Mapping[str, Any] = (
+        AGENT_PARAMETERS | dict(scene.told) if scene.untold else scene.parameters()
+    )
+    told = {name: value for name, value in scene_tells.items() if name in names}
     return create_tracker(tracker, camera=scene.camera, **{**told, **(parameters or {})})
 
 

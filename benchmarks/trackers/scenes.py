@@ -87,13 +87,16 @@ class Scene:
     runs: int = 100
     told: Mapping[str, float] = field(default_factory=dict)
     """Tracker parameters beside or instead of those that hold; what a tracker has no name for is left out."""
+    untold: bool = False
+    """Trackers are told `told` and no more, beside what agents tell theirs."""
     draws: str = ""
     """The scene whose random numbers this one shares: both show the same scans where their sensors agree."""
     latencies_s: tuple[float, ...] = ()
     """How late detections arrive where `at(now)` is judged, too."""
 
     def parameters(self) -> dict[str, float]:
-        """What trackers are told: the numbers that hold, unless `told` says otherwise."""
+        """What trackers are told: the numbers that hold, unless `told` says otherwise. Oracles and peers are told as
+        much where `untold`."""
         sensor = self.sensor
         holds = {
             "measurement_sigma": max(sensor.sigma_px, LEAST_SIGMA_PX),
@@ -393,6 +396,20 @@ def _crossings() -> list[Scene]:
     return [plain[0], merged[0], plain[1], merged[1]]
 
 
+def _untold(crossings: list[Scene]) -> list[Scene]:
+    return [
+        replace(
+            scene,
+            name=f"untold_{scene.name}",
+            family="untold",
+            about=f"{scene.name}; of it trackers know where it begins, and by how much detections merge",
+            untold=True,
+            draws=scene.name,
+        )
+        for scene in crossings
+    ]
+
+
 def _crowds() -> list[Scene]:
     swaying = partial(Scene, family="crowd", start_speed_px_s=20.0, rate_hz=15.0)
     return [
@@ -519,8 +536,8 @@ def _wrongly_told(rightly: dict[str, Scene]) -> list[Scene]:
 
 
 def _all() -> dict[str, Scene]:
-    paper = _paper_scenes()
-    scenes = [*paper, *_crossings(), *_crowds(), *_unannounced(), *_turning(), *_late()]
+    paper, crossings = _paper_scenes(), _crossings()
+    scenes = [*paper, *crossings, *_untold(crossings), *_crowds(), *_unannounced(), *_turning(), *_late()]
     scenes += _wrongly_told({scene.name: scene for scene in paper})
     return {scene.name: scene for scene in scenes}
 

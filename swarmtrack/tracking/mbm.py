@@ -471,7 +471,10 @@ class Mbm:
         ]
         hit = told.column >= 0
         confirmed_before = self.table.confirmed[leaves.owner]
-        sure = np.flatnonzero(self._alone(weighed)[told.leaf[hit], told.column[hit]])
+        alone = self._alone(weighed)
+        if self._parameters.learn_noise == "both" and self._clusters:
+            alone |= self._alone_in_dispute(weighed) & np.isnan(measured.size[:, 0])
+        sure = np.flatnonzero(alone[told.leaf[hit], told.column[hit]])
         pairs = fit.pairs(self.table.id[leaves.owner[hit]], told.column[hit], sure)
         tentative = hit & ~confirmed_before
         free = 1.0 - taken
@@ -497,6 +500,25 @@ class Mbm:
         gated &= (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
         gated[self._leaves.existence <= SURELY_THERE] = False
         return gated
+
+    def _alone_in_dispute(self, weighed: Weighed) -> NDArray[np.bool_]:
+        """(L, m) detections that by all hypotheses are in the gate of one confirmed track only, and no other in it;
+        of its leaves the published one says how well they fit. In clutter every track has a leaf that was missed, and
+        nothing would ever be learned. Only of points: the box of a track in dispute may be one around two drones, or
+        around a part of one, and from such boxes a noise is learned that loses names in rendered flights.
+        """
+        table, leaves = self.table, self._leaves
+        gated = self._gated(weighed) & table.confirmed[:, None]
+        gated &= (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
+        alone = np.zeros_like(weighed.ratio, np.bool_)
+        alone[self._best] = gated & (weighed.ratio[self._best] > -np.inf)
+        alone[leaves.existence <= SURELY_THERE] = False
+        return alone
+
+    def _gated(self, weighed: Weighed) -> NDArray[np.bool_]:
+        """(n, m) detections in the gate of some leaf of a track."""
+        first = np.searchsorted(self._leaves.owner, np.arange(len(self.table)))
+        return np.asarray(np.logical_or.reduceat(weighed.ratio > -np.inf, first, axis=0))
 
     def _continued(
         self, told: Association, measured: Measurements, weighed: Weighed, taken: Array

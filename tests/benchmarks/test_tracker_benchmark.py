@@ -9,6 +9,7 @@ import pytest
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.trackers import peers as tracker_peers
+from swarmtrack.benchmarks.trackers import play as play_module
 from swarmtrack.benchmarks.trackers import timing
 from swarmtrack.benchmarks.trackers.benchmark import Block, Entrant, play_all
 from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, make_tracker, play
@@ -177,6 +178,20 @@ def test_detections_merge_where_targets_meet():
                 gaps = np.linalg.norm(own[:, None] - own[None], axis=2)[np.triu_indices(len(own), 1)]
                 assert (gaps >= 8.0).all()
     assert merged > 10
+
+
+def test_who_is_told_nothing_sees_what_the_told_sees_and_is_told_by_how_much_detections_merge(monkeypatch):
+    told = []
+    monkeypatch.setattr(play_module, "create_tracker", lambda name, *, camera, **of: told.append(of))
+    untold, right = SCENES["untold_slow_merged"], SCENES["slow_merged"]
+    for scene in (untold, right):
+        play_module.make_tracker(scene, "mbm")
+    assert told[0] == {"resolution_px": 8.0, "learn_noise": "both"}
+    assert told[1]["acceleration_psd"] == 600.0
+    # Oracles are told all of it.
+    assert untold.parameters() == right.parameters()
+    for one, two in zip(film(untold, 5).observations, film(right, 5).observations, strict=True):
+        assert np.array_equal(one.scan.z, two.scan.z)
 
 
 def test_who_is_told_wrong_sees_what_the_rightly_told_sees():

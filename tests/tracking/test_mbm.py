@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.tracking import Scan, create_tracker, lifecycle, manoeuvre
@@ -517,3 +518,17 @@ def test_any_least_weight_can_be_flown_with(least_weight):
 def test_its_own_parameters_and_the_common_ones_are_all_there():
     names = {field.name for field in fields(MbmParameters)}
     assert {"hypotheses", "least_weight", "calm_share", "agile_share", "profile", "p_detection"} <= names
+
+
+def test_calm_flight_of_points_is_learned_in_clutter_too_where_every_track_may_have_been_missed():
+    scene = SCENES["slow_merged"]
+    take = film(scene, 3)
+    tracker = create_tracker("mbm", camera=scene.camera, resolution_px=8.0, learn_noise="both")
+    tracker.initiate(float(take.t[0]), take.start)
+    for scan, *_ in take.observations[:58]:
+        tracker.predict(scan.t)
+        tracker.update(scan)
+    learned = tracker.measured_noise
+    # Told: 0.1 of 10 000 px²/s³ for calm flight; flown: next to nothing.
+    assert learned is not None
+    assert learned.motion < 0.4
