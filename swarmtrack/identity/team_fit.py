@@ -5,8 +5,8 @@ more often than a place's probability tells: most teammates fly at one height, s
 others betray it. A track that nobody explains, while a teammate has none, may be that teammate. Until motion, another
 look or time tells otherwise, no place is reason enough for a name, and that track is no stranger.
 
-A teammate whose place once fitted together with another's, or that moved as it says where it should be, has a start that
-is right, as long as it lives. It is named by its place whoever else is around, and no stranger is it.
+A teammate whose place once fitted together with another's, or that moved as it says where it should be, has a start
+that is right, as long as it lives. It is named by its place whoever else is around, and no stranger is it.
 """
 
 from __future__ import annotations

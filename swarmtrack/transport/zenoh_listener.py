@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -11,6 +13,7 @@ import zenoh
 
 from swarmtrack.clock import Clock
 from swarmtrack.errors import TransportError
+from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.lingering import close_at_once
@@ -26,6 +29,9 @@ from swarmtrack.transport.zenoh_session import (
     plain,
 )
 
+log = logging.getLogger(__name__)
+
+REJOIN_S: Final = 1.0  # between two attempts to make links anew
 TEAMS_S: Final = 1.0  # for answers to who lives
 
 
@@ -58,14 +64,23 @@ class ZenohListener:
         self._samples: asyncio.Queue[Sample | None] = asyncio.Queue(capacity)
         self._bridge: Bridge | None = None
         self._dropped = 0
-        self._closing_at_once: asyncio.Task[None] | None = None
+        self._tokens: Bridge | None = None
+        self._tasks: list[asyncio.Task[None]] = []
 
     async def open(self) -> None:
-        bridge = Bridge(self._take, self._capacity, int(self._newest_per_key), clock=self._clock)
-        tokens = Bridge(self._on_token, 65536, newest_per_key=1, clock=self._clock)
-        self._bridge = bridge
-        self._session = await open_session(self._network, listening=False)
-        self._closing_at_once = asyncio.create_task(close_at_once(), name="lingering")
+        self._bridge = Bridge(self._take, self._capacity, int(self._newest_per_key), clock=self._clock)
+        self._tokens = Bridge(self._on_token, 65536, newest_per_key=1, clock=self._clock)
+        await self._join()
+        self._tasks = [asyncio.create_task(close_at_once(), name="lingering")]
+        if self._network.credentials is not None:
+            following = self._follow_roster(self._network.credentials)
+            self._tasks.append(asyncio.create_task(following, name="roster"))
+
+    async def _join(self) -> None:
+        bridge, tokens = self._bridge, self._tokens
+        assert bridge is not None
+        assert tokens is not None
+        session = await open_session(self._network, listening=False)
 
         def declare(session: zenoh.Session) -> None:
             everyone = keys.key(self._network.team, Kind.ALIVE, "*", "*")
@@ -73,18 +88,59 @@ class ZenohListener:
                 *(session.declare_subscriber(e, bridge.handler()) for e in self._expressions),
                 session.liveliness().declare_subscriber(everyone, tokens.handler(), history=True),
             ]
+            for text in self._later:
+                self._later[text] = session.declare_subscriber(_expression(text), bridge.handler())
 
-        await bounded(partial(declare, self._session), OPEN_S, "declare")
+        try:
+            await bounded(partial(declare, session), OPEN_S, "declare")
+        except BaseException:
+            await close_session(session, [])
+            raise
+        self._session = session
+
+    async def _follow_roster(self, credentials: Credentials) -> None:
+        """Until cancelled: whoever has left the team is heard no more. Links are closed and made anew."""
+        # Not above: who has no keys need not load cryptography.
+        from swarmtrack.security.roster_watch import LOOK_S, RosterWatch  # noqa: PLC0415
+
+        watch = RosterWatch(credentials.ca.parent, credentials, self._clock)
+        while True:
+            await asyncio.sleep(LOOK_S)
+            found = await asyncio.to_thread(watch.news)
+            if found is None:
+                continue
+            log.warning("roster number %d: links are made anew", found.roster.number)
+            await self._leave()
+            self._network = replace(self._network, credentials=found)
+            while self._session is None:
+                try:
+                    await self._join()
+                except TransportError as error:
+                    log.warning("%s; we keep trying", error)
+                    await asyncio.sleep(REJOIN_S)
+
+    async def _leave(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            await close_session(session, [*filter(None, self._later.values()), *self._declared])
+        self._later = dict.fromkeys(self._later)
 
     async def listen_to(self, key_expression: str) -> None:
         """From now on this, too. Raises TransportError."""
         session, bridge = self._session, self._bridge
-        if session is None or bridge is None or key_expression in self._later:
+        if bridge is None or key_expression in self._later:
             return
         expression = _expression(key_expression)
-        self._later[key_expression] = await bounded(
-            lambda: session.declare_subscriber(expression, bridge.handler()), OPEN_S, "declare"
-        )
+        self._later[key_expression] = None
+        if session is None:  # links are being made anew, with this
+            return
+        try:
+            self._later[key_expression] = await bounded(
+                lambda: session.declare_subscriber(expression, bridge.handler()), OPEN_S, "declare"
+            )
+        except TransportError:
+            del self._later[key_expression]
+            raise
 
     async def leave(self, key_expression: str) -> None:
         """What `listen_to` began. Raises TransportError."""
@@ -121,11 +177,9 @@ class ZenohListener:
         return self._dropped + (self._bridge.dropped if self._bridge else 0)
 
     async def close(self) -> None:
-        session, self._session = self._session, None
-        if self._closing_at_once is not None:
-            self._closing_at_once.cancel()
-        if session is not None:
-            await close_session(session, [*self._later.values(), *self._declared])
+        for task in self._tasks:
+            task.cancel()
+        await self._leave()
         self._make_room()
         self._samples.put_nowait(None)
 

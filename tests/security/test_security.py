@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import json
 import os
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
 from datetime import timedelta
@@ -277,6 +278,49 @@ async def test_whoever_is_revoked_in_flight_is_dropped_where_the_roster_is_copie
     await one.knows(two, sequence=2)
     assert (3, three.boot, 2) not in announcements(one.told)
     assert PeerArrived(3, three.boot) not in one.told[one.told.index(PeerExpelled(3)) :]
+    await field.close()
+
+
+async def test_a_listener_hears_whoever_is_revoked_no_more(tmp_path: Path) -> None:
+    """It looks at its folder by itself, as monitors, recorders and clients do."""
+    field = Field(Team(tmp_path / "ca", "1", "2", "3", "monitor"))
+    drones = [await field.drone(drone) for drone in (1, 2, 3)]
+    network = topology.of_monitor(field.section, field.team.credentials("monitor"))
+    listener = ZenohListener(network, keys.key(field.team.name, Kind.HEALTH, "*"), SystemClock())
+    await listener.open()
+    heard: Counter[int] = Counter()
+
+    async def listen() -> None:
+        async for sample in listener.samples():
+            address = keys.parse(sample.key)
+            assert address is not None
+            if address.kind is Kind.HEALTH:
+                heard[address.drone_id] += 1
+
+    def speak() -> None:
+        for drone in drones:
+            drone.transport.publish(Kind.HEALTH, b"?")
+
+    def all_are_heard() -> bool:
+        speak()
+        return set(heard) == {1, 2, 3}
+
+    listening = asyncio.create_task(listen())
+    await eventually(all_are_heard)
+    field.team.authority.revoke("drone-3")
+    before = listener.links()
+    await eventually(lambda: listener.links() != before)
+    await eventually(lambda: {"drone-1", "drone-2"} <= listener.links().names)
+    heard.clear()
+
+    def others_are_heard() -> bool:
+        speak()
+        return heard[1] > 3 and heard[2] > 3
+
+    await eventually(others_are_heard)
+    assert heard[3] == 0
+    await listener.close()
+    await listening
     await field.close()
 
 
