@@ -51,13 +51,13 @@ CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 
 
 def arc(n: int, gap_m: float, *, layer_m: float = 1.0) -> dict[int, Place]:
-    """Slots of n drones on an arc of 120° behind the leader, in layers: one above, one below, and for more than five
-    one level."""
+    """Slots of n drones on an arc of 120° behind the leader, in layers: above and below it in turn, and of more than
+    five every third level with it."""
     slots: dict[int, Place] = {LEADER: (0.0, 0.0, 0.0)}
     for k in range(n - 1):
         angle = math.radians(-60.0 + 120.0 * k / (n - 2)) if n > 2 else 0.0
         radius = gap_m if n <= 5 or k % 2 == 0 else 1.6 * gap_m
-        levels = (1, -1, 0)[k % 3] if n > 5 else (k // 2 + 1) * (-1 if k % 2 else 1)
+        levels = (1, -1, 0)[k % 3] if n > 5 else (1, -1)[k % 2]
         slots[k + 2] = (-radius * math.cos(angle), radius * math.sin(angle), -layer_m * levels)
     return slots
 

@@ -7,7 +7,7 @@ import pytest
 
 from swarmtrack.benchmarks.formation import benchmark, flights
 from swarmtrack.benchmarks.formation.flights import FlightPlan, FormationFlight
-from swarmtrack.formation.plan import FormationPlan, plan_faults
+from swarmtrack.formation.plan import FormationPlan, neighbours_at_one_height, plan_faults
 from swarmtrack.formation.setpoint import Why
 
 
@@ -20,6 +20,7 @@ def test_the_slots_that_are_flown_are_a_sound_plan(n, gap_m):
     )
     assert len(slots) == n
     assert plan_faults(plan, flights.SPAN_M) == []
+    assert list(neighbours_at_one_height(plan)) == [] or n > 5
 
 
 def test_the_leader_is_known_by_its_motion_before_it_flies_off():
