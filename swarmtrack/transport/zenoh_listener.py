@@ -81,6 +81,8 @@ class ZenohListener:
         assert bridge is not None
         assert tokens is not None
         session = await open_session(self._network, listening=False)
+        # Whoever lives may be told of before all is declared, and is asked by this session.
+        self._session, later = session, list(self._later)
 
         def declare(session: zenoh.Session) -> None:
             everyone = keys.key(self._network.team, Kind.ALIVE, "*", "*")
@@ -88,15 +90,15 @@ class ZenohListener:
                 *(session.declare_subscriber(e, bridge.handler()) for e in self._expressions),
                 session.liveliness().declare_subscriber(everyone, tokens.handler(), history=True),
             ]
-            for text in self._later:
+            for text in later:
                 self._later[text] = session.declare_subscriber(_expression(text), bridge.handler())
 
         try:
             await bounded(partial(declare, session), OPEN_S, "declare")
         except BaseException:
+            self._session = None
             await close_session(session, [])
             raise
-        self._session = session
 
     async def _follow_roster(self, credentials: Credentials) -> None:
         """Until cancelled: whoever has left the team is heard no more. Links are closed and made anew."""

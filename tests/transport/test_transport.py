@@ -578,6 +578,32 @@ async def test_a_camera_is_told_to_whoever_comes_and_asks(team: str) -> None:
     await drone.close()
 
 
+async def test_who_is_told_of_before_a_listener_has_declared_all_is_asked(
+    team: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    from swarmtrack.transport import zenoh_listener  # noqa: PLC0415
+
+    bounded = zenoh_listener.bounded
+
+    async def slowly(function: Any, *rest: Any) -> Any:
+        done = await bounded(function, *rest)
+        await asyncio.sleep(0.5)
+        return done
+
+    monkeypatch.setattr(zenoh_listener, "bounded", slowly)
+    drone = ZenohWorld().transport(team, 2, keys.new_boot(), ManualClock())
+    drone.describe(b"a lens")
+    await drone.open()
+    camera = keys.key(team, Kind.CAMERA, "*")
+    listener = zenoh_listener.ZenohListener(NetworkSettings(team=team), camera, ManualClock())
+    await listener.open()
+    async with asyncio.timeout(PATIENCE):
+        assert (await anext(listener.samples())).payload == b"a lens"
+    await listener.close()
+    await drone.close()
+
+
 async def test_a_camera_is_told_once_when_the_network_opens() -> None:
     hub, told = MemoryHub(), []
     hub.listeners.append(lambda key, payload: told.append((key, payload)))
