@@ -7,7 +7,6 @@ start at the folder of the file that names them; those of what is written (`[out
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -46,6 +45,7 @@ from swarmtrack.toml.sections import (
     Switch,
     Text,
     Vector,
+    check_drone_ids,
     found,
     one_of,
     parameter_problems,
@@ -465,9 +465,7 @@ class NetworkSection(Section):
     @field_validator("peers")
     @classmethod
     def _peers_by_id(cls, peers: dict[str, str]) -> dict[str, str]:
-        for drone_id in peers:
-            if not re.fullmatch("[1-9][0-9]{0,4}", drone_id, re.ASCII) or int(drone_id) > 65535:
-                raise ValueError(f'found the key {found(drone_id)}, expected drone IDs: 1 = "HOST:PORT"')
+        check_drone_ids(peers, '1 = "HOST:PORT"')
         return peers
 
     @model_validator(mode="after")

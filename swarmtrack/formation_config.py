@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 from typing import Annotated
 
@@ -15,7 +14,7 @@ from swarmtrack.formation.plan import FormationPlan, HalfView, PlanFault, plan_f
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.toml.layers import Layers, Problem
-from swarmtrack.toml.sections import Number, Section, Switch, Vector, found
+from swarmtrack.toml.sections import Number, Section, Switch, Vector, check_drone_ids, found
 
 DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
 # m: a slot farther from the leader cannot be held by sight.
@@ -104,9 +103,7 @@ class TeamFormation(Section):
     @field_validator("slots", "references")
     @classmethod
     def _by_id(cls, said: dict[str, object]) -> dict[str, object]:
-        for drone_id in said:
-            if not re.fullmatch("[1-9][0-9]{0,4}", drone_id, re.ASCII) or int(drone_id) > 65535:
-                raise ValueError(f"found the key {found(drone_id)}, expected drone IDs: 2 = […]")
+        check_drone_ids(said, "2 = […]")
         return said
 
     @model_validator(mode="after")

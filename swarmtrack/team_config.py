@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,7 +11,7 @@ from pydantic import Field, Strict, field_validator, model_validator
 
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.toml.layers import Layers, Problem, Table
-from swarmtrack.toml.sections import Number, Place, Positive, Section, Switch, found
+from swarmtrack.toml.sections import Number, Place, Positive, Section, Switch, check_drone_ids, found
 
 # Of what the file says: further off, a drone's own start contradicts it.
 SAME_PLACE_SIGMAS, SAME_PLACE_M = 3.0, 0.1
@@ -153,11 +152,7 @@ class TeamSection(Section):
     @field_validator("drones")
     @classmethod
     def _drones_by_id(cls, drones: dict[str, FiledDrone]) -> dict[str, FiledDrone]:
-        for drone_id in drones:
-            if not re.fullmatch("[1-9][0-9]{0,4}", drone_id, re.ASCII) or int(drone_id) > 65535:
-                raise ValueError(
-                    f"found the key {found(drone_id)}, expected drone IDs: 1 = {{ position_m = … }}"
-                )
+        check_drone_ids(drones, "1 = { position_m = … }")
         return drones
 
     @model_validator(mode="after")

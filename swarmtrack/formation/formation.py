@@ -160,7 +160,7 @@ class Formation:
             named = bearers[watch.drone_id]
             state = states.get(named[0].track.id) if len(named) == 1 else None
             if state is None or state.drone_id != watch.drone_id:
-                watch.miss()
+                watch.restart()
                 continue
             watch.see(named[0], state, own, t)
             if watch.trusted:

@@ -44,7 +44,7 @@ class ReferenceWatch:
         self._known_track = None
 
     def restart(self) -> None:
-        """Its name has to hold for `ENTRY_S` again."""
+        """Nobody bears its name, or it has not been seen for too long: that has to hold for `ENTRY_S` again."""
         self.trusted = self.entering = False
         self._track = self._sure_since = None
 
@@ -54,7 +54,8 @@ class ReferenceWatch:
         unseen = coasting is not None and t - coasting > UNSEEN_S
         vague = not state.range_sigma_log < VAGUE_RANGE
         if unseen or vague or entry.track.status is TrackStatus.TENTATIVE:
-            return self.miss()
+            self.restart()
+            return
         north, east, down = state.position.tolist()
         vn, ve, vd = state.velocity.tolist()
         place = (own.position[0] + north, own.position[1] + east, own.position[2] + down)
@@ -76,11 +77,6 @@ class ReferenceWatch:
         self.entering = not self.trusted
         if self.trusted:
             self._known_track = entry.track.id
-        return None
-
-    def miss(self) -> None:
-        """Nobody bears its name, or it has not been seen for too long."""
-        self.restart()
 
     def direction(self, own: OwnFlight, t: float) -> tuple[float, float] | None:
         """North and east, of length 1, to where it is or was last expected; None after `LOOKED_AFTER_S`."""

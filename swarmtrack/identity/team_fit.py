@@ -100,7 +100,8 @@ class TeamFit:
         fit = [
             held.drone_id
             for held in settled
-            if together or self._weighing.motion(held.track_id, held.drone_id) > MOVES_AS
+            if held.drone_id not in self._placed
+            and (together or self._weighing.motion(held.track_id, held.drone_id) > MOVES_AS)
         ]
         self._fits_since = {drone: self._fits_since.get(drone, t) for drone in fit}
         self._placed |= {drone for drone, since in self._fits_since.items() if t - since >= FITS_S}

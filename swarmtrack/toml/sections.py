@@ -179,6 +179,13 @@ def _section(root: type[Section], key: Key) -> type[BaseModel]:
     return section
 
 
+def check_drone_ids(keys: Iterable[str], example: str) -> None:
+    """Of a table by drone, with an entry of it as an example. Raises ValueError."""
+    for key in keys:
+        if not re.fullmatch("[1-9][0-9]{0,4}", key, re.ASCII) or int(key) > 65535:
+            raise ValueError(f"found the key {found(key)}, expected drone IDs: {example}")
+
+
 def found(value: object) -> str:
     """A value as TOML would write it, shortened."""
     text = json.dumps(value, default=str, ensure_ascii=False)

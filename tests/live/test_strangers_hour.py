@@ -19,9 +19,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.request import urlopen
 
-import cv2
 import pytest
 
+from support.clips import shorten
 from support.patience import PATIENCE
 from support.places import ROOT, SHARED
 
@@ -196,16 +196,7 @@ def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: 
 @pytest.mark.shared
 @pytest.mark.skipif(not CLIP.is_file(), reason="../shared/data is absent")
 def test_a_video_of_ones_own(stranger: Stranger) -> None:
-    clip, capture, writer = stranger.folder / "my clip.mp4", cv2.VideoCapture(str(CLIP)), None
-    for _ in range(45):
-        found, image = capture.read()
-        assert found
-        if writer is None:
-            size = (image.shape[1], image.shape[0])
-            writer = cv2.VideoWriter(str(clip), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, size)
-        writer.write(image)
-    assert writer is not None
-    writer.release()
+    shorten(CLIP, stranger.folder / "my clip.mp4", 45)
     said = stranger.types("swarmtrack video 'my clip.mp4' --out seen")
     for name in re.findall(r"seen/[\w.-]+", said):
         assert (stranger.folder / name).is_file(), said

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from support.browser import browser_page, needs_chromium
+from support.clips import shorten
 from support.places import SHARED
 from swarmtrack.agents import main as swarmtrack
 
@@ -23,17 +24,8 @@ needs_clip = pytest.mark.skipif(not CLIP.is_file(), reason="../shared/data is ab
 def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What it writes of the first two seconds of a real clip."""
     folder = tmp_path_factory.mktemp("video")
-    clip, capture = folder / "a clip.mp4", cv2.VideoCapture(str(CLIP))
-    writer = None
-    for _ in range(60):
-        found, image = capture.read()
-        assert found
-        if writer is None:
-            size = (image.shape[1], image.shape[0])
-            writer = cv2.VideoWriter(str(clip), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, size)
-        writer.write(image)
-    assert writer is not None
-    writer.release()
+    clip = folder / "a clip.mp4"
+    shorten(CLIP, clip, 60)
     assert swarmtrack.main(["video", str(clip), "--out", str(folder / "out")]) == 0
     return folder / "out"
 
