@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_list, add_seed, count, positive
@@ -33,8 +32,16 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         required=True,
     )
     add_folder(parser, "--data", "labelled images: CSV, COCO or YOLO; without it all is procedural")
+    add_folder(parser, "--clips", "labelled videos: NAME.mp4 and NAME_gt.csv, birds if the name says bird")
+    parser.add_argument(
+        "--every",
+        type=count,
+        default=10,
+        metavar="N",
+        help="of --clips, each N-th frame; of those held out, a fifth of these (default: %(default)s)",
+    )
     add_folder(parser, "--validate", "more labelled images, looked at but never trained on")
-    add_list(parser, "--hold-out", "keep a scene of --data for validation; may be repeated", "SCENE")
+    add_list(parser, "--hold-out", "keep a scene for validation; may be repeated", "SCENE")
     add_flag(parser, "--hold-out-negatives", "keep a third of the clips without drones for validation")
     parser.add_argument(
         "--licence", default="", metavar="TEXT", help="licence of the training data, written into the model"
@@ -88,7 +95,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
 def _add_start(parser: argparse.ArgumentParser) -> None:
     """With which weights it begins."""
     add_flag(parser, "--resume", "continue from the checkpoint next to --out, with the same options")
-    add_file(parser, "--start", "begin with the weights of a checkpoint (.pt)")
+    add_file(parser, "--start", "begin with the weights of a checkpoint (.pt) or of a model of ours (.onnx)")
 
 
 def _crop(text: str) -> int:
@@ -106,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.training.dataset import Recipe
 
     _check_files(args)
-    frames, validation = _frames(args)
+    frames, validation = what_to_learn(args)
     settings = trainer.Settings(
         minutes=None if args.iterations else args.minutes or MINUTES,
         iterations=args.iterations,
@@ -148,24 +155,35 @@ def _check_files(args: argparse.Namespace) -> None:
         raise SourceError(f"--resume: {args.out.with_suffix('.pt')}: no such checkpoint")
 
 
-def _frames(args: argparse.Namespace) -> tuple[Sequence[LabelledFrame], Sequence[LabelledFrame]]:
-    """What to train on, and what to validate on."""
+def what_to_learn(args: argparse.Namespace) -> tuple[list[LabelledFrame], list[LabelledFrame]]:
+    """What to train on, and what to validate on: of clips windows, and whole frames."""
+    from swarmtrack.training import labelled_clips
     from swarmtrack.training.labelled_images import held_out, load_frames
 
     frames = load_frames(args.data) if args.data else []
-    scenes = {frame.scene for frame in frames}
+    clips = labelled_clips.find_clips(args.clips) if args.clips else []
+    origins = labelled_clips.origins(clips, frames)
+    scenes = {frame.scene for frame in frames} | {origin.scene for origin in origins.values()}
     for name in args.hold_out:
         if name not in scenes:
             known = ", ".join(sorted(scenes)) or "--data, which is missing"
             raise SourceError(f"--hold-out {name}: expected one of {known}")
-    kept = [
-        frame
-        for frame in frames
-        if frame.scene in args.hold_out or (args.hold_out_negatives and held_out(frame))
-    ]
-    names = {frame.name for frame in kept}
-    validation = kept + (load_frames(args.validate) if args.validate else [])
-    return [frame for frame in frames if frame.name not in names], validation
+
+    def is_kept(scene: str, source: str) -> bool:
+        return scene in args.hold_out or (args.hold_out_negatives and held_out(scene, source))
+
+    training: list[LabelledFrame] = []
+    validation = list(load_frames(args.validate)) if args.validate else []
+    for frame in frames:
+        (validation if is_kept(frame.scene, frame.source) else training).append(frame)
+    for clip in clips:
+        origin = origins[clip.name]
+        if is_kept(origin.scene, origin.source):
+            validation += labelled_clips.labelled_frames(clip, origin, 5 * args.every)
+        else:
+            some = labelled_clips.labelled_frames(clip, origin, args.every)
+            training += (labelled_clips.window(frame) for frame in some)
+    return training, validation
 
 
 def _device(wanted: str) -> str:

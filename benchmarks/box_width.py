@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.arguments import add_flag, add_folder
-from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
 from swarmtrack.benchmarks.trackers.clips import look
 from swarmtrack.calibration.box_width import WidthFit, Widths, fit_box_width, level_width
@@ -46,6 +46,7 @@ from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA
 from swarmtrack.simulation.world import World
+from swarmtrack.training.labelled_clips import drone_clips, read_truth
 
 NAME = "box-width"
 SEEDS, QUICK_SEEDS = 24, 4
@@ -138,9 +139,9 @@ def on_clips(data: Path, model: str, *, limit: int | None = None) -> list[Widths
     """Real drones, beside the width of their labels."""
     detector = Detector(model)
     drones = []
-    for clip in real_clips.find_clips(data)[:limit]:
+    for clip in drone_clips(data)[:limit]:
         rows: dict[int, list[tuple[float, float, float]]] = {}
-        truth = real_clips.read_truth(clip.truth)
+        truth = read_truth(clip.truth)
         for seen in look(clip, detector):
             labelled = truth.get(seen.sequence)
             if labelled is None:

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_clips, add_common
 from swarmtrack.benchmarks.report import number
 from swarmtrack.benchmarks.trackers.clips import look
@@ -39,6 +39,7 @@ from swarmtrack.detection.detector import Detector
 from swarmtrack.evaluation.clip_score import TrackPoints, TruthBoxes, match_hits
 from swarmtrack.evaluation.intervals import Interval
 from swarmtrack.messages import Array, Detections
+from swarmtrack.training.labelled_clips import drone_clips, read_truth
 
 NAME = "detection-noise"
 QUICK_CLIPS = 2
@@ -250,13 +251,13 @@ def publish(out: Path, data: Path, *, limit: int | None = None) -> dict[str, Any
 
     Returns what is in the JSON.
     """
-    clips = real_clips.find_clips(data)[:limit]
+    clips = drone_clips(data)[:limit]
     detector = Detector()
     drones: list[Sightings] = []
     pairs = []
     with report.progress("detection noise", len(clips)) as advance:
         for clip in clips:
-            seen, truth = look(clip, detector), real_clips.read_truth(clip.truth)
+            seen, truth = look(clip, detector), read_truth(clip.truth)
             drones += pair(seen, truth, clip.fps)
             pairs.append(told_apart(seen, truth))
             advance(clip.name)

@@ -1,13 +1,15 @@
 """How good a detector is: on labelled images and clips, by scene, size and distractor, and what a frame costs.
 
     swarmtrack bench detector MODEL DATA [--input-scale 1.5] [--scene NAME ...] [--every N] [--motion]
-        [--scenario NAME ...] --out DIR
+        [--scenario NAME ...] [--frames-of CLIPS] --out DIR
 
 DATA holds labelled images (see `swarmtrack.training.labelled_images`), or pairs NAME.mp4 and NAME_gt.csv in it or in
-`tracks/`, or both. The images count as one set, the clips as another, and with them the flights of --scenario, rendered
-as `swarmtrack sim` renders them: not as training pictures are drawn. What a hit is: see
-`swarmtrack.evaluation.detector_score`. With --motion the scores of clips count what moved (`detection.motion_cue`), as
-in an agent whose camera stands still; the clips must be such. Of scenarios the true turn is known.
+`tracks/`, or both. With --frames-of, frames of other clips count as images: of the scenes of --scene, and with
+--held-out-negatives of drone-free clips that a training holds out. The images count as one set, the clips as another,
+and with them the flights of --scenario, rendered as `swarmtrack sim` renders them: not as training pictures are drawn.
+What a hit is: see `swarmtrack.evaluation.detector_score`. With --motion the scores of clips count what moved
+(`detection.motion_cue`), as in an agent whose camera stands still; the clips must be such. Of scenarios the true turn
+is known.
 """
 
 from __future__ import annotations
@@ -22,9 +24,8 @@ import cv2
 import numpy as np
 
 from swarmtrack.arguments import add_flag, add_folder, add_list, count
-from swarmtrack.benchmarks import real_clips, report
+from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common
-from swarmtrack.benchmarks.real_clips import Clip
 from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import Expectation, PixelMapping
@@ -35,7 +36,15 @@ from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.training.labelled_images import LabelledFrame, held_out, load_frames
+from swarmtrack.training.labelled_clips import (
+    Clip,
+    drone_clips,
+    find_clips,
+    labelled_frames,
+    origins,
+    read_truth,
+)
+from swarmtrack.training.labelled_images import DataError, LabelledFrame, held_out, load_frames
 from swarmtrack.training.validation import LOWEST, SURE_RECALL
 
 NAME = "detector"
@@ -66,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--every", type=count, default=1, metavar="N", help="of the clips each N-th frame")
     add_flag(parser, "--motion", "of clips count what moved; their camera must stand")
     add_list(parser, "--scenario", "also a flight of the simulation, rendered", "NAME")
+    add_folder(parser, "--frames-of", "clips of which each N-th frame counts as an image, if held out")
     add_flag(
         parser,
         "--held-out-negatives",
@@ -82,7 +92,7 @@ def run(args: argparse.Namespace) -> None:
     threshold = detector.description.score_threshold
     sets = _look(
         detector,
-        _frames(args.data, args.scene, args.held_out_negatives),
+        _frames(args, QUICK_EVERY if args.quick else args.every),
         _clips(args.data),
         [load_scenario(name) for name in args.scenario],
         QUICK_EVERY if args.quick else args.every,
@@ -141,24 +151,33 @@ def _look(
 
 
 def _clips(data: Path) -> list[Clip]:
+    """Those of the folder itself, or of its `tracks/`: other folders below hold clips to train on."""
     try:
-        return real_clips.find_clips(data)
-    except BenchmarkError:
+        return drone_clips(data / "tracks" if (data / "tracks").is_dir() else data)
+    except DataError:
         return []
 
 
-def _frames(data: Path, scenes: Sequence[str], held_out_negatives: bool) -> list[LabelledFrame]:
+def _frames(args: argparse.Namespace, every: int) -> list[LabelledFrame]:
+    data, scenes = args.data, args.scene
     has_images = any((data / name).exists() for name in ("images.csv", "data.yaml", "images"))
     if _clips(data) and not has_images:
         return []
     frames = load_frames(data)
-    unknown = set(scenes) - {frame.scene for frame in frames}
-    if unknown:
-        known = ", ".join(sorted({frame.scene for frame in frames}))
-        raise BenchmarkError(f"--scene {', '.join(sorted(unknown))}: expected some of {known}")
-    wanted = [frame for frame in frames if not scenes or frame.scene in scenes]
-    if held_out_negatives:
-        wanted += [frame for frame in frames if held_out(frame) and frame not in wanted]
+    clips = find_clips(args.frames_of) if args.frames_of else []
+    places = origins(clips, frames)
+    known = {frame.scene for frame in frames} | {place.scene for place in places.values()}
+    if set(scenes) - known:
+        unknown = ", ".join(sorted(set(scenes) - known))
+        raise BenchmarkError(f"--scene {unknown}: expected some of {', '.join(sorted(known))}")
+
+    def is_wanted(scene: str, source: str) -> bool:
+        return scene in scenes or (args.held_out_negatives and held_out(scene, source))
+
+    wanted = [frame for frame in frames if is_wanted(frame.scene, frame.source) or not scenes]
+    for clip in clips:
+        if is_wanted(places[clip.name].scene, places[clip.name].source):
+            wanted += labelled_frames(clip, places[clip.name], every)
     return wanted
 
 
@@ -213,7 +232,7 @@ def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterat
 
 def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[ScoredImage]:
     """Each `every`-th frame of a clip, with its labels."""
-    truth = real_clips.read_truth(clip.truth)
+    truth = read_truth(clip.truth)
     video = cv2.VideoCapture(str(clip.video))
     try:
         for index in range(clip.frames):

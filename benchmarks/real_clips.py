@@ -4,26 +4,25 @@ Each clip runs through the agent's own program, from file to JSON lines, every f
 out, while tracks are being confirmed. Metrics: see `swarmtrack.evaluation.clip_score`.
 
     swarmtrack bench clips DATA [--tracker kalman] [--set tracker.p_detection=0.8] --out DIR
+    swarmtrack bench clips DATA --drone-free [--set …] --out DIR   # how many tracks where no drone is
     swarmtrack bench clips --jsonl FILE --gt FILE --out DIR        # score what was written elsewhere
 
-DATA is a folder that holds pairs NAME.mp4 and NAME_gt.csv (`frame,id,x,y,w,h`: frames from 0, the box's top left corner
-and size in pixels).
+DATA is a folder that holds pairs NAME.mp4 and NAME_gt.csv (see `swarmtrack.training.labelled_clips`). With --drone-free
+it is one of labelled images, too: they tell which of the clips without drones `train --hold-out-negatives` keeps back.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 import swarmtrack
@@ -31,80 +30,17 @@ from swarmtrack.arguments import add_file, add_flag, add_list, positive
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_clips, add_common, add_tracker
 from swarmtrack.benchmarks.report import BenchmarkError, number
-from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, TruthBoxes, score_clip
+from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, score_clip
 from swarmtrack.messages import TrackStatus
 from swarmtrack.tracking import DEFAULT_TRACKER
+from swarmtrack.training.labelled_clips import Clip, drone_clips, find_clips, origins, read_truth
+from swarmtrack.training.labelled_images import held_out, load_frames
 
 NAME = "clips"
 QUICK_CLIPS = 2
 START_S = 1.0
 AIMS = {"recall": 0.85, "precision": 0.9, "identity_switches": 2}  # of one clip
 AGENT_TIMEOUT_S = 900.0  # for one clip of ten seconds: a stuck agent, no slow machine
-VIDEOS = (".mp4", ".avi", ".mkv")
-
-
-class Clip(NamedTuple):
-    """A video, its labels, and what a look at the file tells."""
-
-    name: str
-    video: Path
-    truth: Path
-    frames: int
-    fps: float
-    width: int
-    height: int
-
-
-def find_clips(folder: Path) -> list[Clip]:
-    """All labelled clips below a folder, by name."""
-    clips = []
-    for truth in sorted(folder.rglob("*_gt.csv")):
-        name = truth.name.removesuffix("_gt.csv")
-        videos = [path for suffix in VIDEOS if (path := truth.with_name(name + suffix)).exists()]
-        if videos:
-            clips.append(_look_at(name, videos[0], truth))
-    if not clips:
-        raise BenchmarkError(f"{folder}: no pair of NAME.mp4 and NAME_gt.csv found in it or below")
-    return clips
-
-
-def _look_at(name: str, video: Path, truth: Path) -> Clip:
-    capture = cv2.VideoCapture(str(video))
-    try:
-        frames, fps, width, height = (
-            capture.get(field)
-            for field in (
-                cv2.CAP_PROP_FRAME_COUNT,
-                cv2.CAP_PROP_FPS,
-                cv2.CAP_PROP_FRAME_WIDTH,
-                cv2.CAP_PROP_FRAME_HEIGHT,
-            )
-        )
-    finally:
-        capture.release()
-    if frames < 1 or fps <= 0.0:
-        raise BenchmarkError(
-            f"{video}: {frames:g} frames at {fps:g} Hz, expected a video that can be decoded"
-        )
-    return Clip(name, video, truth, int(frames), fps, int(width), int(height))
-
-
-def read_truth(path: Path) -> dict[int, TruthBoxes]:
-    """The labelled boxes by frame."""
-    rows: dict[int, list[tuple[float, ...]]] = {}
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                box = tuple(float(row[key]) for key in ("id", "x", "y", "w", "h"))
-                rows.setdefault(int(row["frame"]), []).append(box)
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise BenchmarkError(f"{path}: {error!r}, expected a table frame,id,x,y,w,h of numbers") from error
-    truth = {}
-    for frame, boxes in rows.items():
-        table = np.array(boxes)
-        corner, size = table[:, 1:3], table[:, 3:5]
-        truth[frame] = TruthBoxes(table[:, 0].astype(np.int64), corner + 0.5 * size, size)
-    return truth
 
 
 def read_tracks(path: Path) -> dict[int, TrackPoints]:
@@ -206,6 +142,33 @@ def _is_number(text: str) -> bool:
     return True
 
 
+class FalseTracks(NamedTuple):
+    """What was confirmed in a clip without drones: how many tracks, in how many of its frames."""
+
+    clip: Clip
+    frames: int
+    tracks: int
+    frames_with: int
+
+
+def count_false_tracks(clip: Clip, jsonl: Path) -> FalseTracks:
+    """From START_S on. A track of the second before counts if it is still confirmed."""
+    claimed = read_tracks(jsonl)
+    frames = range(round(START_S * clip.fps), clip.frames)
+    shown = [claimed[frame].id for frame in frames if frame in claimed and claimed[frame].id.size]
+    return FalseTracks(clip, len(frames), len({int(track) for ids in shown for track in ids}), len(shown))
+
+
+def held_out_clips(data: Path) -> list[Clip]:
+    """The clips without drones that `train --hold-out-negatives` keeps unseen."""
+    clips = find_clips(data)
+    places = origins(clips, load_frames(data))
+    kept = [clip for clip in clips if held_out(places[clip.name].scene, places[clip.name].source)]
+    if not kept:
+        raise BenchmarkError(f"{data}: no clip without drones that a training would hold out, expected one")
+    return kept
+
+
 def as_record(name: str, score: ClipScore) -> dict[str, Any]:
     return {
         "clip": name,
@@ -226,6 +189,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_clips(parser, nargs="?")
     add_list(parser, "--set", "of the agent's config; tracker.KEY if bare", "KEY=VALUE")
     add_flag(parser, "--video", "keep annotated videos and JSON lines, too")
+    add_flag(
+        parser,
+        "--drone-free",
+        "instead of clips with drones: those without that `train --hold-out-negatives` keeps unseen",
+    )
     add_file(parser, "--jsonl", "instead of DATA: score what an agent wrote …")
     add_file(parser, "--gt", "… against these labels")
     parser.add_argument(
@@ -238,6 +206,14 @@ def run(args: argparse.Namespace) -> None:
         raise BenchmarkError("clips: expected either DATA, or --jsonl FILE and --gt FILE")
     if args.jsonl is not None:
         publish_scores(args.out, {args.jsonl.stem: score_file(args.jsonl, args.gt, fps=args.fps)})
+        return
+    if args.drone_free:
+        publish_false_tracks(
+            args.out,
+            held_out_clips(args.data)[: QUICK_CLIPS if args.quick else None],
+            tracker=args.tracker,
+            settings=parse_settings(args.set),
+        )
         return
     publish(
         args.out,
@@ -263,7 +239,7 @@ def publish(
     video: keep the annotated videos and the JSON lines in `out`, too.
     """
     report.pyplot()  # before the work, not after it, should it be missing
-    clips = find_clips(data)[:limit]
+    clips = drone_clips(data)[:limit]
     settings = settings or {}
     scores: dict[str, ClipScore] = {}
     with tempfile.TemporaryDirectory() as scratch, report.progress("real clips", len(clips)) as advance:
@@ -273,6 +249,65 @@ def publish(
             scores[clip.name] = score_file(jsonl, clip.truth, fps=clip.fps, frames=clip.frames)
             advance(f"{clip.name}: recall {scores[clip.name].recall:.2f}")
     return publish_scores(out, scores, tracker=tracker, settings=settings)
+
+
+def publish_false_tracks(
+    out: Path,
+    clips: Sequence[Clip],
+    *,
+    tracker: str = DEFAULT_TRACKER,
+    settings: dict[str, str] | None = None,
+) -> dict[str, Any]:
+    """Track every one of the clips, which show no drone; clips.json and clips.md into `out`."""
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch, report.progress("drone-free clips", len(clips)) as advance:
+        for clip in clips:
+            jsonl = track_clip(clip, Path(scratch), tracker=tracker, settings=settings or {})
+            rows.append(count_false_tracks(clip, jsonl))
+            advance(f"{clip.name}: {rows[-1].tracks} tracks")
+    kinds = sorted({row.clip.kind for row in rows})
+    by_kind = {kind: _false_tracks([row for row in rows if row.clip.kind == kind]) for kind in kinds}
+    total = _false_tracks(rows)
+    result = {
+        "tracker": tracker,
+        "settings": settings or {},
+        "start_s": START_S,
+        "clips": [{"clip": row.clip.name} | _false_tracks([row]) for row in rows],
+        "by_kind": by_kind,
+        "total": total,
+    }
+    table = report.table(
+        ["", "clips", "minutes", "confirmed tracks", "per minute", "frames with one", "clips with none"],
+        [_false_row(kind, entry) for kind, entry in (by_kind | {"all": total}).items()],
+    )
+    title = f"# Confirmed tracks where no drone is\n\nEvery frame after the first {START_S:g} s of a clip."
+    report.write(out, NAME, result, f"{title}\n\n{table}\n")
+    return result
+
+
+def _false_row(kind: str, entry: dict[str, Any]) -> list[str]:
+    return [
+        kind,
+        str(entry["clips"]),
+        number(entry["minutes"]),
+        str(entry["tracks"]),
+        number(entry["tracks_per_minute"], 1),
+        f"{100 * entry['share_of_frames']:.0f} %",
+        str(entry["clean_clips"]),
+    ]
+
+
+def _false_tracks(rows: Sequence[FalseTracks]) -> dict[str, Any]:
+    minutes = sum(row.frames / row.clip.fps for row in rows) / 60.0
+    tracks = sum(row.tracks for row in rows)
+    return {
+        "clips": len(rows),
+        "minutes": minutes,
+        "tracks": tracks,
+        "tracks_per_minute": tracks / minutes,
+        "share_of_frames": sum(row.frames_with for row in rows) / sum(row.frames for row in rows),
+        "clean_clips": sum(row.tracks == 0 for row in rows),
+    }
 
 
 def publish_scores(

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from swarmtrack.benchmarks import real_clips, report
-from swarmtrack.benchmarks.real_clips import START_S, Clip
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.real_clips import START_S
 from swarmtrack.detection.detector import Detector
 from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, score_clip
 from swarmtrack.geometry.camera import PinholeCamera
@@ -28,6 +28,7 @@ from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard
 from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
+from swarmtrack.training.labelled_clips import Clip, drone_clips, read_truth
 
 
 class ClipRow(NamedTuple):
@@ -40,7 +41,7 @@ class ClipRow(NamedTuple):
 
 
 def play_clips(folder: Path, trackers: Sequence[str]) -> list[ClipRow]:
-    clips = real_clips.find_clips(folder)
+    clips = drone_clips(folder)
     detector = Detector()
     rows = []
     with report.progress("real clips", len(clips)) as advance:
@@ -96,5 +97,5 @@ def follow(clip: Clip, seen: Sequence[Detections], tracker: str) -> ClipRow:
             np.array([track.mean[::2] for track in confirmed]).reshape(-1, 2),
         )
     frames = range(round(START_S * clip.fps), clip.frames)
-    score = score_clip(real_clips.read_truth(clip.truth), claimed, frames)
+    score = score_clip(read_truth(clip.truth), claimed, frames)
     return ClipRow(clip.name, tracker, score, 1e3 * float(np.median(spent)))

@@ -31,8 +31,9 @@ class Recipe:
 
     crop: int = 160  # px, side of a sample: a multiple of 32, the coarsest stride
     real_frame: float = 0.14  # a crop of a frame with its labelled drones
-    real_background: float = 0.46  # a crop from anywhere, all in it kept, objects added
-    drone_free: float = 0.7  # of the real backgrounds: from a frame without drones, half around a distractor
+    real_background: float = 0.56  # a crop from anywhere, all in it kept, objects added
+    drone_free: float = 0.75  # of the real backgrounds: from a frame without drones
+    of_clips: float = 0.6  # of these, where there are clips: from one of their windows around a distractor
     real_cutout: float = 0.35  # of the drones added to a background: cut from a photograph instead of drawn
     size_min: float = 5.0
     size_max: float = 150.0
@@ -149,7 +150,10 @@ class SampleSource:
     def __init__(self, frames: Sequence[LabelledFrame], recipe: Recipe, rng: Rng) -> None:
         self._recipe, self._rng = recipe, rng
         self._with_drones = [frame for frame in frames if len(frame.drones)]
-        self._without = [frame for frame in frames if not len(frame.drones)]
+        without = [frame for frame in frames if not len(frame.drones)]
+        # Apart: a clip gives many windows that are nearly alike, and they show little but sky.
+        self._windows = [frame for frame in without if frame.is_window]
+        self._without = [frame for frame in without if not frame.is_window] or self._windows
         drones = [cut_out(frame.image, box) for frame in frames for box in frame.drones]
         others = [cut_out(frame.image, box) for frame in frames for box in frame.distractors]
         self._drones = [cut for cut in drones if cut is not None]
@@ -170,8 +174,7 @@ class SampleSource:
             image, boxes, others = self._crop_frame(self._with_drones, around_drones=0.9)
         else:
             if kind < recipe.real_frame + recipe.real_background and self._without:
-                some = self._without if rng.random() < recipe.drone_free else self._with_drones
-                image, boxes, others = self._crop_frame(some or self._without, around_distractors=0.5)
+                image, boxes, others = self._real_background()
             else:
                 image = render.background(rng, recipe.crop, recipe.crop)
             for _ in range(int(rng.choice(4, p=[0.3, 0.35, 0.25, 0.1]))):
@@ -187,6 +190,14 @@ class SampleSource:
             for mirrored in labels:
                 mirrored[:, 0] = recipe.crop - 1 - mirrored[:, 0]
         return TrainingSample(render.photograph(rng, image), *labels)
+
+    def _real_background(self) -> tuple[FloatImage, list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+        rng, recipe = self._rng, self._recipe
+        if self._with_drones and rng.random() >= recipe.drone_free:
+            return self._crop_frame(self._with_drones)
+        if self._windows and rng.random() < recipe.of_clips:
+            return self._crop_frame(self._windows, around_distractors=0.9)
+        return self._crop_frame(self._without, around_distractors=0.5)
 
     def _draw_distractor(self, name: str) -> tuple[Sprite, bool]:
         """One thing that is no drone, and whether it is an object rather than a part of the picture."""

@@ -41,7 +41,7 @@ class DataError(SwarmtrackError):
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledFrame:
     """One photograph. image (h, w, 3) BGR uint8; drones (n, 4), distractors (m, 4): boxes (u, v, w, h) px; kinds: what
-    each distractor is."""
+    each distractor is; is_window: it is cut from a frame, around one of them."""
 
     name: str
     source: str
@@ -50,6 +50,7 @@ class LabelledFrame:
     drones: Boxes
     distractors: Boxes
     kinds: tuple[str, ...] = ()
+    is_window: bool = False
 
 
 Labels = list[tuple[str, list[float]]]
@@ -74,9 +75,9 @@ def load_frames(root: Path) -> list[LabelledFrame]:
     return frames
 
 
-def held_out(frame: LabelledFrame) -> bool:
-    """Whether a frame without drones belongs to the third that cross-scene trials keep for validation, by clip."""
-    return frame.scene == NEGATIVE and zlib.crc32(frame.source.encode()) % 3 == 0
+def held_out(scene: str, source: str) -> bool:
+    """Whether something without drones belongs to the third that cross-scene trials keep for validation, by clip."""
+    return scene == NEGATIVE and zlib.crc32(source.encode()) % 3 == 0
 
 
 def _tables(root: Path) -> Iterator[LabelledFrame]:

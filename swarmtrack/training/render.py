@@ -7,6 +7,7 @@ photographed: the pictures carry no licence but the project's own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import cv2
@@ -224,11 +225,13 @@ def cloud(rng: Rng) -> Sprite:
     lumps = np.clip(fractal_noise(rng, CANVAS, CANVAS, 5, 0.6) + rng.uniform(0.0, 0.6), 0, 1.5)
     u = np.linspace(-1, 1, CANVAS, dtype=np.float32)
     window = np.clip(1 - u[None] ** 2 - (u[:, None] * rng.uniform(1.0, 2.5)) ** 2, 0, 1)
-    alpha = np.clip(lumps * window, 0, 1).astype(np.float32) * np.float32(rng.uniform(0.12, 1.0))
+    alpha = np.clip(lumps * window, 0, 1).astype(np.float32) * np.float32(
+        np.exp(rng.uniform(np.log(0.08), 0))
+    )
     light = np.linspace(rng.uniform(190, 255), rng.uniform(100, 240), CANVAS, dtype=np.float32)
     tint = rng.normal(0, 14, 3).astype(np.float32)
     colour = alpha[..., None] * np.clip(light[:, None, None] + tint, 0, 255)
-    return crop_to_visible(Sprite(colour, alpha), 0.1)
+    return crop_to_visible(Sprite(colour, alpha), 0.1 * float(alpha.max()))
 
 
 def lump(rng: Rng) -> Sprite:
@@ -267,6 +270,86 @@ def pole(rng: Rng) -> Sprite:
     return canvas.sprite()
 
 
+def wires(rng: Rng) -> Sprite:
+    """Lines that sag between poles, with what hangs on them: balls, insulators, birds at rest."""
+    paint = _paint(rng)
+    canvas = _Canvas(np.eye(3))
+    x = np.linspace(-1.7, 1.7, 9)
+    slope, sag, bearer = rng.normal(0, 0.25), rng.uniform(0.0, 0.35), rng.uniform(-1.5, 1.5)
+    for height in rng.uniform(-0.7, 0.9, int(rng.integers(1, 6))):
+        z = height + slope * x + sag * (x / 1.7) ** 2
+        points = np.stack([x, np.zeros_like(x), np.clip(z, -1.7, 1.7)], axis=1)
+        colour = paint(1.0)
+        for start, end in pairwise(points):
+            canvas.bar(start, end, 0.02, colour)
+        if rng.random() < 0.4:
+            canvas.hull(_ellipsoid(points[rng.integers(len(points))], rng.uniform(0.04, 0.14, 3)), paint(0.8))
+    if rng.random() < 0.5:
+        canvas.bar((bearer, 0, -1.7), (bearer, 0, rng.uniform(0.3, 1.5)), rng.uniform(0.04, 0.12), paint(0.8))
+    return canvas.sprite()
+
+
+def house(rng: Rng) -> Sprite:
+    """A wall, a roof, windows in a row: from afar a body with dark parts at its sides."""
+    wall, roof = _paint(rng), _paint(rng)
+    canvas = _Canvas(np.eye(3))
+    half, low, top = rng.uniform(0.5, 1.4), rng.uniform(-1.0, -0.5), rng.uniform(-0.2, 0.5)
+    eaves, ridge, rise = half * rng.uniform(1.0, 1.15), half * rng.uniform(0.0, 0.9), rng.uniform(0.0, 0.8)
+    canvas.hull(_upright(-half, half, low, top), wall(1.0))
+    corners = [(-eaves, top), (eaves, top), (ridge, top + rise), (-ridge, top + rise)]
+    canvas.hull(np.array([(x, 0.0, z) for x, z in corners]), roof(rng.uniform(0.5, 1.2)))
+    if rng.random() < 0.5:
+        x = rng.uniform(-ridge, ridge)
+        canvas.hull(_upright(x - 0.06, x + 0.06, top, top + rise + 0.2), roof(0.8))
+    pane, step, glass = rng.uniform(0.1, 0.3), rng.uniform(0.35, 0.8), wall(rng.uniform(0.2, 0.7))
+    for storey in range(int(rng.integers(1, 3))):
+        z = low + (0.25 + 0.45 * storey) * (top - low)
+        for x in np.arange(-half + 0.1, half - pane, step):
+            canvas.hull(_upright(x, x + pane, z, z + 0.25 * (top - low)), glass)
+    return _shade(rng, canvas.sprite())
+
+
+def tree(rng: Rng) -> Sprite:
+    """A trunk, branches and a ragged crown, or bare branches that spread as arms do."""
+    leaf, wood = _paint(rng), _paint(rng)
+    canvas = _Canvas(np.eye(3))
+    fork = rng.uniform(-0.8, 0.0)
+    canvas.bar((0, 0, -1.6), (rng.normal(0, 0.1), 0, fork), rng.uniform(0.05, 0.2), wood(0.8))
+    tips = np.stack(
+        [rng.normal(0, 0.6, 9), np.zeros(9), np.clip(fork + rng.uniform(0.2, 1.7, 9), None, 1.4)], axis=1
+    ).clip(-1.3, 1.4)
+    for tip in tips:
+        canvas.bar((0, 0, fork), tip, rng.uniform(0.02, 0.08), wood(0.9))
+    if rng.random() < 0.75:
+        for tip in tips:
+            canvas.hull(_ellipsoid(tip, rng.uniform(0.15, 0.4, 3)), leaf(rng.uniform(0.7, 1.3)))
+    return _shade(rng, canvas.sprite())
+
+
+def car(rng: Rng) -> Sprite:
+    """A vehicle from the side or from above it: body, cabin, glass, wheels at the ends."""
+    paint = _paint(rng)
+    canvas = _Canvas(rotation(rng, tilt=0.05))
+    length, width, height = rng.uniform(1.0, 1.4), rng.uniform(0.4, 0.55), rng.uniform(0.15, 0.25)
+    for x in (-0.6, 0.6):
+        for y in (-1, 1):
+            canvas.hull(
+                _ellipsoid((x * length, y * width, -height), (0.22, 0.06, 0.22)), rng.uniform(0, 60, 3)
+            )
+    canvas.hull(_box((0, 0, 0), (length, width, height)), paint(1.0))
+    back, front = rng.uniform(-1.0, -0.5) * length, rng.uniform(0.1, 0.6) * length
+    middle, half = (back + front) / 2, (front - back) / 2
+    cabin = _box((middle, 0, 1.7 * height), (half, 0.9 * width, 0.7 * height))
+    canvas.hull(cabin, paint(rng.uniform(0.3, 0.8)))
+    canvas.hull(_box((middle, 0, 2.5 * height), (0.8 * half, 0.8 * width, 0.02)), paint(1.2))
+    return _shade(rng, canvas.sprite())
+
+
+def _upright(left: float, right: float, low: float, high: float) -> NDArray[np.float64]:
+    """Corners of a rectangle that faces the camera."""
+    return np.array([(left, 0.0, low), (right, 0.0, low), (right, 0.0, high), (left, 0.0, high)])
+
+
 DISTRACTORS: dict[str, Callable[[Rng], Sprite]] = {
     "bird": bird,
     "aeroplane": aeroplane,
@@ -275,6 +358,10 @@ DISTRACTORS: dict[str, Callable[[Rng], Sprite]] = {
     "lump": lump,
     "flare": flare,
     "pole": pole,
+    "wires": wires,
+    "house": house,
+    "tree": tree,
+    "car": car,
 }
 
 

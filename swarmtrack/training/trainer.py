@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import hashlib
 import json
 import math
 import sys
@@ -30,9 +31,11 @@ from swarmtrack.training.feeding import TrainingError, generators
 from swarmtrack.training.labelled_images import LabelledFrame
 from swarmtrack.training.network import create_network, loss
 from swarmtrack.training.validation import look, scores
+from swarmtrack.training.warm_start import adopt
 
 AVERAGING = 0.9995  # per step, of the exported weights: a memory of about 2000 steps
 WARM_UP = 300  # steps until the full learning rate
+MEASURED = 4  # batches on which the normalisations of a model to start with are measured
 REPORT_PERIOD = 20.0  # s
 LOSSES = ("heat", "offset", "size")
 
@@ -112,9 +115,6 @@ class _Training:
 
     def run(self, start: Path | None, resume: bool) -> TrainingProgress:
         network, settings, run = self._network, self._settings, self._run
-        if start is not None:
-            network.load_state_dict(read_checkpoint(start)["average"])
-            self._metadata["warm_start"] = start.name
         self._average = copy.deepcopy(network).eval()
         network.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
         self._optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=1e-4)
@@ -125,6 +125,8 @@ class _Training:
         seed = (settings.seed, run.resumed) if run.resumed else (settings.seed,)
         with generators(self._frames, self._recipe, settings.batch, seed, settings.generators) as batches:
             batch = next(batches)  # the generators draw their first sprites: no time to learn in
+            if start is not None:
+                self._begin_with(start, [batch, *(next(batches) for _ in range(MEASURED - 1))])
             before, began = run.seconds, self._clock.now()
             reported = saved = began
             while (done := self._done()) < 1.0:
@@ -140,6 +142,17 @@ class _Training:
                     saved = self._clock.now()
         self._save(np.mean(recent, axis=0) if recent else np.full(len(LOSSES), math.nan))
         return run
+
+    def _begin_with(self, start: Path, batches: Sequence[tuple[Any, ...]]) -> None:
+        """The weights of a checkpoint, or of an exported model, whose normalisations are measured on the batches."""
+        if start.suffix == ".onnx":
+            usual = [batch[0] for batch in batches if batch[0].shape[1] == self._recipe.crop]
+            adopt(self._network, start, _pictures(torch.from_numpy(np.concatenate(usual or [batches[0][0]]))))
+        else:
+            self._network.load_state_dict(read_checkpoint(start)["average"])
+        self._average.load_state_dict(self._network.state_dict())
+        self._metadata["warm_start"] = start.name
+        self._metadata["warm_start_sha256"] = hashlib.sha256(start.read_bytes()).hexdigest()
 
     def _done(self) -> float:
         if self._settings.iterations is not None:
@@ -158,7 +171,7 @@ class _Training:
         )
         for group in self._optimizer.param_groups:
             group["lr"] = rate + 1e-5
-        pictures = (images.permute(0, 3, 1, 2).float() / 255).contiguous(memory_format=torch.channels_last)
+        pictures = _pictures(images)
         with torch.autocast(settings.device, dtype=torch.bfloat16):
             answers = self._network(pictures)
         heat, offset, size = loss(answers, tuple(wanted))
@@ -246,6 +259,11 @@ def averaged_network(checkpoint: dict[str, Any]) -> torch.nn.Module:
     network = create_network(checkpoint["architecture"])
     network.load_state_dict(checkpoint["average"])
     return network.eval()
+
+
+def _pictures(images: torch.Tensor) -> torch.Tensor:
+    """(n, h, w, 3) BGR 0…255, as drawn → (n, 3, h, w) 0…1, as a net takes them."""
+    return (images.permute(0, 3, 1, 2).float() / 255).contiguous(memory_format=torch.channels_last)
 
 
 @torch.no_grad()

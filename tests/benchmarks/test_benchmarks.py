@@ -10,11 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
+from support.labelled_pictures import data_directory
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents.bench import BENCHMARKS
 from swarmtrack.benchmarks import agent_budget, lone_agent, real_clips, report, rotating_observer
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.config import load_config
+from swarmtrack.training import labelled_clips
+from swarmtrack.training.labelled_clips import find_clips, read_truth
+from swarmtrack.training.labelled_images import DataError, held_out
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage
@@ -79,22 +83,22 @@ def test_labels_without_a_column_or_with_words_are_refused(tmp_path):
     path = tmp_path / "a_gt.csv"
     for text in ("frame,id,x,y,w\n0,1,2,3,4\n", "frame,id,x,y,w,h\n0,1,2,3,four,5\n"):
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(BenchmarkError, match=r"a_gt\.csv: .*expected a table"):
-            real_clips.read_truth(path)
+        with pytest.raises(DataError, match=r"a_gt\.csv: .*expected a table"):
+            read_truth(path)
 
 
 def test_a_folder_without_labelled_clips_is_refused(tmp_path):
     write_truth(tmp_path / "lonely_gt.csv", [])
-    with pytest.raises(BenchmarkError, match=r"no pair of NAME\.mp4 and NAME_gt\.csv"):
-        real_clips.find_clips(tmp_path)
+    with pytest.raises(DataError, match=r"no pair of NAME\.mp4 and NAME_gt\.csv"):
+        find_clips(tmp_path)
 
 
-def grey_clip(folder, frames=15):
-    writer = cv2.VideoWriter(str(folder / "grey.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (96, 64))
+def grey_clip(folder, frames=15, name="grey"):
+    writer = cv2.VideoWriter(str(folder / f"{name}.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (96, 64))
     for _ in range(frames):
         writer.write(np.full((64, 96, 3), 128, np.uint8))
     writer.release()
-    write_truth(folder / "grey_gt.csv", [(k, 1, 40, 30, 8, 8) for k in range(frames)])
+    write_truth(folder / f"{name}_gt.csv", [(k, 1, 40, 30, 8, 8) for k in range(frames)])
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
@@ -124,7 +128,7 @@ def test_a_folder_for_results_that_cannot_be_made_is_refused_before_any_work(tmp
 
 def test_the_config_of_a_clip_is_one_the_agent_takes_and_settings_go_before_it(tmp_path):
     grey_clip(tmp_path)
-    (clip,) = real_clips.find_clips(tmp_path)
+    (clip,) = find_clips(tmp_path)
     settings = real_clips.parse_settings(["p_detection=0.7", "detector.score_threshold=0.3", "profile=paper"])
     config_file = tmp_path / "drone.toml"
     config_file.write_text(
@@ -148,6 +152,28 @@ def test_a_clip_runs_through_the_agent_and_is_reported(tmp_path):
     assert len((out / "tracks" / "grey.jsonl").read_text(encoding="utf-8").splitlines()) == 15
     assert "| grey | 5 | 0.000 | – |" in (out / "clips.md").read_text(encoding="utf-8")
     assert (out / "clips.png").stat().st_size > 1000
+
+
+def test_tracks_where_no_drone_is_are_counted_by_what_flies_there(tmp_path):
+    (clip,) = [labelled_clips.Clip("V_BIRD_001", tmp_path, tmp_path, 70, FPS, 96, 64)]
+    frames = {5: [track(1, 0, 0)], 9: [track(2, 0, 0)], 10: [track(2, 0, 0), track(3, 9, 9, "tentative")]}
+    frames |= {40: [track(4, 5, 5)], 41: [track(4, 5, 5), track(5, 50, 50)]}
+    counted = real_clips.count_false_tracks(clip, write_tracks(tmp_path / "a.jsonl", frames))
+    assert (counted.frames, counted.tracks, counted.frames_with) == (60, 3, 3)
+
+
+def test_drone_free_clips_are_those_that_a_training_holds_out(tmp_path):
+    data_directory(tmp_path)
+    for name in ("V_BIRD_001", "V_BIRD_002", "V_BIRD_003", "V_BIRD_004", "V_DRONE_001"):
+        grey_clip(tmp_path, name=name)
+    assert swarmtrack.main(["bench", "clips", str(tmp_path), "--drone-free", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "clips.json").read_text(encoding="utf-8"))
+    wanted = [f"V_BIRD_00{k}" for k in range(1, 5) if held_out("negative", f"V_BIRD_00{k}")]
+    assert 0 < len(wanted) < 4
+    assert [record["clip"] for record in result["clips"]] == wanted
+    assert set(result["by_kind"]) == {"bird"}
+    assert result["total"]["tracks"] == 0
+    assert "| bird |" in (tmp_path / "clips.md").read_text(encoding="utf-8")
 
 
 def test_an_agent_that_fails_is_quoted(tmp_path):

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from support.places import SHARED
 from swarmtrack.benchmarks import detector as bench
-from swarmtrack.benchmarks import real_clips
 from swarmtrack.detection import letterbox
 from swarmtrack.detection.description import Description, box_width_of
 from swarmtrack.detection.detector import SMALLEST, Detector
@@ -23,6 +22,7 @@ from swarmtrack.errors import ModelError
 from swarmtrack.evaluation import detector_score
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training import render
+from swarmtrack.training.labelled_clips import find_clips
 
 TRACKS = SHARED / "drones_real" / "tracks"
 
@@ -167,7 +167,7 @@ def test_the_shipped_model_finds_the_drones_of_a_real_clip(detector, name, recal
     clip = TRACKS / f"{name}.mp4"
     if not clip.is_file():
         pytest.skip(f"{clip} is not there")
-    (found,) = (entry for entry in real_clips.find_clips(TRACKS) if entry.name == name)
+    (found,) = (entry for entry in find_clips(TRACKS) if entry.name == name)
     looks = list(bench.look_at_clip(detector, found, every=8))
     seen = detector_score.summary(looks, detector.score_threshold)
     assert seen["recall"] > recall
@@ -179,7 +179,7 @@ def test_on_a_real_clip_what_moved_is_found_more_surely_and_not_at_the_price_of_
     clip = TRACKS / "V_DRONE_106.mp4"
     if not clip.is_file():
         pytest.skip(f"{clip} is not there")
-    (found,) = (entry for entry in real_clips.find_clips(TRACKS) if entry.name == clip.stem)
+    (found,) = (entry for entry in find_clips(TRACKS) if entry.name == clip.stem)
     without, beside = (
         detector_score.summary(
             list(bench.look_at_clip(Detector(look="whole", motion=motion), found, every=6)), threshold=0.4

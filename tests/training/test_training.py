@@ -266,7 +266,7 @@ def test_what_flies_and_is_no_drone_is_labelled_as_that():
     source = SampleSource(
         [], Recipe(empty=1.0, real_frame=0.0, real_background=0.0), np.random.default_rng(2)
     )
-    others = [sample.others for sample in (source.sample() for _ in range(40))]
+    others = [sample.others for sample in (source.sample() for _ in range(80))]
     assert sum(map(len, others)) > 10
     for boxes in others:
         heat = dataset.targets(np.empty((0, 4)), 160, 4, others=boxes).heat
