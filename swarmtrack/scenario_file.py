@@ -149,6 +149,9 @@ class RadioSection(Section):
     loss: Share = 0.0
     latency_s: NotNegative = 0.0
     jitter_s: NotNegative = 0.0
+    kbit_s: Annotated[Number, Field(ge=1.0, le=1e6)] | None = Field(
+        default=None, description="what each drone's radio sends at most, kbit/s"
+    )
 
 
 class RingSection(Section):

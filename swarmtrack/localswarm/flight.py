@@ -125,6 +125,7 @@ async def fly(plan: FlightPlan, spectator: Spectator, landed: Landed | None = No
             emulator = await stack.enter_async_context(RadioEmulator(scenario.members, seed=scenario.seed))
             radio = scenario.radio
             emulator.impair(loss=radio.loss, latency_s=radio.latency_s, jitter_s=radio.jitter_s)
+            emulator.narrow(radio.kbit_s)
         folder = Path(tempfile.mkdtemp(prefix="swarmtrack-sim-"))
         if plan.keep:
             spectator.keep(f"configs and logs: {folder}")

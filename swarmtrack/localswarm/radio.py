@@ -152,6 +152,13 @@ class RadioEmulator:
             if jitter_s is not None:
                 self._channel.jitter_s[pair] = jitter_s
 
+    def narrow(self, kbit_s: float | None, drones: Collection[int] | None = None) -> None:
+        """So much goes through each radio of these drones, or of all; None: as much as you like."""
+        if kbit_s is not None and not 1.0 <= kbit_s <= 1e6:
+            raise ValueError(f"kbit_s: found {kbit_s:g}, expected 1 to 1000000 kbit/s")
+        for drone in self._ports if drones is None else drones:
+            self._channel.bits_per_s[self._ports[drone]] = 0.0 if kbit_s is None else 1e3 * kbit_s
+
     def cut(self, side: Iterable[int]) -> None:
         """These drones and the others no longer hear each other; several cuts add up."""
         ports = {self._ports[drone] for drone in side}

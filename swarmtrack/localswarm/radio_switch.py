@@ -10,6 +10,9 @@ A frame is on the air once and heard by each receiver or not: that is decided fo
 generator of its own, so the pattern of losses between two drones does not depend on what others send. There is no
 retransmission as in 802.11: a loss here is one that remains after it. Delay is uniform in latency ± jitter, and the
 frames of one ordered pair stay in order, as one radio's do; those of different pairs overtake each other.
+
+A radio may be narrow: what it sends then leaves one frame after the other, at so many bits per second. A few seconds'
+worth waits in the radio, as in real ones, and what finds no room there is lost.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ MTU: Final = 1500  # bytes
 MAX_FRAME: Final = MTU + 64  # bytes, with the Ethernet header and whatever tags
 BATCH: Final = 32  # frames of one radio before the others get their turn
 MAX_WAITING: Final = 8192  # delayed frames: 12 MB, a second of 100 Mbit/s; the channel holds no more
+BUFFER: Final = 16384  # bytes that wait in a narrow radio: two seconds at 64 kbit/s
 NUMBER: Final = 8  # bytes of a double, exact for counts up to 2^53
 
 
@@ -39,7 +43,7 @@ class RadioChannel:
     """What the radio channel does to frames, of each ordered pair of ports, and what it carried, of each port.
 
     A page of doubles in memory that two processes share; pairs are indexed `source * ports + receiver`. `blocked` is
-    0 for a pair that can hear each other.
+    0 for a pair that can hear each other; `bits_per_s` is 0 for a radio that is as fast as you like.
     """
 
     def __init__(self, fd: int, ports: int) -> None:
@@ -50,13 +54,13 @@ class RadioChannel:
         columns = [numbers[i * pairs : (i + 1) * pairs] for i in range(4)]
         self.loss, self.latency_s, self.jitter_s, self.blocked = columns
         counts = numbers[4 * pairs :]
-        rows = [counts[i * ports : (i + 1) * ports] for i in range(4)]
-        self.sent_frames, self.sent_bytes, self.lost_frames, self.blocked_frames = rows
+        rows = [counts[i * ports : (i + 1) * ports] for i in range(5)]
+        self.sent_frames, self.sent_bytes, self.lost_frames, self.blocked_frames, self.bits_per_s = rows
 
     @staticmethod
     def size(ports: int) -> int:
         """Bytes."""
-        return NUMBER * (4 * ports * ports + 4 * ports)
+        return NUMBER * (4 * ports * ports + 5 * ports)
 
 
 class Delivery(NamedTuple):
@@ -79,6 +83,7 @@ class Switch:
         pairs = itertools.product(range(channel.ports), repeat=2)
         self._chance = [random.Random(f"{seed}/{source}/{receiver}") for source, receiver in pairs]
         self._last_due = [0.0] * channel.ports**2
+        self._free_at = [0.0] * channel.ports  # when a narrow radio has sent what waits in it
         self._serial = itertools.count()
         self._waiting: list[Delivery] = []
 
@@ -94,9 +99,24 @@ class Switch:
             if port is None or port == source:
                 return []
             receivers = [port]
-        return [port for port in receivers if self._arrives_at_once(source, port, frame, now)]
+        sent = self._sent(source, frame, now)
+        if sent is None:
+            channel.lost_frames[source] += 1
+            return []
+        return [port for port in receivers if self._arrives_at_once(source, port, frame, now, sent)]
 
-    def _arrives_at_once(self, source: int, port: int, frame: bytes, now: float) -> bool:
+    def _sent(self, source: int, frame: bytes, now: float) -> float | None:
+        """When the radio has sent a frame; None where it has no room for it."""
+        bytes_per_s = self._channel.bits_per_s[source] / 8.0
+        if not bytes_per_s:
+            return now
+        begin = max(now, self._free_at[source])
+        if (begin - now) * bytes_per_s + len(frame) > BUFFER:
+            return None
+        self._free_at[source] = begin + len(frame) / bytes_per_s
+        return self._free_at[source]
+
+    def _arrives_at_once(self, source: int, port: int, frame: bytes, now: float, sent: float) -> bool:
         channel, pair = self._channel, source * self._channel.ports + port
         if channel.blocked[pair]:
             channel.blocked_frames[source] += 1
@@ -106,9 +126,9 @@ class Switch:
         if loss and self._chance[pair].random() < loss:
             channel.lost_frames[source] += 1
             return False
-        due = max(self._last_due[pair], now + latency)
+        due = max(self._last_due[pair], sent + latency)
         if jitter:
-            due = max(self._last_due[pair], now + latency + jitter * random.uniform(-1.0, 1.0))
+            due = max(self._last_due[pair], sent + latency + jitter * random.uniform(-1.0, 1.0))
         if due <= now:
             return True
         self._delay(pair, Delivery(due, next(self._serial), port, frame), source)

@@ -100,11 +100,13 @@ class ScenarioFault:
 
 @dataclass(frozen=True, slots=True)
 class Radio:
-    """Every link of the team's radio, all the time. loss 0…1; latency and its jitter (±) in s."""
+    """Every link of the team's radio, all the time. loss 0…1; latency and its jitter (±) in s; kbit_s: what each radio
+    sends at most, None: as much as you like."""
 
     loss: float = 0.0
     latency_s: float = 0.0
     jitter_s: float = 0.0
+    kbit_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ import pytest
 from support.patience import PATIENCE
 from support.places import PYTHONPATH, ROOT
 from swarmtrack.localswarm.radio import RadioEmulator, RadioError, mac_address
-from swarmtrack.localswarm.radio_switch import MAX_WAITING, RadioChannel, Switch
+from swarmtrack.localswarm.radio_switch import BUFFER, MAX_WAITING, RadioChannel, Switch
 
 PORT = 9000
 EVERYBODY = b"\xff" * 6
@@ -111,6 +111,21 @@ def test_a_frame_does_not_overtake_those_delayed_before_the_latency_fell():
     assert switch.send(0, frame_to(mac_address(2)) + b"second", 0.5) == []
     assert [delivery.frame[-5:] for delivery in switch.deliver(1.0)] == [b"first", b"econd"]
     assert switch.send(0, frame_to(mac_address(2)), 1.1) == [1]
+
+
+def test_a_narrow_radio_sends_one_frame_after_the_other_and_loses_what_it_has_no_room_for():
+    channel, switch = switch_of(3)
+    channel.bits_per_s[0] = 64_000.0
+    for _ in range(30):
+        assert switch.send(0, frame_to(mac_address(2), 800), 0.0) == []
+    heard = switch.deliver(10.0)
+    assert [delivery.due for delivery in heard] == [
+        pytest.approx(0.1 * number) for number in range(1, BUFFER // 800 + 1)
+    ]
+    assert channel.lost_frames[0] == 30 - len(heard)
+    assert switch.send(1, frame_to(mac_address(3), 800), 0.0) == [2]  # only that radio is narrow
+    assert switch.send(0, frame_to(EVERYBODY, 800), 20.0) == []
+    assert {(delivery.port, delivery.due) for delivery in switch.deliver(30.0)} == {(1, 20.1), (2, 20.1)}
 
 
 def test_the_air_holds_no_more_than_so_many_delayed_frames():
