@@ -17,6 +17,8 @@ from pydantic import AfterValidator, Field, Strict, ValidationInfo, field_valida
 
 from swarmtrack.errors import ConfigError
 from swarmtrack.evaluation.swarm_verdict import Limits
+from swarmtrack.formation.plan import FormationPlan, plan_faults
+from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.errands import Errand
 from swarmtrack.simulation.scenarios import (
     CAMERA,
@@ -45,6 +47,7 @@ from swarmtrack.simulation.scenarios import (
     run_errands,
 )
 from swarmtrack.simulation.sensors import DetectorParameters
+from swarmtrack.simulation.star import Star, Stick, arc, fly_star
 from swarmtrack.simulation.trajectory import (
     Facing,
     Lissajous,
@@ -76,6 +79,9 @@ from swarmtrack.toml.sections import (
 
 FOLDER = Path(__file__).with_name("configs") / "scenarios"
 MAX_DRONES = 1000
+CLIMBS_S = 8.0  # s from a take-off to the height of a slot
+FASTEST_LEADER_M_S = 5.0
+LEAST_STAR_HEIGHT_M = 2.0  # as an agent's config has it: nobody's slot is lower
 VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
 VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
 
@@ -123,6 +129,10 @@ class AgentsSection(Section):
         default=0, description="how many agents start late: those with the highest IDs"
     )
     late_by_s: Positive = Field(default=8.0, description="how late they start, s")
+    swapped: tuple[DroneId, ...] = Field(
+        default=(),
+        description="drones that stand on each other's places: each config tells the next one's start",
+    )
 
 
 class ClocksSection(Section):
@@ -206,6 +216,71 @@ class ErrandSection(Section):
         return Errand(**self.model_dump())
 
 
+class StickSection(Section):
+    at_s: NotNegative = Field(description="world time, s; later than the previous one")
+    velocity_m_s: Place = Field(description="[north, east, down], m/s; linear from one to the next")
+
+
+class StarSection(Section):
+    """Followers on an arc behind a leader, whose agents fly them by sight; see `simulation.star`. The first drone
+    leads."""
+
+    gap_m: Annotated[Number, Field(ge=3.0, le=30.0)] = Field(
+        default=5.0, description="from the leader to its followers, level, m"
+    )
+    layer_m: Annotated[Number, Field(ge=0.0, le=5.0)] = Field(
+        default=1.0, description="between the heights of neighbours and the leader's, m"
+    )
+    height_m: Annotated[Number, Field(ge=4.0, le=50.0)] = Field(
+        default=6.0, description="of the leader above the ground, m"
+    )
+    takes_off_s: NotNegative | None = Field(
+        default=None,
+        description="when all take off, world time, s; unless told they hover from the beginning",
+    )
+    engages_s: Positive = Field(
+        default=3.0, description="when the followers' pilots let their agents fly, world time, s"
+    )
+    judged_from_s: Positive = Field(description="from when on slots are judged, world time, s")
+    leader_leaves_s: Positive | None = Field(
+        default=None, description="from when on nobody sees the leader any more, world time, s"
+    )
+    sticks: Annotated[tuple[StickSection, ...], Field(min_length=2)] = Field(
+        description="how the leader's pilot flies; at rest first and last"
+    )
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> Self:
+        if self.takes_off_s is not None and self.engages_s < self.takes_off_s + CLIMBS_S:
+            raise ValueError(
+                f"engages_s {self.engages_s:g}, expected takes_off_s + {CLIMBS_S:g} or later: they climb first"
+            )
+        times = [stick.at_s for stick in self.sticks]
+        if times[0] < self.engages_s or any(b <= a for a, b in itertools.pairwise(times)):
+            raise ValueError(
+                f"sticks at_s {times}, expected each later than the one before, the first after engages_s"
+            )
+        speeds = [math.hypot(*stick.velocity_m_s) for stick in self.sticks]
+        if speeds[0] or speeds[-1]:
+            raise ValueError("sticks: the first and the last velocity, expected [0, 0, 0]")
+        if max(speeds) > FASTEST_LEADER_M_S:
+            raise ValueError(f"sticks: {max(speeds):g} m/s, expected {FASTEST_LEADER_M_S:g} m/s or less")
+        return self
+
+    def star(self, ids: Sequence[int]) -> Star:
+        """The lowest ID leads."""
+        return Star(
+            leader=ids[0],
+            slots=arc(ids, self.gap_m, layer_m=self.layer_m),
+            height_m=self.height_m,
+            takes_off_s=-math.inf if self.takes_off_s is None else self.takes_off_s,
+            engages_s=self.engages_s,
+            judged_from_s=self.judged_from_s,
+            sticks=tuple(Stick(stick.at_s, stick.velocity_m_s) for stick in self.sticks),
+            leader_leaves_s=math.inf if self.leader_leaves_s is None else self.leader_leaves_s,
+        )
+
+
 class GhostsSection(Section):
     """[ghosts]: fixed points on which the detector fires again and again; see `simulation.scenarios.haunt`."""
 
@@ -227,20 +302,24 @@ class FormationSection(Section):
     ring: RingSection | None = None
     lanes: LanesSection | None = None
     errand: ErrandSection | None = None
+    star: StarSection | None = None
     sway: SwaySection | None = None
     weave: WeaveSection | None = None
     swing: SwingSection | None = None
 
     @model_validator(mode="after")
     def _one_shape_and_one_flight(self) -> FormationSection:
-        shapes = sum(shape is not None for shape in (self.ring, self.lanes, self.errand))
+        shapes = sum(shape is not None for shape in (self.ring, self.lanes, self.errand, self.star))
         if shapes != 1:
-            raise ValueError(f"{shapes} of ring, lanes and errand, expected one of them")
+            raise ValueError(f"{shapes} of ring, lanes, errand and star, expected one of them")
         moves = [name for name in ("sway", "weave", "swing") if getattr(self, name) is not None]
-        if self.errand is not None and moves:
-            raise ValueError(
-                f"errand with {moves[0]}, expected one or the other: errands are flights already"
-            )
+        for name in ("errand", "star"):
+            if getattr(self, name) is not None and moves:
+                raise ValueError(
+                    f"{name} with {moves[0]}, expected one or the other: {name}s are flights already"
+                )
+        if self.star is not None and set(self.autopilots) - {AutopilotKind.ARDUPILOT}:
+            raise ValueError('star with autopilots, expected "ardupilot", whose response is known')
         if self.sway is not None and self.weave is not None:
             raise ValueError("both sway and weave, expected one of them")
         if self.weave is not None and self.lanes is None:
@@ -515,11 +594,25 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
             ("formation", "drones"), f"{wanted} drones wanted, expected {max(1, one_by_one)} to {MAX_DRONES}"
         )
     by_others = [drone.id for drone in file.drone if drone.guided]
-    if file.codes_s and (by_others or (file.formation is not None and file.formation.errand is not None)):
-        wrong(("codes_s",), "with guided drones or errands, expected drones that hover or fly by plan")
+    shape = file.formation
+    if file.codes_s and (by_others or (shape is not None and (shape.errand or shape.star) is not None)):
+        wrong(
+            ("codes_s",), "with guided drones, errands or a star, expected drones that hover or fly by plan"
+        )
     if problems:
         return problems
     flying = {*ids, *_formation_ids(file, wanted)}
+    for k, drone_id in enumerate(file.agents.swapped):
+        if drone_id not in flying or drone_id in file.agents.swapped[:k]:
+            wrong(("agents", "swapped"), f"drone {drone_id}, expected some of {sorted(flying)}, each once")
+    if shape is not None and shape.star is not None:
+        if one_by_one:
+            wrong(
+                ("drone",),
+                "of the team beside a star, expected strangers only: a star has a slot for all others",
+            )
+        for text in _star_faults(shape.star, _formation_ids(file, wanted)):
+            wrong(("formation", "star"), text)
     for k, fault in enumerate(file.fault):
         absent = sorted(set(fault.drones) - flying)
         if absent:
@@ -528,6 +621,22 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
                 f"drone {absent[0]}, which does not fly, expected some of {sorted(flying)}",
             )
     return problems
+
+
+def _star_faults(section: StarSection, ids: Sequence[int]) -> list[str]:
+    """What its agents would refuse."""
+    if len(ids) < 2:
+        return ["one drone, expected a leader and a follower or more"]
+    star = section.star(ids)
+    plan = FormationPlan(
+        leader=star.leader,
+        slots=star.slots,
+        references=dict.fromkeys(star.followers, (star.leader,)),
+        height=star.height_m,
+        least_height=LEAST_STAR_HEIGHT_M,
+    )
+    faults = plan_faults(plan, Airframe().span)
+    return [f"{len(ids)} drones, {'.'.join(fault.key)}: {fault.text}" for fault in faults[:1]]
 
 
 def _team_size(file: ScenarioFile, drones: int | None) -> int:
@@ -563,21 +672,25 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
     starts = dict.fromkeys(members[len(members) - agents.late :], agents.late_by_s) if agents.late else {}
     autopilots = _autopilots(file, members, ids)
     plans = {drone.id: drone.plan(file.hover_s + starts.get(drone.id, 0.0)) for drone in file.drone}
-    if file.formation is not None and file.formation.errand is None:
+    shape = file.formation
+    if shape is not None and shape.errand is None and shape.star is None:
         plans |= form_up(
             seed,
-            dict(zip(ids, file.formation.stations(len(ids)), strict=True)),
-            flight=file.formation.flight(),
-            swing=Swing(**file.formation.swing.model_dump()) if file.formation.swing else None,
+            dict(zip(ids, shape.stations(len(ids)), strict=True)),
+            flight=shape.flight(),
+            swing=Swing(**shape.swing.model_dump()) if shape.swing else None,
             departs_s={drone_id: file.hover_s + starts.get(drone_id, 0.0) for drone_id in ids},
             view=VIEW,
         )
     team = tuple(members)
     world = fly(seed, dict(sorted(plans.items())), file.drift_m, codes_s=file.codes_s, team=team)
     events: tuple[ScenarioEvent, ...] = ()
-    if file.formation is not None and file.formation.errand is not None:
+    if shape is not None and shape.errand is not None:
         responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
-        world, events = run_errands(world, ids, file.formation.errand.errand(), file.drift_m, responses)
+        world, events = run_errands(world, ids, shape.errand.errand(), file.drift_m, responses)
+    star = shape.star.star(ids) if shape is not None and shape.star is not None else None
+    if star is not None:
+        world = fly_star(world, star, file.drift_m)
     strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
 
     def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
@@ -595,7 +708,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         detector=DetectorParameters(**file.detector.parameters),
         announced={
             drone_id: start
-            for drone_id, start in announced_starts(world, agents.position_sigma_m).items()
+            for drone_id, start in announced_starts(world, agents.position_sigma_m, agents.swapped).items()
             if drone_id not in strangers
         },
         announces=agents.announce,
@@ -613,4 +726,5 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         events=events,
         radio=Radio(**file.radio.model_dump()),
         faults=tuple(fault.fault() for fault in file.fault),
+        star=star,
     )

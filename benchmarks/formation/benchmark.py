@@ -15,7 +15,6 @@ import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +22,17 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
-from swarmtrack.benchmarks.formation.flights import (
-    COMMAND_HZ,
-    DEPARTS_S,
-    LAST_S,
+from swarmtrack.benchmarks.formation.flights import COMMAND_HZ, DEPARTS_S, FlightPlan, FormationFlight
+from swarmtrack.evaluation.formation_score import (
     LOST_M,
     NEAR_M,
-    FlightPlan,
-    FlightSample,
-    FormationFlight,
+    LeaderGone,
+    SlotErrors,
+    after_it_vanished,
+    formation_score,
+    slot_errors,
 )
 from swarmtrack.formation.setpoint import Why
-from swarmtrack.messages import Array
 
 NAME = "formation"
 SEEDS, QUICK_SEEDS = 100, 2
@@ -64,16 +62,13 @@ FLIGHTS = {
 
 @dataclass(frozen=True, slots=True)
 class FlownFormation:
-    """One flight. errors (m, n - 1) m: of the places relative to the leader's, while it flies; last (n - 1,) m: their
-    means at the end; nearest [m]: of all pairs at any time; held: share of the time in which a follower held; gone: how
-    fast the fastest follower was 1, 2, 3, 4 s after the leader vanished [m/s], and how far the farthest flew on [m]."""
+    """One flight. slots: how they were held, while the leader flew; held: share of that time in which a follower held;
+    gone: where the leader vanished."""
 
     seed: int
-    errors: Array
-    last: Array
-    nearest: float
+    slots: SlotErrors
     held: float
-    gone: tuple[float, ...] = ()
+    gone: LeaderGone | None = None
 
 
 def fly(name: str, seed: int) -> FlownFormation:
@@ -82,37 +77,21 @@ def fly(name: str, seed: int) -> FlownFormation:
     flight = FormationFlight(plan, seed)
     samples = flight.run()
     positions, t = np.array([sample.positions for sample in samples]), np.array([s.t for s in samples])
-    slots = np.array(list(flight.slots.values()))
-    off = positions[:, : plan.drones] - slots
-    errors = np.linalg.norm(off[:, 1:] - off[:, :1], axis=2)
-    flying = (t >= DEPARTS_S) & (t < plan.gone_s)
-    pairs = combinations(range(plan.drones), 2)
-    nearest = min(float(np.linalg.norm(positions[:, i] - positions[:, j], axis=1).min()) for i, j in pairs)
+    team = positions[:, : plan.drones]
+    slots = slot_errors(t, team, np.array(list(flight.slots.values())), DEPARTS_S, plan.gone_s)
     if plan.intruder_m_s:
         # It meets the first follower. Who has not seen it for a second, because somebody hid it, cannot keep clear.
         met = np.linalg.norm(positions[:, 1] - positions[:, plan.drones], axis=1)
         seen = np.cumsum([sample.intruder_seen for sample in samples]) > SEEN_S * COMMAND_HZ
-        nearest = min(nearest, float(met[seen].min(initial=math.inf)))
+        slots = slots._replace(nearest=min(slots.nearest, float(met[seen].min(initial=math.inf))))
+    flying = (t >= DEPARTS_S) & (t < plan.gone_s)
     whys = [why for sample, flies in zip(samples, flying, strict=True) if flies for why in sample.whys]
     return FlownFormation(
         seed,
-        errors[flying],
-        errors[t > t[-1] - LAST_S].mean(axis=0),
-        nearest,
+        slots,
         sum(why is not Why.FOLLOW for why in whys) / max(len(whys), 1),
-        _after_it_vanished(samples, plan.gone_s) if math.isfinite(plan.gone_s) else (),
+        after_it_vanished(t, team[:, 1:], plan.gone_s) if math.isfinite(plan.gone_s) else None,
     )
-
-
-def _after_it_vanished(samples: Sequence[FlightSample], gone_s: float) -> tuple[float, ...]:
-    t = np.array([sample.t for sample in samples])
-    speeds = [
-        float(samples[int(np.searchsorted(t, gone_s + later))].speeds[1:].max())
-        for later in (1.0, 2.0, 3.0, 4.0)
-    ]
-    begun = samples[int(np.searchsorted(t, gone_s))].positions[1:]
-    flown_on = float(np.linalg.norm(samples[-1].positions[1:] - begun, axis=1).max())
-    return (*speeds, flown_on)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -146,34 +125,27 @@ def publish(out: Path, names: Sequence[str], seeds: int, processes: int) -> dict
 
 
 def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
-    errors = np.concatenate([flight.errors.ravel() for flight in flown])
-    last = np.array([flight.last for flight in flown])
-    nearest = np.array([flight.nearest for flight in flown])
+    score = formation_score([flight.slots for flight in flown])
     row: dict[str, Any] = {
         "flight": name,
         "drones": FLIGHTS[name].drones,
         "runs": len(flown),
-        "error_m": {
-            "p50": _percentile(errors, 50),
-            "p95": _percentile(errors, 95),
-            "end_p95": _percentile(last, 95),
-        },
-        "min_separation_m": float(nearest.min()),
-        "runs_below_1.5_m": int((nearest < NEAR_M).sum()),
-        "runs_with_a_lost_follower": int((last > LOST_M).any(axis=1).sum()),
+        "error_m": {"p50": score.error_p50_m, "p95": score.error_p95_m, "end_p95": score.end_p95_m},
+        "min_separation_m": score.min_separation_m,
+        "runs_below_1.5_m": sum(flight.slots.nearest < NEAR_M for flight in flown),
+        "runs_with_a_lost_follower": sum(bool((flight.slots.last > LOST_M).any()) for flight in flown),
         "held_share": float(np.mean([flight.held for flight in flown])),
     }
-    gone = np.array([flight.gone for flight in flown if flight.gone])
-    if len(gone):
+    gone = [flight.gone for flight in flown if flight.gone is not None]
+    if gone:
         row["leader_gone"] = {
-            "worst_speed_m_s_after_1_2_3_4_s": gone[:, :4].max(axis=0).tolist(),
-            "flown_on_m": {"p50": _percentile(gone[:, 4], 50), "max": float(gone[:, 4].max())},
+            "worst_speed_m_s_after_1_2_3_4_s": np.array([one.speeds for one in gone]).max(axis=0).tolist(),
+            "flown_on_m": {
+                "p50": float(np.median([one.flown_on_m for one in gone])),
+                "max": max(one.flown_on_m for one in gone),
+            },
         }
     return row
-
-
-def _percentile(values: Array, share: float) -> float:
-    return float(np.percentile(values, share)) if values.size else math.nan
 
 
 def _markdown(rows: Iterable[dict[str, Any]]) -> str:

@@ -27,6 +27,7 @@ from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.response import ARDUPILOT, SetPoint, Triple
 from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, DRIFT_M, Scenario, announced_starts
 from swarmtrack.simulation.sensors import DetectorParameters, visible
+from swarmtrack.simulation.star import arc
 from swarmtrack.simulation.trajectory import wander
 from swarmtrack.simulation.world import World
 
@@ -40,26 +41,11 @@ START_SIGMA_M = 0.3
 ENGAGED_S, DEPARTS_S, TURNS_S, TURN_S, STOPS_S, ENDS_S = 3.0, 14.0, 26.0, 5.0, 40.0, 50.0
 # s: before that the leader flies a square, by which it is known: so long each side; and m/s.
 SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 2.0, 0.8
-# m: farther off than this in the mean of the last LAST_S seconds a follower is lost.
-LOST_M, LAST_S = 3.0, 3.0
-NEAR_M = 1.5
 # s, world time: the intruder sets out, so far from the slot that it flies through [m].
 INTRUDES_S, INTRUDER_FROM_M = 16.0, 14.0
 SPAN_M = 0.5
 # 90° by 74°.
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
-
-
-def arc(n: int, gap_m: float, *, layer_m: float = 1.0) -> dict[int, Place]:
-    """Slots of n drones on an arc of 120° behind the leader, in layers: above and below it in turn, and of more than
-    five every third level with it."""
-    slots: dict[int, Place] = {LEADER: (0.0, 0.0, 0.0)}
-    for k in range(n - 1):
-        angle = math.radians(-60.0 + 120.0 * k / (n - 2)) if n > 2 else 0.0
-        radius = gap_m if n <= 5 or k % 2 == 0 else 1.6 * gap_m
-        levels = (1, -1, 0)[k % 3] if n > 5 else (1, -1)[k % 2]
-        slots[k + 2] = (-radius * math.cos(angle), radius * math.sin(angle), -layer_m * levels)
-    return slots
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +90,7 @@ class FormationFlight(VirtualSwarm):
 
     def __init__(self, plan: FlightPlan, seed: int) -> None:
         self.plan = plan
-        self.slots = arc(plan.drones, plan.gap_m, layer_m=plan.layer_m)
+        self.slots = arc(range(LEADER, LEADER + plan.drones), plan.gap_m, layer_m=plan.layer_m)
         scenario = _scenario(plan, self.slots, seed)
         box_width = BoxWidth(
             drone_sigma=plan.size_drone, wander_sigma=0.02, white_sigma=max(plan.size_white, 0.01)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from swarmtrack.evaluation.formation_score import NEAR_M, FormationScore
 from swarmtrack.evaluation.relative_score import NO_PLACES, RelativeScore
 from swarmtrack.evaluation.swarm_score import SwarmScore
 
@@ -48,6 +49,20 @@ class Limits:
     announcement_bytes: int = 300
     first_tracks_s: float = 5.0
     """From the beginning of the flight, or from a late agent's start, to its first tracks."""
+    slot_p50_m: float = 1.0
+    """Of flights in formation: half of all errors of slots are at most so large,"""
+    slot_p95_m: float = 2.5
+    """95 % of them,"""
+    slot_end_p95_m: float = 1.5
+    """and 95 % of the followers' mean errors at the end."""
+    separation_m: float = NEAR_M
+    """At least, at any time."""
+    lost: int = 0
+    """At most, of followers."""
+    leader_gone_m_s: float = 0.5
+    """Of the fastest follower, 4 s after the leader has left everybody's view."""
+    leader_gone_m: float = 6.0
+    """As far any follower flies on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +107,7 @@ class SwarmReport:
     image_width: int
     limits: Limits
     relative: RelativeScore = NO_PLACES
+    formation: FormationScore | None = None
     machine_busy: float = math.nan
 
     @property
@@ -134,6 +150,11 @@ class SwarmReport:
             short.append(
                 f"tracking.false_tracks_per_s: {found}, expected {limits.false_tracks_per_s:g} at most"
             )
+        apart = math.inf if self.formation is None else self.formation.min_separation_m
+        if not apart >= limits.separation_m:
+            short.append(
+                f"formation.min_separation_m: {apart:.2f}, expected {limits.separation_m:g} at least"
+            )
         return short
 
     @property
@@ -157,6 +178,29 @@ class SwarmReport:
             *_above("delay of the first tracks, s,", late, limits.first_tracks_s, digits=1),
             *_below("track_rate_hz", tracks, limits.rate * self.asked_tracks_hz, digits=1),
             *_below("imu_rate_hz", imu, limits.rate * self.asked_imu_hz, digits=1),
+            *self._shortfalls_of_slots(),
+        ]
+
+    def _shortfalls_of_slots(self) -> list[str]:
+        """Who follows by sight needs a computer that looks."""
+        formation, limits = self.formation, self.limits
+        if formation is None:
+            return []
+        found = [
+            ("error_m.p50", formation.error_p50_m, limits.slot_p50_m),
+            ("error_m.p95", formation.error_p95_m, limits.slot_p95_m),
+            ("error_m.end_p95", formation.end_p95_m, limits.slot_end_p95_m),
+            ("lost", formation.lost, limits.lost),
+        ]
+        if formation.gone is not None:
+            found += [
+                ("leader_gone.speed_m_s, after 4 s", formation.gone.speeds[-1], limits.leader_gone_m_s),
+                ("leader_gone.flown_on_m", formation.gone.flown_on_m, limits.leader_gone_m),
+            ]
+        return [
+            f"formation.{name}: {_said(value)}, expected {most:g} at most"
+            for name, value, most in found
+            if not value <= most
         ]
 
     @property
@@ -233,10 +277,36 @@ class SwarmReport:
                 }
                 for agent in self.agents
             ],
+            **({} if self.formation is None else {"formation": _formation_record(self.formation)}),
             "machine_busy": _rounded(self.machine_busy, 3),
             "verdict": self.verdict,
             "passed": self.passed,
         }  # fmt: skip
+
+
+def _formation_record(formation: FormationScore) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "error_m": {
+            "p50": _rounded(formation.error_p50_m, 3),
+            "p95": _rounded(formation.error_p95_m, 3),
+            "end_p95": _rounded(formation.end_p95_m, 3),
+        },
+        "min_separation_m": _rounded(formation.min_separation_m, 3),
+        "followers": formation.followers,
+        "lost": formation.lost,
+        "holds": formation.holds,
+    }
+    if formation.gone is not None:
+        speeds = [_rounded(speed, 3) for speed in formation.gone.speeds]
+        record["leader_gone"] = {
+            "speed_m_s_after_1_2_3_4_s": speeds,
+            "flown_on_m": _rounded(formation.gone.flown_on_m, 3),
+        }
+    return record
+
+
+def _said(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.2f}"
 
 
 def _above(name: str, values: Mapping[int, float], most: float, *, digits: int) -> list[str]:

@@ -12,8 +12,10 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.simulation.star import Star
 from swarmtrack.team_config import TeamOrigin
 
+FENCE_M = 200.0  # around where a follower was engaged
 MAX_FRAME_AGE_S = 0.15  # beyond it a frame says more of where a drone was than of where it is
 
 
@@ -75,6 +77,8 @@ def write_configs(
         text += "\n".join(["", "[team]", *shared, ""])
     if not scenario.announces:
         text += _silent_team(scenario, epoch_utc)
+    if scenario.star is not None:
+        text += _formation(scenario.star)
     if recordings is not None:
         text += f"\n[recording]\ndir = {_text(str(recordings))}\n"
     (folder / "team.toml").write_text(text, encoding="utf-8")
@@ -127,6 +131,25 @@ def _silent_team(scenario: Scenario, epoch_utc: float) -> str:
         begins = (datetime.fromtimestamp(epoch_utc + begin, UTC) for begin in scenario.codes_s)
         lines += ["", "[team.code]", f"begins = [{', '.join(begin.isoformat() for begin in begins)}]"]
     return "\n".join([*lines, ""])
+
+
+def _formation(star: Star) -> str:
+    """Who leads, and everybody's slot. The fence is wider than any scenario: it is not what is shown."""
+    slots = [f"{drone_id} = {_numbers(star.slots[drone_id])}" for drone_id in star.followers]
+    return "\n".join(
+        [
+            "",
+            "[formation]",
+            "enabled = true                      # their pilots engage them in the air",
+            f"leader = {star.leader}",
+            f"height_m = {star.height_m:g}",
+            f"limits = {{ fence_radius_m = {FENCE_M:g} }}",
+            "",
+            "[formation.slots]                   # [north, east, down] from the leader, m",
+            *slots,
+            "",
+        ]
+    )
 
 
 def _drone_file(scenario: Scenario, drone_id: int, sources: Sources, radio: RadioEnds | None) -> str:

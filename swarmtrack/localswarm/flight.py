@@ -197,7 +197,7 @@ class _SwarmFlight:
             epoch_utc=ready["epoch_s"] + self._clock.utc() - self._clock.now(),
         )
         if self._flown.outside is None:
-            for drone_id in self._flown.followed:
+            for drone_id in self._flown.followed if self._scenario.star is None else ():
                 where = ready["drones"][str(drone_id)]["ground"]
                 self._spectator.note(f"drone {drone_id}: a ground station flies it at {where}")
         for line in self._how_to_listen():

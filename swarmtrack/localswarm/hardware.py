@@ -14,12 +14,13 @@ from contextlib import AsyncExitStack, suppress
 from typing import Any, Protocol, cast
 
 import numpy as np
+from pymavlink.dialects.v20 import common
 
 from swarmtrack.clock import Clock
 from swarmtrack.localswarm.truth_feed import Followers, told
 from swarmtrack.messages import Image
 from swarmtrack.simulation.autopilot import SimulatedArduPilot, SimulatedVehicle
-from swarmtrack.simulation.firmware import ARDUCOPTER, PX4
+from swarmtrack.simulation.firmware import ARDUCOPTER, PX4, FlightMode
 from swarmtrack.simulation.followed import NotTold, ToldPose
 from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.oracle import OracleDetector
@@ -28,6 +29,7 @@ from swarmtrack.simulation.px4 import LOCKSTEP_HZ, SimulatedPx4
 from swarmtrack.simulation.scenarios import AutopilotKind, FaultKind, Scenario, ScenarioFault
 from swarmtrack.simulation.senses import DroneSenses
 from swarmtrack.simulation.sensors import ImuParameters
+from swarmtrack.simulation.star import Star
 from swarmtrack.simulation.truth import DroneTruth
 
 TICK = 0.002  # s: autopilots that have something to say within it are served together
@@ -42,6 +44,7 @@ BOUNDARY = "frame"
 AUTOPILOT_PORTS = {"autopilot": 0, "ground": 1000, "truth": 2000}
 # m, horizontal and vertical, as their receivers say it.
 ARDUPILOT_GPS, PX4_GPS = (0.8, 1.2), (0.9, 1.78)
+HOLDS_S = 1.0  # in LOITER, before a follower is engaged
 AUTOPILOT_FAULTS = (FaultKind.IMU_GAP, FaultKind.AUTOPILOT_REBOOT)
 
 
@@ -269,6 +272,25 @@ async def keep_speaking(ports: list[AutopilotPort], clock: Clock) -> None:
         await asyncio.sleep(max(min(port.due for port in ports) - now, TICK))
 
 
+async def let_fly(pilot: GuidedPilot, star: Star, drone_id: int, epoch: float, clock: Clock) -> None:
+    """What a follower's own pilot does, transmitter in hand: take off, if it does not hover already, hold, and let its
+    agent fly. Taking off in GUIDED engages no agent; coming back to it does.
+    """
+    if star.takes_off_s > -math.inf:
+        await asyncio.sleep(epoch + star.takes_off_s - clock.now())
+        pilot.switch_to(FlightMode.GUIDED, clock.now())
+        for command, first, height in (
+            (common.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0),
+            (common.MAV_CMD_NAV_TAKEOFF, 0.0, star.height_of(drone_id)),
+        ):
+            numbers = (first, *5 * (0.0,), height)
+            pilot.command(common.MAVLink_command_long_message(0, 0, command, 0, *numbers), clock.now())
+        await asyncio.sleep(epoch + star.engages_s - HOLDS_S - clock.now())
+        pilot.switch_to(FlightMode.HOLD, clock.now())
+    await asyncio.sleep(epoch + star.engages_s - clock.now())
+    pilot.switch_to(FlightMode.GUIDED, clock.now())
+
+
 async def play(
     fault: ScenarioFault, autopilots: dict[int, SimulatedVehicle], epoch: float, clock: Clock
 ) -> None:
@@ -398,6 +420,12 @@ async def simulate(
             for fault in scenario.faults:
                 if fault.kind in AUTOPILOT_FAULTS and epoch + fault.at_s > clock.now():
                     tasks.create_task(play(fault, autopilots, epoch, clock), name=str(fault.kind))
+            star = scenario.star
+            for n in star.followers if star is not None else ():
+                pilot = autopilots[n].pilot
+                assert star is not None
+                assert isinstance(pilot, GuidedPilot)
+                tasks.create_task(let_fly(pilot, star, n, epoch, clock), name=f"pilot {n}")
             if guided:
                 tasks.create_task(tell_truth(guided, followers, OwnTime(clock, epoch)), name="truth")
             on_ready(addresses, f"http://{authority(http)}/truth" if guided else None)

@@ -16,8 +16,9 @@ from rich.table import Table
 from rich.text import Text
 
 from swarmtrack.evaluation.flight_end import FlightEnd
+from swarmtrack.evaluation.formation_score import FormationScore
 from swarmtrack.evaluation.swarm_score import JudgedTrack, SwarmScore
-from swarmtrack.evaluation.swarm_verdict import BUSY, SwarmReport, Verdict
+from swarmtrack.evaluation.swarm_verdict import BUSY, Limits, SwarmReport, Verdict
 from swarmtrack.localswarm.machine_load import lighter_flights
 from swarmtrack.localswarm.watch import AgentView, Watch
 from swarmtrack.messages import FOREIGN, Identity
@@ -262,6 +263,35 @@ def team_rows(report: SwarmReport) -> list[tuple[str, str, str]]:
         rows += [
             ("error of ranges, half and 95 % below", ranges, ""),
             ("NEES / 6 of places, median", number(places.nees6_median, 2), ""),
+        ]
+    if report.formation is not None:
+        rows += _formation_rows(report.formation, limits)
+    return rows
+
+
+def _formation_rows(formation: FormationScore, limits: Limits) -> list[tuple[str, str, str]]:
+    errors = f"{number(formation.error_p50_m, 2)}, {number(formation.error_p95_m, 2)}"
+    lost = f"{formation.lost} of {formation.followers}"
+    rows = [
+        (
+            "off their slots, half and 95 % below, m",
+            errors,
+            f"≤ {limits.slot_p50_m:g}, {limits.slot_p95_m:g}",
+        ),
+        ("off their slots at the end, m", number(formation.end_p95_m, 2), f"≤ {limits.slot_end_p95_m:g}"),
+        ("smallest separation, m", number(formation.min_separation_m, 2), f"≥ {limits.separation_m:g}"),
+        ("followers lost", lost, f"≤ {limits.lost}"),
+        ("times that a follower held", str(formation.holds), ""),
+    ]
+    if formation.gone is not None:
+        gone = formation.gone
+        rows += [
+            (
+                "leader gone for 4 s: fastest follower, m/s",
+                number(gone.speeds[-1], 2),
+                f"≤ {limits.leader_gone_m_s:g}",
+            ),
+            ("leader gone: flown on, m", number(gone.flown_on_m, 1), f"≤ {limits.leader_gone_m:g}"),
         ]
     return rows
 

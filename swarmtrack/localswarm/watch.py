@@ -17,10 +17,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.clock import Clock
+from swarmtrack.evaluation.formation_score import FormationScore
 from swarmtrack.evaluation.relative_score import PlaceError, StatedPlace, error_of, relative_score
 from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, JudgedTrack, NamedTrack, SwarmScorer
 from swarmtrack.evaluation.swarm_truth import KNOTS_HZ, SwarmTruth
 from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
+from swarmtrack.localswarm.formation_watch import FormationWatch
 from swarmtrack.simulation.followed import NotTold
 from swarmtrack.simulation.scenarios import Scenario, ScenarioFault
 from swarmtrack.transport import keys
@@ -111,6 +113,7 @@ class Watch:
         self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
         """Tenths of a second that an agent may pass over, publishing at its rate."""
         self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+        self._formation = None if scenario.star is None else FormationWatch(scenario, scenario.star)
         self._last_start = math.nan
         self._known: dict[int, dict[int, float]] = {drone_id: {} for drone_id in scenario.members}
         self._waiting: deque[Statement] = deque()
@@ -312,6 +315,8 @@ class Watch:
         except NotTold:
             self.unjudged += 1
             return
+        if self._formation is not None:
+            self._formation.saw(statement.observer, statement.t, view.in_view)
         agent = self.agents[statement.observer]
         agent.judged_t = statement.t
         agent.seen = self.scorer.add(
@@ -373,8 +378,15 @@ class Watch:
             image_width=scenario.camera.width,
             limits=limits,
             relative=relative_score(self._place_errors),
+            formation=self._formation_score(),
             machine_busy=machine_busy,
         )
+
+    def _formation_score(self) -> FormationScore | None:
+        if self._formation is None:
+            return None
+        health = {drone_id: agent.health for drone_id, agent in self.agents.items()}
+        return self._formation.score(health, self._end)
 
     def late(self, limits: Limits) -> list[tuple[float, float]]:
         """Spans of world time (from, to) [s] in which something took longer than it may: each second of which an agent

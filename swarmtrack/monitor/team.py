@@ -37,6 +37,7 @@ TRACKS_KEPT = 64  # messages, to find those of a frame's instant among: a second
 EVENTS_KEPT = 200
 EVENTS_SHOWN = 60
 JUDGING_S = 0.5  # s: reports come once a second, and thirty drones' cost 20 ms to judge
+PLACED = {"leader", "slot_north_m", "slot_east_m", "engaged"}  # what a follower tells of itself
 SLOW = 0.7  # of the rate that was asked for
 SETTLED_S = 5.0  # s of an agent's life, after which it is judged by its rates
 
@@ -320,6 +321,7 @@ class MonitoredTeam:
             else [[s.drone_id, *np.round(s.direction, 3).tolist()] for s in report.sightings],
             "link_age_s": round(max(0.0, now - drone.heard), 2) if math.isfinite(drone.heard) else None,
             "metres": metres(self._newest_tracks(drone, now)),
+            "formation": _formation_state(drone.health),
             "troubles": troubles(drone.health),
             "health": None if drone.health is None else _health_state(drone.health),
             "history": [[None if math.isnan(v) else v for v in row] for row in drone.history],
@@ -344,8 +346,10 @@ def troubles(health: HealthMessage | None) -> list[str]:
         return []
     names = {"autopilot": "its autopilot", "camera": "its camera", "zenoh": "the network"}
     verb = "lost" if health.uptime_s >= SETTLED_S else "waits for"
+    others = {link.name: f"has trouble with its {link.name}" for link in health.links}
+    others |= {link.name: f"holds: {link.text}" for link in health.links if link.name == "formation"}
     found = [
-        f"{verb} {names[link.name]}" if link.name in names else f"has trouble with its {link.name}"
+        f"{verb} {names[link.name]}" if link.name in names else others[link.name]
         for link in health.links
         if not link.ok
     ]
@@ -387,6 +391,23 @@ def _health_state(health: HealthMessage) -> dict[str, Any]:
         "uptime_s": round(health.uptime_s),
         "drops": {name: count for name, count in health.drops.items() if count and _is_loss(name)},
         "links": [[link.name, link.ok, link.text] for link in health.links],
+    }
+
+
+def _formation_state(health: HealthMessage | None) -> dict[str, Any] | None:
+    """Of a follower: whom it follows, where its slot is from there [m, north and east], whether its agent flies it, and
+    how it goes."""
+    link = next((link for link in health.links if link.name == "formation"), None) if health else None
+    if link is None or PLACED - link.counters.keys():
+        return None
+    error = link.counters.get("error_m")
+    return {
+        "leader": int(link.counters["leader"]),
+        "slot_m": [round(link.counters[name], 2) for name in ("slot_north_m", "slot_east_m")],
+        "engaged": bool(link.counters["engaged"]),
+        "holds": not link.ok,
+        "text": link.text,
+        "error_m": None if error is None else round(error, 2),
     }
 
 

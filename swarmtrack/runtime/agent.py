@@ -375,9 +375,12 @@ def make_health(parts: Parts, formation: FormationPilot | None = None) -> Health
 
 def make_formation_pilot(parts: Parts, notices: PilotNotices) -> FormationPilot | None:
     """What flies the drone of these parts; None where nobody may."""
-    if parts.engagement is None or not isinstance(parts.autopilot, MavlinkAutopilot):
+    place = parts.config.formation.parameters(parts.config.drone.id)
+    if parts.engagement is None or place is None or not isinstance(parts.autopilot, MavlinkAutopilot):
         return None
-    return FormationPilot(parts.door, parts.autopilot, parts.engagement, notices, parts.clock)
+    return FormationPilot(
+        parts.door, parts.autopilot, parts.engagement, notices, parts.clock, parameters=place
+    )
 
 
 def make_notices(parts: Parts) -> PilotNotices:

@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.clock import Clock
 from swarmtrack.follower import Engagement, LocalSetpoint
+from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import STILL, Velocity, Why
 from swarmtrack.messages import LinkStatus
 from swarmtrack.runtime.door import Door
@@ -46,7 +47,8 @@ MASK = (
 
 
 class FormationPilot:
-    """clock: the flight's; door: asked for decisions; notices: said to the pilot.
+    """parameters: of the place in the formation, told for whoever watches; clock: the flight's; door: asked for
+    decisions; notices: said to the pilot.
 
     `run` is a task. `decide` and `send` are all there is to it: told the time, they need no event loop.
     """
@@ -58,12 +60,22 @@ class FormationPilot:
         engagement: PilotEngagement,
         notices: PilotNotices,
         clock: Clock,
+        *,
+        parameters: FormationParameters,
     ) -> None:
         self.sent = 0
         self.zeros = 0
         self.ends = 0
+        self.holds = 0
+        """How often it was said that the drone holds."""
         self._door, self._autopilot, self._engagement = door, autopilot, engagement
         self._notices, self._clock = notices, clock
+        north, east, _ = parameters.slots[parameters.drone_id]
+        self._place = (
+            ("leader", float(parameters.leader)),
+            ("slot_north_m", north),
+            ("slot_east_m", east),
+        )
         self._decided = asyncio.Event()
         self._newest: LocalSetpoint | None = None
         self._begun_at = -math.inf
@@ -146,12 +158,17 @@ class FormationPilot:
 
     def status(self) -> LinkStatus:
         """One line, and the counters."""
+        newest, engaged = self._newest, self._engagement.engaged
+        error = newest.setpoint.error if engaged and newest is not None else None
         counters = (
             ("setpoints", float(self.sent)),
             ("stale", float(self.zeros)),
             ("engagements", float(self._engagement.number)),
+            ("engaged", float(engaged)),
+            ("holds", float(self.holds)),
+            *self._place,
+            ("error_m", math.nan if error is None else error),
         )
-        newest = self._newest
         match self._engagement.stage:
             case EngagementStage.ENGAGED if newest is not None:
                 return LinkStatus("formation", not newest.setpoint.holds, newest.setpoint.text, counters)
@@ -188,6 +205,7 @@ class FormationPilot:
             return
         self._said = why
         if why.holds:
+            self.holds += 1
             self._notices.add(Severity.WARNING, f"formation holds: {text}")
             log.warning("formation: holds: %s", text)
         else:

@@ -167,7 +167,8 @@ IN_THE_AIR = (Phase.CLIMBING, Phase.FLYING, Phase.LANDING)
 
 
 class GuidedPilot:
-    """Flies a `GuidedDrone` as it is commanded, by what the autopilot believes of itself.
+    """Flies a `GuidedDrone` as it is commanded, by what the autopilot believes of itself. One that hovers already is
+    held where it is.
 
     epoch: world time 0 on the caller's clock; origin: of the world on the Earth; located: whether the autopilot knows
     where it is at a time of the caller's clock, without which it neither arms nor is guided; errors: by how much it is
@@ -184,7 +185,7 @@ class GuidedPilot:
         located: Callable[[float], bool],
         errors: LastingErrors,
     ) -> None:
-        self.phase = Phase.ON_GROUND
+        self.phase = Phase.FLYING if drone.airborne else Phase.ON_GROUND
         self._drone = drone
         self._errors = errors
         drone.heading_error = errors.heading
@@ -192,7 +193,7 @@ class GuidedPilot:
         self._epoch = epoch
         self._origin = origin
         self._located = located
-        self._mode = FlightMode.BY_HAND
+        self._mode = FlightMode.HOLD if drone.airborne else FlightMode.BY_HAND
         self._texts: list[tuple[int, str]] = []
         self._quiet_since = 0.0  # world time since which the motors idle
         self._last_set_point = -math.inf  # world time
@@ -266,10 +267,13 @@ class GuidedPilot:
                 return None
         return int(common.MAV_RESULT_ACCEPTED) if done else self._firmware.refused
 
+    def switch_to(self, mode: FlightMode, now: float) -> bool:
+        """By a switch on the transmitter; False: refused."""
+        return self._enter(mode, now - self._epoch)
+
     def set_mode(self, custom: int, now: float) -> int:
-        t = now - self._epoch
         wanted = [mode for mode, numbers in self._firmware.modes.items() if numbers.custom == custom]
-        done = bool(wanted) and self._enter(wanted[0], t)
+        done = bool(wanted) and self._enter(wanted[0], now - self._epoch)
         return int(common.MAV_RESULT_ACCEPTED) if done else self._firmware.refused
 
     def steer(self, message: Any, now: float) -> None:

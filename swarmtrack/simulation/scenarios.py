@@ -2,7 +2,7 @@
 
 A scenario is a value. `swarmtrack.scenario_file` reads one from TOML with the builders below. All drones hover until
 world time `HOVER_S`, and at every negative time: however slowly processes start, the announced poses fit what is seen.
-Then they move, without end. In errands they stand on the ground first.
+Then they move, without end. In errands and stars they stand on the ground first.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from swarmtrack.simulation.followed import FollowedDrone
 from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.response import ARDUPILOT, PX4, Response
 from swarmtrack.simulation.sensors import DetectorParameters
+from swarmtrack.simulation.star import Star
 from swarmtrack.simulation.trajectory import (
     Coded,
     Facing,
@@ -152,8 +153,8 @@ class Scenario:
     by how much its camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an
     ArduPilot that was switched on at world time 0. announces: whether the drones tell each other anything; where they
     do not, all know `announced` from a file, and codes_s is when all sway by their codes [s]. share_hz: how often they
-    tell how they move; None: never. ghosts are for detectors that are not shown pictures; the pictures have houses,
-    poles and trees.
+    tell how they move; None: never. star: who follows whom by sight; None: nobody. ghosts are for
+    detectors that are not shown pictures; the pictures have houses, poles and trees.
     """
 
     world: World
@@ -182,6 +183,7 @@ class Scenario:
     events: tuple[ScenarioEvent, ...] = ()
     radio: Radio = Radio()
     faults: tuple[ScenarioFault, ...] = ()
+    star: Star | None = None
 
     @property
     def seed(self) -> int:
@@ -318,8 +320,13 @@ def haunt(
     return tuple(ghosts)
 
 
-def announced_starts(world: World, position_sigma_m: float) -> dict[int, AnnouncedStart]:
-    """What the drones' configs say of their starts, measured with errors of that standard deviation per axis."""
+def announced_starts(
+    world: World, position_sigma_m: float, swapped: tuple[int, ...] = ()
+) -> dict[int, AnnouncedStart]:
+    """What the drones' configs say of their starts, measured with errors of that standard deviation per axis.
+
+    swapped: drones that stand on each other's places: each says where the next of them stands.
+    """
     starts = {}
     for drone_id in world.drones:
         trajectory = world.flown(drone_id)
@@ -327,7 +334,8 @@ def announced_starts(world: World, position_sigma_m: float) -> dict[int, Announc
         starts[drone_id] = AnnouncedStart(
             trajectory.position(0.0) + error, trajectory.yaw(0.0), position_sigma_m
         )
-    return starts
+    told = dict(zip(swapped, (*swapped[1:], *swapped[:1]), strict=True))
+    return starts | {drone_id: starts[other] for drone_id, other in told.items()}
 
 
 # --- formations ------------------------------------------------------------------------------------

@@ -12,11 +12,15 @@ from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
 from support.ports import free_port
 from swarmtrack.clock import SystemClock
 from swarmtrack.follower import LocalSetpoint
+from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.runtime.formation_pilot import DEAD_S, STALE_S, FormationPilot
 from swarmtrack.sensors.mavlink.engagement import EngagementStage, PilotEngagement
 from swarmtrack.simulation.firmware import ARDUCOPTER, PX4, FlightMode
 
+PLACE = FormationParameters(
+    drone_id=2, leader=1, slots={1: (0.0, 0.0, 0.0), 2: (-4.0, 3.0, -1.0)}, references=(1,), height=5.0
+)
 VELOCITY, YAW_RATE = (1.0, -0.5, 0.25), 0.3
 
 
@@ -102,7 +106,7 @@ class Companion:
         self.flight = Flight(autopilot, engagement=self.engagement, **options)
         self.door, self.notices = ScriptedDoor(), Notices()
         self.pilot = FormationPilot(
-            self.door, self.flight.unit, self.engagement, self.notices, self.flight.clock
+            self.door, self.flight.unit, self.engagement, self.notices, self.flight.clock, parameters=PLACE
         )
 
     async def __aenter__(self):
@@ -276,6 +280,12 @@ async def test_holds_are_said_once_they_last_and_that_it_goes_on():
         assert companion.notices.said == [
             "formation engaged", "in formation", "formation holds: words", "in formation",
         ]  # fmt: skip
+        counters = dict(companion.pilot.status().counters)
+        assert (counters["holds"], counters["engaged"], counters["leader"]) == (1.0, 1.0, 1.0)
+        assert (counters["slot_north_m"], counters["slot_east_m"]) == (-4.0, 3.0)
+        companion.to(FlightMode.HOLD)
+        companion.fly(0.5)
+        assert dict(companion.pilot.status().counters)["engaged"] == 0.0
 
 
 async def test_px4_gets_zeros_before_it_is_engaged_and_velocities_after():
@@ -325,7 +335,7 @@ async def test_over_real_udp_it_flies_and_stops_within_a_tenth_of_a_second_of_th
     engagement, door, notices = PilotEngagement(), ScriptedDoor(), Notices()
     link = RealFlight(f"udpin:127.0.0.1:{port}", engagement=engagement)
     async with serve_udp(autopilot, "127.0.0.1", port), link:
-        pilot = FormationPilot(door, link.unit, engagement, notices, SystemClock())
+        pilot = FormationPilot(door, link.unit, engagement, notices, SystemClock(), parameters=PLACE)
         task = asyncio.create_task(pilot.run())
         await link.until(lambda: engagement.stage is EngagementStage.AWAY)
         autopilot.pilot.to(FlightMode.GUIDED)

@@ -72,6 +72,16 @@ def test_nobody_is_flown_on_the_ground_or_disarmed():
     assert pilot.engagement.take_end() == "disarmed"
 
 
+def test_a_take_off_in_the_mode_does_not_engage_however_fast_a_program_is():
+    pilot = Pilot()
+    pilot.to(LOITER, armed=False, airborne=False)
+    # Armed, in GUIDED and off the ground within one heartbeat.
+    assert not pilot.to(GUIDED)
+    assert not pilot.to(GUIDED)
+    assert not pilot.to(LOITER)
+    assert pilot.to(GUIDED)
+
+
 def test_landing_in_the_mode_ends_it():
     pilot = Pilot()
     pilot.to(LOITER)

@@ -30,11 +30,13 @@ ASKED = [
     "lossy-radio",
 ]
 ASKED += ["mixed", "occlusion", "proof", "silent", "thirty", "yawing-observer"]
+STARS = ["formation-3", "formation-5", "formation-8", "intruder-crosses", "leader-lost", "swapped-id"]
+ASKED = sorted([*ASKED, *STARS])
 FIXED = "yawing-observer"  # its three drones are described one by one
 COMMANDED = "guided"  # its drones fly where somebody sends them
 ON_THE_GROUND = "errand"  # at first
-FREE = [name for name in ASKED if name not in (FIXED, COMMANDED, ON_THE_GROUND)]
-PLANNED = [name for name in ASKED if name != COMMANDED]
+FREE = [name for name in ASKED if name not in (FIXED, COMMANDED, ON_THE_GROUND, *STARS)]
+PLANNED = [name for name in ASKED if name not in (COMMANDED, *STARS)]
 SIZES = [2, 3, 4, 5, 7, 8, 13, 16, 29, 30]
 RING = "about = 'x'\nseconds = 9\n[formation]\ndrones = 3\nring = { radius_m = 3.0 }\n"
 ONE_BY_ONE = """about = "x"
@@ -317,12 +319,12 @@ def test_drones_described_one_by_one_keep_their_ids_and_are_not_multiplied(write
         (RING.replace("radius_m", "radius"), 'flight.toml:5: formation.ring.radius: unknown key, did you'),
         (RING.replace("= 3\n", '= "3"\n'), 'flight.toml:4: formation.drones: "3", expected a valid integer'),
         (RING + "weave = { reach_m = 1, period_s = [5, 9] }\n", "flight.toml:3: formation: weave with ring"),
-        (RING + "errand = {}\n", "flight.toml:3: formation: 2 of ring, lanes and errand, expected one"),
+        (RING + "errand = {}\n", "flight.toml:3: formation: 2 of ring, lanes, errand and star, expected one"),
         (RING.replace("ring = { radius_m = 3.0 }", "errand = {}\nswing = { peak_rad_s = 1, period_s = [1, 2] }"),
          "flight.toml:3: formation: errand with swing, expected one or the other"),
         (RING + "[ghosts]\ncont = 3\n", 'flight.toml:7: ghosts.cont: unknown key, did you mean "count"?'),
         (RING + "[clocks]\ncamera_offset_s = [3]\n", "flight.toml:7: clocks.camera_offset_s[0]: 3, expected less than"),
-        (RING + "lanes = { gap_m = 5 }\n", "flight.toml:3: formation: 2 of ring, lanes and errand, expected one"),
+        (RING + "lanes = { gap_m = 5 }\n", "flight.toml:3: formation: 2 of ring, lanes, errand and star, expected one"),
         ("about = 'x'\nseconds = 9\n", "flight.toml:1: formation: missing, expected a table [formation]"),
         (ONE_BY_ONE.replace("id = 7", "id = 3"), "flight.toml:9: drone[1].id: 3, expected an ID that no other"),
         (ONE_BY_ONE.replace("heading_deg", "heeding_deg"), 'flight.toml:11: drone[1].heeding_deg: unknown key'),
@@ -436,5 +438,5 @@ def test_drones_that_say_nothing_sway_by_their_codes_when_the_scenario_says_so(w
 def test_codes_are_for_drones_that_fly_by_plan(write):
     errand = "codes_s = [3.0]\n" + RING.replace("ring = { radius_m = 3.0 }", "errand = {}")
     assert problems_of(write(errand)) == [
-        "flight.toml:1: codes_s: with guided drones or errands, expected drones that hover or fly by plan"
+        "flight.toml:1: codes_s: with guided drones, errands or a star, expected drones that hover or fly by plan"
     ]

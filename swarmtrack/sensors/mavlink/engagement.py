@@ -2,7 +2,8 @@
 
 A pilot engages by changing into GUIDED (ArduCopter) or OFFBOARD (PX4), and disengages by any other mode. Nothing else
 engages: who finds the mode on, or loses sight of it, or has failed, waits until the pilot has left it and comes again.
-A take-off in the mode, as ArduCopter makes it by command, does not either.
+A take-off in the mode, as ArduCopter makes it by command, does not either: however fast a program arms and takes off,
+the drone has to have been heard in the air in another mode before.
 """
 
 from __future__ import annotations
@@ -55,6 +56,8 @@ class PilotEngagement:
         self.wants_stream = False
         """Whether this autopilot lets nobody into the mode who does not send setpoints yet, and could be let in now."""
         self._heard_at = -math.inf
+        self._flown_by_hand = False
+        """Whether it has been heard in another mode since it left the ground."""
         self._ended = ""
 
     @property
@@ -71,12 +74,13 @@ class PilotEngagement:
         self._heard_at = t
         armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         guided = _is_guided(m, kind)
+        self._flown_by_hand = armed and airborne and (self._flown_by_hand or not guided)
         if not (armed and guided):
             self._fire(EngagementEvent.LEFT, "the pilot left the mode" if armed else "disarmed")
-        elif airborne:
+        elif self._flown_by_hand:
             self._fire(EngagementEvent.ENTERED, "")
         else:
-            # On the ground in the mode: a take-off in it must not be steered away from.
+            # On the ground in the mode, or taking off in it: that must not be steered away from.
             self._fire(EngagementEvent.FAILED, "on the ground")
         self.wants_stream = kind == common.MAV_AUTOPILOT_PX4 and armed and self.stage is EngagementStage.AWAY
 
