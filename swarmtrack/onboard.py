@@ -80,6 +80,9 @@ from swarmtrack.tracking.scan import make_scan
 MAX_SILENCE = 1.0
 # m: how well a drone knows its place that doubts its start or heading. For whoever hears it, that is nowhere.
 DOUBTED_M = 1000.0
+# m/s per axis: nobody whose name is not known is taken to be calmer. Who has hovered for long and then comes straight
+# on grows in the image, and no more; a filter that knows it to be calm takes that for an error of its boxes.
+STRANGERS_SPEED = 1.0
 # rad: of a turn between two scans that is known no better, tracks may have taken up each other's detections.
 UNMEASURED = 0.35
 
@@ -144,7 +147,8 @@ class Onboard:
         self._tilt_var = relative.tilt_sigma**2
         self._padding_px = relative.box_width.padding_px
         self._relative = RelativeStates(relative)
-        self._anybody = RelativeStates(relative) if places_anybody else None
+        strangers = replace(relative, least_speed=STRANGERS_SPEED)
+        self._anybody = RelativeStates(strangers) if places_anybody else None
         self._frames = Frames(drone_id, relative)
         self._range_watch = RangeWatch()
         self._drone_id = drone_id

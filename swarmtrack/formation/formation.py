@@ -58,6 +58,9 @@ VAGUEST_SPEED = 1.0
 # m: who seems to be beyond could not be seen.
 FARTHEST_M = 1e3
 
+# What a busy computer or link delays for a moment: only where it lasts so long [s] it costs the references their trust.
+LATE, LATE_S = (Why.OWN_POSE, Why.GYRO, Why.CAMERA), 0.5
+
 HOLDS = {
     Why.OWN_POSE: "own position is old or unsure",
     Why.GYRO: "gyro is silent",
@@ -89,6 +92,8 @@ class Formation:
         self._followed = STILL
         self._followed_at = -math.inf
         self._yaw_rate = 0.0
+        self._late_since: float | None = None
+        """Since when it stands for nothing but what came late."""
 
     def command(
         self,
@@ -105,7 +110,7 @@ class Formation:
         states = {track: state for track, state in relative_states.items() if _is_usable(state)}
         trusted = self._trusted(states, own, tracks, t)
         why = _forbidden(own)
-        if why is not None:
+        if self._lasts(why, t):
             self._forget()
         if why in (Why.OWN_POSE, Why.GYRO):
             return self._brake(t, dt, why)
@@ -167,8 +172,18 @@ class Formation:
                 trusted.append((watch.drone_id, named[0].track.id))
         return trusted
 
+    def _lasts(self, why: Why | None, t: float) -> bool:
+        """Whether what holds it is more than a moment's delay."""
+        if why not in LATE:
+            self._late_since = None
+            return why is not None
+        if self._late_since is None:
+            self._late_since = t
+        return t - self._late_since >= LATE_S
+
     def _forget(self) -> None:
-        """What holds a drone costs its references their trust: it goes on once they have been sure for a while."""
+        """What holds a drone costs its references their trust: it goes on once they have been sure for a while. What
+        came late for a moment does not."""
         for watch in self._watches:
             watch.restart()
         self._followed_at = -math.inf

@@ -206,6 +206,17 @@ def test_what_a_drone_cannot_fly_by_makes_it_stop_and_say_so(flying, facts, why)
     assert flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=0.2).why is Why.FOLLOW
 
 
+@pytest.mark.parametrize("facts", [{"pose_age": 0.3}, {"gyro_age": 0.4}, {"scan_age": 1.1}])
+def test_what_comes_late_for_a_moment_stops_it_and_costs_its_reference_no_trust(flying, facts):
+    own, moving = in_slot(), {"velocity": (1.0, 0.0, 0.0)}
+    flying.settled(own, **moving)
+    late = in_slot(**facts)
+    slowed = flying.tell(late, {10: leader_from(late, **moving)}, [track()], seconds=0.4)
+    assert slowed.holds
+    assert level(slowed) < 0.6
+    assert flying.tell(own, {10: leader_from(own, **moving)}, [track()]).why is Why.FOLLOW
+
+
 def test_a_drone_that_holds_still_keeps_clear(flying):
     own = in_slot(clash=True)
     near = state((1.2, 0.0, 0.0), drone_id=0)

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from swarmtrack.benchmarks import relative as bench
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, MotionReport, RangeReport, Sighting, SightingReport
+from swarmtrack.onboard import STRANGERS_SPEED
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.log_range import cartesian, decay
@@ -399,3 +400,25 @@ def test_many_are_read_as_each_of_them_is_alone(ahead):
         assert state.position == pytest.approx(r)
         assert state.velocity == pytest.approx(v)
         assert state.cov == pytest.approx(cov, rel=1e-9, abs=1e-12)
+
+
+def closing_of_one_who_comes(least_speed, seed):
+    """m/s that somebody comes, and the standard deviation of that, of who hovered 14 m off for 16 s and then has flown
+    straight on at 2 m/s for 2.5 s."""
+    boxes = BoxWidth(factor=1.0, drone_sigma=0.19, wander_sigma=0.02, white_sigma=0.11)
+    states = RelativeStates(RelativeParameters(airframe_span_m=0.5, box_width=boxes, least_speed=least_speed))
+    chance = np.random.default_rng(seed)
+    for t in np.arange(0.0, 18.5, DT):
+        place = (14.0 - 2.0 * max(t - 16.0, 0.0), 0.0, 0.0)
+        width = 0.5 * math.exp(0.11 * chance.normal())
+        states.observe(look(t, place, rng=chance, width=width, sigma=5e-3))
+    state = only(states, t)
+    return -state.velocity[0], math.sqrt(state.cov[3, 3])
+
+
+def test_who_hovered_for_long_and_then_comes_straight_on_is_known_to_come_where_nobody_takes_it_to_be_calm():
+    comes, sigma = np.array([closing_of_one_who_comes(STRANGERS_SPEED, seed) for seed in range(12)]).T
+    assert (comes + sigma > 1.2).all()
+    assert np.median(comes + sigma) > 1.7
+    calm = [sum(closing_of_one_who_comes(0.2, seed)) for seed in range(12)]
+    assert np.median(calm) < 1.2
