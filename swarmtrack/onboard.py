@@ -357,6 +357,7 @@ class Onboard:
         steps = self._heading_steps.see(pose)
         for step in steps:
             self._ego.step_heading(pose.t, step)
+            self._identities.step_heading(pose.t)
             self._heading_stepped_at = pose.t
         aligned = self._ego.heading.is_aligned(pose.t)
         news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned)

@@ -169,6 +169,10 @@ class Identities:
 
     # --- what this drone sees ---
 
+    def step_heading(self, t: float) -> None:
+        """By t the autopilot's heading has stepped, and the drone has not turned."""
+        self._weighing.step_heading(t)
+
     def turn_unmeasured(self) -> None:
         """The camera has turned since the last scan, and nobody knows how far."""
         if self._parameters.profile != "paper":

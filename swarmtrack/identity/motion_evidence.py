@@ -56,8 +56,13 @@ STANDS = ((0.08, 0.05), (0.0, 0.02))
 KAPPA = 0.1
 # Of a distance by a place that was said, relative; and of a place, m.
 PLACED_SHARE, PLACED_M = 0.2, 2.0
+# s before it was found: a step of the own heading may be so old, and what was compared since is worth nothing.
+STEP_FOUND_S = 1.0
 # Sayings that wait for their scan; who is told more is flooded.
 MANY = 256
+# Where north may be turned as well, noise is not to be taken for motion that another turn foretells better: m and rad
+# from one look to the next, of the own position and of the ray.
+TURNED_WHITE, TURNED_RAY = 0.03, 0.004
 # Log odds that are remembered: a track may after all have changed over to another target.
 MOST = math.log(1e6)
 _MODELS = 5
@@ -144,6 +149,10 @@ class MotionEvidence:
         self._ratio: dict[tuple[int, int], Array] = {}
         """By each turn that is thought of."""
         self._log_turned = np.zeros(1)
+        self._stepped_t = -math.inf
+        """s: no ray from before this is compared any more."""
+        self._before: deque[tuple[float, dict[tuple[int, int], Array]]] = deque()
+        """Of the last `STEP_FOUND_S`, s: the log likelihoods of all pairs before each comparison."""
 
     @property
     def turns(self) -> int:
@@ -216,6 +225,16 @@ class MotionEvidence:
                 self._begun.pop(pair, None)
                 self._ratio[pair] = self._ratios(row)
 
+    def begin_again(self, t: float) -> None:
+        """By t the own heading has stepped: rays before cannot be compared with those since."""
+        then = next((logs for at, logs in self._before if at > t - STEP_FOUND_S), {})
+        for pair, row in self._row.items():
+            self._filters.log[row] = then.get(pair, 0.0)
+            self._ratio[pair] = self._ratios(row)
+        self._begun.clear()
+        self._before.clear()
+        self._stepped_t = t
+
     def log_ratio(self, track_id: int, drone_id: int) -> float:
         """How much more likely the track is the drone than another thing, by how both moved."""
         by_turn = self.log_ratios([track_id], [drone_id])[:, 0, 0]
@@ -241,13 +260,17 @@ class MotionEvidence:
 
     def _compare(self, sayings: Sequence[Saying]) -> None:
         """sayings: one of each drone, in order. The rays of the scan nearest to each are weighed by all models."""
+        now = self._scans[-1].t
+        while self._before and self._before[0][0] <= now - STEP_FOUND_S:
+            self._before.popleft()
+        self._before.append((now, {pair: self._filters.log[row].copy() for pair, row in self._row.items()}))
         pairs, looks, begins = [], [], []
         for saying in sayings:
             before = self._last.get(saying.drone_id)
             if before is not None and not _is_news(before, saying):
                 continue
             scan = min(self._scans, key=lambda scan: abs(scan.t - saying.t))
-            if abs(scan.t - saying.t) > SIMULTANEOUS_S:
+            if abs(scan.t - saying.t) > SIMULTANEOUS_S or scan.t <= self._stepped_t:
                 continue
             self._last[saying.drone_id] = saying
             if before is not None and not _follows(before, saying):
@@ -336,7 +359,9 @@ def _looks(found: Sequence[_Look], turns: int) -> Looks:
     said = np.array(
         [look.saying.displacement + (look.scan.t - look.saying.t) * look.saying.velocity for look in found]
     )
-    white = np.array([look.saying.trust.white * _inverse_distance(look)[0] for look in found])
+    own, ray = (TURNED_WHITE, TURNED_RAY) if turns > 1 else (0.0, 0.0)
+    kappa = np.array([_inverse_distance(look)[0] for look in found])
+    white = kappa * np.hypot([look.saying.trust.white for look in found], own)
     foretold, speed = np.zeros((2, len(found), _MODELS + turns - 1, 3))
     it = [0, *range(_MODELS, _MODELS + turns - 1)]
     foretold[:, it] = said[:, None]
@@ -345,7 +370,7 @@ def _looks(found: Sequence[_Look], turns: int) -> Looks:
         np.array([look.scan.t for look in found]),
         np.array([look.scan.rays[look.row] for look in found]),
         np.array([look.scan.camera for look in found]),
-        np.array([look.scan.noise[look.row] for look in found]) + white**2,
+        np.array([look.scan.noise[look.row] for look in found]) + white**2 + ray**2,
         foretold,
         speed,
     )

@@ -23,9 +23,12 @@ from swarmtrack.messages import Announcement, Array, SightingReport, Track, Trac
 from swarmtrack.motion.ego import TeamPose
 
 # The probability that it is wrong: from which on it is said, and below which no more.
-SAID, GONE = 0.75, 0.4
+SAID, GONE = 0.75, 0.25
 # s that it must last.
 SAID_S, GONE_S = 0.5, 3.0
+# The probability from which on it is rather wrong than right, and s that this must last until it is said as well. One
+# teammate in the wrong direction tells no more: it may be that one's start.
+LIKELIER, LIKELIER_S = 0.4, 1.5
 # rad: by so many sigmas, and by so much at least, a heading must be off to be worth a word.
 SIGMAS, LEAST = 2.0, math.radians(6.0)
 # m: and a start.
@@ -65,6 +68,7 @@ class SelfDoubt:
         self._nameless: set[int] = set()
         """The tracks that had no name then."""
         self._since = math.nan
+        self._likelier_since = math.nan
         self._t = -math.inf
         self._own_pad: Array | None = None
 
@@ -182,8 +186,15 @@ class SelfDoubt:
 
     def _judge(self, t: float) -> None:
         if t - self._t > LONGEST_S:
-            self._since = math.nan
+            self._since = self._likelier_since = math.nan
         self._t = t
+        if self._p < LIKELIER or self.said:
+            self._likelier_since = math.nan
+        elif math.isnan(self._likelier_since):
+            self._likelier_since = t
+        elif t - self._likelier_since >= LIKELIER_S:
+            self.said, self._since = True, math.nan
+            return
         turns = self._p < GONE if self.said else self._p > SAID
         if not turns:
             self._since = math.nan

@@ -106,6 +106,10 @@ class Weighing:
             Saying(report.drone_id, source, report.t, report.displacement, report.velocity, trust)
         )
 
+    def step_heading(self, t: float) -> None:
+        """By t the observer's heading has stepped."""
+        self._motion.begin_again(t)
+
     def agree(self, motion: AgreedMotion) -> None:
         """A drone moves like that, as was agreed."""
         self._agreed.agree(motion)

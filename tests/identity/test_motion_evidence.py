@@ -1,6 +1,7 @@
 """Who a track is by how it moves: filters against closed forms, drones told apart wherever they started."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,10 +56,14 @@ def at_rest(t):
 class Flight:
     """Tracks 1, 2, … of things at `starts` that move as they do; drones 1, 2, … say how they move.
 
-    late_s: by how much the scans stamp later than the sayings that they are of; misses: no detection in a scan (track).
+    late_s: by how much the scans stamp later than the sayings that they are of; misses: no detection in a scan (track);
+    steps: at t [s] the observer's heading steps by so much [rad], and the evidence is told, or not, found_s later.
     """
 
-    def __init__(self, starts, moves, *, observer=at_rest, late_s=0.0, misses=lambda scan: ()):
+    def __init__(
+        self, starts, moves, *, observer=at_rest, late_s=0.0, misses=lambda scan: (), steps=(math.inf, 0.0, None)
+    ):
+        self.steps_t, self.step, self.found_s = steps
         self.starts = np.array(starts, dtype=float)
         self.moves, self.observer, self.late_s, self.misses = moves, observer, late_s, misses
 
@@ -74,6 +79,8 @@ class Flight:
             for due in [one for one in heard if one[0] <= t]:
                 heard.remove(due)
                 found.hear(due[1])
+            if self.found_s is not None and t - SCAN_S < self.steps_t + self.found_s <= t:
+                found.begin_again(self.steps_t + self.found_s)
             self._look(found, scan, t, rng)
         return found
 
@@ -87,6 +94,9 @@ class Flight:
         )
         away = (places - view.team_from_camera.position) @ view.team_from_camera.rotation
         pixel = 430.0 * away[:, :2] / away[:, 2:] + (320.0, 240.0)
+        if t >= self.steps_t:
+            believed = rotation.from_euler(0.0, 0.0, self.step)
+            view = ObserverCamera.of(replace(view.observer, world_from_body=believed), CAMERA, FORWARD)
         if rng is not None:
             pixel += rng.standard_normal(pixel.shape)
         side = 430.0 * 0.45 / away[:, 2]
@@ -282,6 +292,18 @@ def test_a_track_that_was_hidden_keeps_little_of_what_motion_said_and_may_be_ano
         found.weaken(track, 1.0)
         for drone in (1, 2):
             assert abs(found.log_ratio(track, drone)) <= 1.0 + math.log(4.0)
+
+
+@pytest.mark.parametrize("found_s", [0.1, 0.6])
+def test_a_step_of_the_own_heading_speaks_against_nobody_once_it_is_found(found_s):
+    """An autopilot that aligns itself in flight turns all rays at once by some degrees."""
+
+    def proof(found_s):
+        flight = Flight(starts(1), [hovering(1)], steps=(8.0, math.radians(3.0), found_s))
+        return flight.watched(9.5, [published(1, hovering(1))]).log_ratio(1, 1)
+
+    assert proof(None) < 0.0
+    assert proof(found_s) > math.log(1e3)
 
 
 def test_a_place_that_was_set_anew_is_not_flown():
