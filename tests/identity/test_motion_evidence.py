@@ -61,7 +61,14 @@ class Flight:
     """
 
     def __init__(
-        self, starts, moves, *, observer=at_rest, late_s=0.0, misses=lambda scan: (), steps=(math.inf, 0.0, None)
+        self,
+        starts,
+        moves,
+        *,
+        observer=at_rest,
+        late_s=0.0,
+        misses=lambda scan: (),
+        steps=(math.inf, 0.0, None),
     ):
         self.steps_t, self.step, self.found_s = steps
         self.starts = np.array(starts, dtype=float)

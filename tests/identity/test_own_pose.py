@@ -78,6 +78,16 @@ def test_who_stands_on_anothers_pad_says_so_once_it_has_lasted_and_names_nobody(
     assert names == {"a": None, "b": None}
 
 
+def test_where_one_teammate_alone_is_elsewhere_a_doubt_that_is_not_sure_is_said_once_it_has_lasted():
+    """It may be that teammate's start as well as the own."""
+    observer = Observer()
+    observer.hears(2, LEFT)
+    observer.sees(1.0, a=(420.0, 240.0))
+    assert not observer.identities.self_doubt
+    observer.sees(1.0, a=(420.0, 240.0))
+    assert observer.identities.self_doubt
+
+
 def test_a_doubt_ends_when_teammates_are_where_they_should_be_again(observer):
     observer.sees(1.0, a=nearer(LEFT), b=nearer(RIGHT))
     assert observer.identities.self_doubt
