@@ -461,6 +461,11 @@ class NetworkSection(Section):
     lease_s: Annotated[Number, Field(ge=0.5, le=60.0)] = Field(
         default=2.0, description="a teammate that is silent for this long is gone"
     )
+    tracks_kbit_s: Annotated[Number, Field(ge=8.0, le=1e6)] | None = Field(
+        default=None,
+        description="what tracks and video take of the radio at most, all listeners together; "
+        "without it as much as goes through",
+    )
 
     @field_validator("peers")
     @classmethod

@@ -79,11 +79,11 @@ class TracksPublisher:
     def _publish(self) -> None:
         now = self._clock.now()
         tracks = self._door.tracks(now)
-        self._sequence += 1
-        message = tracks_message(tracks, self._sequence, self._clock.utc() - now, UTC_SIGMA)
+        message = tracks_message(tracks, self._sequence + 1, self._clock.utc() - now, UTC_SIGMA)
         try:
-            self._transport.publish(Kind.TRACKS, codec.encode(message))
-            self._health.published.tick()
+            if self._transport.publish(Kind.TRACKS, codec.encode(message)):
+                self._sequence += 1
+                self._health.published.tick()
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._health.drops["unsendable_tracks"] += 1
         if self._detected_at is not None:

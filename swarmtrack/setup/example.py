@@ -53,6 +53,7 @@ SHOWN = {
     "detector.mean": "[0.0, 0.0, 0.0]",
     "network.keys": '"keys/drone-{id}"',
     "network.peers": '{ 1 = "10.0.0.11", 2 = "10.0.0.12" }',
+    "network.tracks_kbit_s": "200.0",
     "output.jsonl": '"tracks.jsonl"',
     "output.video": '"annotated.mp4"',
     "output.health": '"health.json"',

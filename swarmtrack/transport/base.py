@@ -59,8 +59,8 @@ class Transport(Protocol):
         """Our `camera/<id>`: said once when the network opens, and to whoever asks. To be called before that."""
         ...
 
-    def publish(self, kind: Kind, payload: bytes) -> None:
-        """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop."""
+    def publish(self, kind: Kind, payload: bytes) -> bool:
+        """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop. Whether it was let go."""
         ...
 
     def has_listener(self, kind: Kind) -> bool:

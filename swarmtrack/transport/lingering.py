@@ -9,14 +9,12 @@ option belongs to the socket and not to who set it, so we take it off again. Of 
 from __future__ import annotations
 
 import asyncio
-import os
 import socket
-import stat
 import struct
-from pathlib import Path
 from typing import Final
 
-DESCRIPTORS: Final = Path("/proc/self/fd")
+from swarmtrack.transport.own_sockets import own_streams
+
 PERIOD_S: Final = 0.5  # a link is older than that when it is lost
 _LINGER: Final = struct.Struct("ii")
 
@@ -29,23 +27,15 @@ async def close_at_once() -> None:
 
 
 def stop_lingering() -> int:
-    """How many sockets of this process lingered. None where the system does not list descriptors."""
-    try:
-        descriptors = [int(name) for name in os.listdir(DESCRIPTORS)]
-    except OSError:
-        return 0
-    return sum(map(_stop, descriptors))
+    """How many sockets of this process lingered."""
+    return sum(map(_stop, own_streams()))
 
 
-def _stop(descriptor: int) -> bool:
+def _stop(stream: socket.socket) -> bool:
     try:
-        if not stat.S_ISSOCK(os.fstat(descriptor).st_mode):
-            return False
-        # A descriptor of its own: Zenoh may close the original meanwhile.
-        with socket.fromfd(descriptor, socket.AF_INET, socket.SOCK_STREAM) as copy:
-            lingers, _ = _LINGER.unpack(copy.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size))
-            if lingers:
-                copy.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(0, 0))
-            return bool(lingers)
+        lingers, _ = _LINGER.unpack(stream.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size))
+        if lingers:
+            stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(0, 0))
+        return bool(lingers)
     except OSError:  # it is gone
         return False

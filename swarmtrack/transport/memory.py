@@ -147,11 +147,12 @@ class MemoryTransport:
     def describe(self, camera: bytes) -> None:
         self._outgoing.camera = camera
 
-    def publish(self, kind: Kind, payload: bytes) -> None:
+    def publish(self, kind: Kind, payload: bytes) -> bool:
         if kind not in PUBLISHED:
             raise ValueError(f"publish: found {kind}, expected one of {', '.join(PUBLISHED)}")
         self._published[f"{kind}_sent"] += 1
         self._hub._send(self, self._key(kind), payload)
+        return True
 
     def has_listener(self, kind: Kind) -> bool:
         return bool(self._hub.listeners)

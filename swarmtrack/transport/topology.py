@@ -141,4 +141,5 @@ def _settings(
         mode=mode,
         credentials=credentials,
         expected=expected,
+        tracks_kbit_s=section.tracks_kbit_s,
     )

@@ -14,8 +14,9 @@ from swarmtrack.transport.settings import ENCRYPTED, Mode, NetworkSettings
 MAX_ZENOH_BYTES: Final = 1024 * 1024  # of a fragmented message: Zenoh drops larger ones before we see them
 MAX_LINKS: Final = 2  # between two with keys (`links.Links.PAIR`)
 # In one lease. With 4, a link of idle datagrams was lost twice a minute where a fifth of all frames is.
-KEEP_ALIVES, DATAGRAM_KEEP_ALIVES = 4, 8
-HANDSHAKE_MS: Final = 3000
+KEEP_ALIVES, DATAGRAM_KEEP_ALIVES = 4, 6
+# What stalls in a handshake waits longer and longer, and is better begun again; one that loses two packets is not.
+HANDSHAKE_MS: Final = 4000
 CLIENT_HANDSHAKE_MS: Final = 1500  # then the next router is tried
 CLIENT_CONNECT_MS: Final = 6000  # a client's `open` blocks until a router answers, but not for ever
 
@@ -41,7 +42,7 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
             # Who takes over a meeting point is met after one period. Loopback refuses at once and for free.
             "retry": {
                 "period_init_ms": 100,
-                "period_max_ms": 250 if network.rendezvous else 1000,
+                "period_max_ms": 250 if network.rendezvous else 500,
                 "period_increase_factor": 2,
             },
         },

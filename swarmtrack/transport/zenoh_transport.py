@@ -25,6 +25,7 @@ from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
+from swarmtrack.transport.giving_way import GivingWay
 from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
@@ -95,7 +96,7 @@ class ZenohTransport:
         self._outgoing = Outgoing(network.team, drone_id, boot, clock, sign)
         self._session: zenoh.Session | None = None
         self._publishers: dict[Kind, zenoh.Publisher] = {}
-        self._watched = False
+        self._giving_way = GivingWay(network, clock)
         self._renewed = False
         self._declared: list[Any] = []
         self._bridges: list[Bridge] = []
@@ -177,6 +178,7 @@ class ZenohTransport:
             raise
         self._session = session
         self._tasks += [
+            asyncio.create_task(self._giving_way.run(session, lambda: len(self._peers.alive)), name="pace"),
             asyncio.create_task(self._peers.ask_for_missing(self._ask), name="reconciliation"),
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
             asyncio.create_task(close_at_once(), name="lingering"),
@@ -192,12 +194,10 @@ class ZenohTransport:
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=carriage.priority,
             )
-        video = self._publishers[Kind.VIDEO]
-        listeners = zenoh.handlers.Callback(self._on_video_listeners, indirect=False)
         # The token comes last: it makes others ask, and the queryable must be there to answer.
         self._declared = [
             *self._publishers.values(),
-            video.declare_matching_listener(listeners),
+            *self._giving_way.declare(self._publishers),
             session.declare_queryable(
                 self._outgoing.key, zenoh.handlers.Callback(self._answer, indirect=False)
             ),
@@ -253,22 +253,26 @@ class ZenohTransport:
     def describe(self, camera: bytes) -> None:
         self._outgoing.camera = camera
 
-    def publish(self, kind: Kind, payload: bytes) -> None:
+    def publish(self, kind: Kind, payload: bytes) -> bool:
         if kind not in PUBLISHED:
             raise ValueError(f"publish: found {kind}, expected one of {', '.join(PUBLISHED)}")
         publisher = self._publishers.get(kind)
         if publisher is None:
             self._counters[f"{kind}_unsent"] += 1
-            return
+            return False
+        if not self._giving_way.lets_go(kind, len(payload)):
+            return False
         try:
             publisher.put(payload)
-            self._counters[f"{kind}_sent"] += 1
         except zenoh.ZError:
             self._counters[f"{kind}_unsent"] += 1
+            return False
+        self._counters[f"{kind}_sent"] += 1
+        return True
 
     def has_listener(self, kind: Kind) -> bool:
         # Of what is cheap nobody asks: it is said anyway.
-        return kind in self._publishers and (kind is not Kind.VIDEO or self._watched)
+        return kind in self._publishers and (kind is not Kind.VIDEO or self._giving_way.has_listener(kind))
 
     def events(self) -> AsyncIterator[PeerEvent]:
         return self._peers.events()
@@ -288,11 +292,12 @@ class ZenohTransport:
             "samples_dropped": sum(bridge.dropped for bridge in self._bridges),
             "samples_superseded": sum(bridge.superseded for bridge in self._bridges),
             **self._counters,
+            **self._giving_way.counters,
             **self._peers.counters,
         }
         text = (
             f"team {self._network.team}: {len(alive)} peers, {len(missing)} of them unannounced, "
-            f"{self._watch.describe(up)}"
+            f"{self._watch.describe(up)}{self._giving_way.note}"
         )
         if silent:
             text += f"; not heard: drone {', '.join(map(str, silent))}"
@@ -323,10 +328,6 @@ class ZenohTransport:
         self._publishers = {}
         if session is not None:
             await close_session(session, declared)
-
-    def _on_video_listeners(self, status: zenoh.MatchingStatus) -> None:
-        """In Zenoh's thread."""
-        self._watched = status.matching
 
     def _answer(self, query: zenoh.Query) -> None:
         """In Zenoh's thread."""

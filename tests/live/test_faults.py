@@ -12,11 +12,12 @@ import asyncio
 import signal
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from pathlib import Path
 
 import pytest
 
+from support.patience import PATIENCE
 from support.team_in_the_air import Look, Team, team_in_the_air
 from swarmtrack.localswarm.radio import RadioError
 
@@ -32,6 +33,7 @@ LOSSES_S = (15.0, pytest.param(40.0, marks=LONG))  # 7 and 20 leases
 REBOOTS_AT_S = (12.0, 32.0, 52.0, 92.0, 132.0, 172.0)
 REBOOT_S = 2.0
 CRASHES = 3
+LISTENING_S = 25.0
 TWO_HOURS = 7200.0
 STANDSTILL_S = 1.0  # half a lease: what an agent that gets no CPU does to the links, no radio need do
 
@@ -166,6 +168,39 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(gather: Gat
     report(f"false deaths in {seconds:g} s", len(departures), "")
     report("everybody in view rightly named", 100.0 * sum(right) / len(right), "% of what was published")
     assert team.wrong(team.drones, since=lossy, until=end) == 0
+    if departures and silence > STANDSTILL_S:
+        pytest.skip(
+            f"this machine is too busy: on a cable without faults an agent was silent for {silence:.1f} s"
+        )
+    assert departures == []
+
+
+async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(gather: Gather) -> None:
+    """64 kbit/s carry signs of life and a few tracks; 50 Hz of tracks would take six times as much."""
+    team = await gather(TRIANGLE.replace("tracks_hz = 25.0", "tracks_hz = 50.0"))
+    agents = {drone: await team.start(drone) for drone in team.drones}
+    await team.until_known(team.drones, since=time.monotonic())
+
+    await asyncio.sleep(SETTLED_S)
+    team.emulator.narrow(64.0)
+    listener = await team.listen("tracks/*")
+    assert listener.stdout is not None
+    await asyncio.wait_for(listener.stdout.readline(), PATIENCE)
+    began, lost = time.monotonic(), sum(counters.lost for counters in team.emulator.counters.values())
+    heard = 1
+    with suppress(TimeoutError):
+        async with asyncio.timeout(LISTENING_S):
+            while await listener.stdout.readline():
+                heard += 1
+    end = time.monotonic()
+    departures = [t - began for agent in agents.values() for t in agent.times("is gone", began)]
+    lost = sum(counters.lost for counters in team.emulator.counters.values()) - lost
+    report("false deaths while somebody listened", len(departures), "")
+    report("frames that the radio had no room for", lost, "")
+    report("tracks heard, per second and drone", heard / (end - began) / len(team.drones), "")
+    assert team.wrong(team.drones, since=began, until=end) == 0
+    assert any(agent.times("tracks are said less often") for agent in agents.values())
+    silence = team.longest_silence(began, end)
     if departures and silence > STANDSTILL_S:
         pytest.skip(
             f"this machine is too busy: on a cable without faults an agent was silent for {silence:.1f} s"

@@ -42,6 +42,7 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import TracksMessage
 
+GROUND = 250  # the radio of whoever listens without being of the team
 MAX_FRAME_AGE_S = 1.0  # where processes wait for each other, a late frame is better than none
 SEED = 1
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -198,6 +199,24 @@ class Team:
         self._processes.append(Lines(f"the agent of drone {drone}", process))
         return self._processes[-1]
 
+    async def listen(self, key: str) -> Process:
+        """Somebody on the ground listens over the radio, with the monitor's keys; what is heard comes as JSON lines."""
+        assert self._keys is not None
+        peers = ", ".join(f'{drone} = "{self.emulator.radio_address(drone)}"' for drone in self.drones)
+        team = self._folder / "ground.toml"
+        team.write_text(f'[network]\nteam = "{self._name}"\npeers = {{ {peers} }}\n')
+        words = ["echo", key, "--config", str(team), "--keys", str(self._keys / "monitor")]
+        process = await asyncio.create_subprocess_exec(
+            *self.emulator.wrap(GROUND, [sys.executable, "-m", "swarmtrack.agents.main", *words]),
+            stdin=DEVNULL,
+            stdout=PIPE,
+            stderr=PIPE,
+            limit=1 << 20,
+            env=ENVIRONMENT,
+        )
+        self._processes.append(Lines("the listener", process))
+        return process
+
     def _write_config(self, drone: int, name: int) -> Path:
         folder = self._folder / f"{drone}-as-{name}"
         folder.mkdir(exist_ok=True)
@@ -336,7 +355,7 @@ async def team_in_the_air(scenario: str, folder: Path, *, secured: bool = True) 
     file = folder / "scenario.toml"
     file.write_text(scenario)
     drones = load_scenario(file, seed=SEED).members
-    async with RadioEmulator(drones, seed=SEED) as emulator:
+    async with RadioEmulator([*drones, GROUND], seed=SEED) as emulator:
         team = Team(emulator, file, folder, secured=secured)
         try:
             await team.open()

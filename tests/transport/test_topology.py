@@ -47,8 +47,8 @@ def test_in_a_mesh_each_listens_on_its_own_address_and_dials_the_lower(team: Tea
     network = topology.of_drone(NetworkSection(team="red", peers=PEERS), 2, team.credentials("2"))
     check(network)
     assert network.mode == Mode.PEER
-    assert network.listen == ("tls/10.0.0.12:7500?rel=1", "quic/10.0.0.12:7501?rel=0")
-    assert network.connect == ("tls/10.0.0.11:7447?rel=1", "quic/10.0.0.11:7448?rel=0")
+    assert network.listen == ("tls/10.0.0.12:7500?rel=1", "quic/10.0.0.12:7501?mixed_rel=1")
+    assert network.connect == ("tls/10.0.0.11:7447?rel=1", "quic/10.0.0.11:7448?mixed_rel=1")
     assert network.expected == ("drone-1", "drone-3")
 
 

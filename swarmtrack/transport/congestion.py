@@ -1,0 +1,106 @@
+"""Whether our packets wait on their way: what the kernel knows of our TCP links.
+
+Signs of life go over TCP or TLS in every mesh, several times in each lease, so the kernel measures all the time how
+long an answer takes. Where it takes much longer than the quickest one of the last minutes, packets wait somewhere: in
+the radio most likely. The kernel tells a running mean; two means tell the sample between them. An answer that was lost
+looks late as well, so the quickest of the last few counts, and of the links at one address of ours one in the middle:
+they have the same radio. Where TCP itself has bytes left that it could not send yet, that is said too.
+
+A link that is QUIC alone (to routers) tells nothing, nor does a system that is not Linux.
+"""
+
+from __future__ import annotations
+
+import socket
+import statistics
+import struct
+from collections import deque
+from collections.abc import Collection, Mapping
+from typing import Final, NamedTuple
+
+from swarmtrack.transport.own_sockets import own_streams
+
+SAMPLES: Final = 3
+# s without an answer to what was sent, while it could be that nothing was sent.
+SIGNS_OF_LIFE_S: Final = 0.5
+# In `struct tcp_info`: packets without an answer; ms since the last answer; the mean of round trips, us; bytes not sent
+# yet; the shortest round trip, us.
+_UNANSWERED, _LAST_ANSWER, _RTT, _UNSENT, _MIN_RTT, _SIZE = 24, 56, 68, 144, 148, 152
+_MEAN_WEIGHT: Final = 8  # the mean moves by an eighth of what a new sample is off
+
+
+class Sent(NamedTuple):
+    """Of one link. own: our address; rtt_s: mean of round trips; min_rtt_s: the shortest of some minutes; unanswered_s:
+    since the last answer, where one is due; unsent: bytes."""
+
+    own: str
+    rtt_s: float
+    min_rtt_s: float
+    unanswered_s: float
+    unsent: int
+
+
+class Waiting(NamedTuple):
+    """delay_s: how much later than the quickest answers come, on most links of the worst address. unsent: bytes, on the
+    worst link."""
+
+    delay_s: float
+    unsent: int
+
+
+class Congestion:
+    """Pure state: told of every link at each look."""
+
+    def __init__(self) -> None:
+        self._means: dict[str, float] = {}
+        self._delays: dict[str, deque[float]] = {}
+
+    def see(self, links: Mapping[str, Sent]) -> Waiting:
+        """links: by any name that stays with the link."""
+        for gone in self._means.keys() - links.keys():
+            del self._means[gone], self._delays[gone]
+        for name, sent in links.items():
+            before = self._means.get(name)
+            delays = self._delays.setdefault(name, deque(maxlen=SAMPLES))
+            if before is None or sent.rtt_s != before:
+                last = sent.rtt_s if before is None else before + _MEAN_WEIGHT * (sent.rtt_s - before)
+                delays.append(max(0.0, last - sent.min_rtt_s))
+            self._means[name] = sent.rtt_s
+        late: dict[str, list[float]] = {}
+        for name, sent in links.items():
+            late.setdefault(sent.own, []).append(
+                max(min(self._delays[name]), sent.unanswered_s - SIGNS_OF_LIFE_S)
+            )
+        return Waiting(
+            max(map(statistics.median_low, late.values()), default=0.0),
+            max((sent.unsent for sent in links.values()), default=0),
+        )
+
+
+def look_at_links(ends: Collection[str]) -> dict[str, Sent]:
+    """By HOST:PORT of the other end, as Zenoh says it; those that are TCP. None where the system tells nothing."""
+    found = {}
+    for stream in own_streams() if ends else ():
+        try:
+            host, port, *_ = stream.getpeername()
+            own = stream.getsockname()[0]
+            told = stream.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _SIZE)
+        except OSError:  # not connected, or gone
+            continue
+        end = f"[{host}]:{port}" if stream.family == socket.AF_INET6 else f"{host}:{port}"
+        if end in ends and len(told) == _SIZE:
+            found[end] = _sent(own, told)
+    return found
+
+
+def _sent(own: str, told: bytes) -> Sent:
+    def number(at: int) -> int:
+        return int(struct.unpack_from("=I", told, at)[0])
+
+    return Sent(
+        own,
+        1e-6 * number(_RTT),
+        1e-6 * number(_MIN_RTT),
+        1e-3 * number(_LAST_ANSWER) if number(_UNANSWERED) else 0.0,
+        number(_UNSENT),
+    )

@@ -1,0 +1,112 @@
+"""Tracks and pictures give way to all else on a radio that is full: `pacing`, told by one Zenoh session."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final
+
+import zenoh
+
+from swarmtrack.clock import Clock
+from swarmtrack.transport.base import Kind
+from swarmtrack.transport.congestion import Congestion, look_at_links
+from swarmtrack.transport.pacing import Pacing
+from swarmtrack.transport.settings import Mode, NetworkSettings
+
+log = logging.getLogger(__name__)
+
+LOOK_S: Final = 0.2
+PACED: Final = (Kind.TRACKS, Kind.VIDEO)
+QUIET_S: Final = 60.0  # after which it is worth a line of the log again
+
+
+class GivingWay:
+    """Of one agent's publishers, whatever session they belong to."""
+
+    def __init__(self, network: NetworkSettings, clock: Clock) -> None:
+        budget = network.tracks_kbit_s
+        self._pacing = Pacing(None if budget is None else 125.0 * budget)
+        self._mesh = network.mode is Mode.PEER
+        self._clock = clock
+        self._congestion = Congestion()
+        self._listened: set[Kind] = set()
+        # Of the radio; behind a router, it is the router that says all again.
+        self._listeners = 0 if self._mesh else 1
+        self._streams: set[str] = set()
+        self._gave_way_at = -math.inf
+        self.counters: Counter[str] = Counter()
+
+    def declare(self, publishers: Mapping[Kind, zenoh.Publisher]) -> list[Any]:
+        """What tells us whether anybody listens."""
+        self._listened.clear()
+        return [
+            publishers[kind].declare_matching_listener(
+                zenoh.handlers.Callback(partial(self._on_listeners, kind), indirect=False)
+            )
+            for kind in PACED
+        ]
+
+    def _on_listeners(self, kind: Kind, status: zenoh.MatchingStatus) -> None:
+        """In Zenoh's thread."""
+        if status.matching:
+            self._listened.add(kind)
+            self._pacing.begin()
+        else:
+            self._listened.discard(kind)
+
+    def has_listener(self, kind: Kind) -> bool:
+        """Whether anybody listens to what is paced."""
+        return kind in self._listened
+
+    def lets_go(self, kind: Kind, size: int) -> bool:
+        """Whether a message may be said now; what may not is counted."""
+        if kind not in self._listened:
+            return True
+        allowed = self._pacing.allows(size, self._listeners, self._clock.now(), tracks=kind is Kind.TRACKS)
+        self.counters[f"{kind}_held_back"] += not allowed
+        return allowed
+
+    @property
+    def note(self) -> str:
+        """For the status; nothing where all goes through."""
+        if not self._listened or not self._pacing.gives_way:
+            return ""
+        return f"; the radio is full, tracks give way: {self._pacing.bytes_s / 125.0:.0f} kbit/s"
+
+    async def run(self, session: zenoh.Session, teammates: Callable[[], int]) -> None:
+        """Until cancelled. teammates: how many live."""
+        while True:
+            await asyncio.sleep(LOOK_S)
+            if self._listened:
+                self._look(session, teammates())
+
+    def _look(self, session: zenoh.Session, teammates: int) -> None:
+        now = self._clock.now()
+        links = [link for link in session.info.links() if not _is_within(str(link.dst))]
+        if self._mesh:
+            # Teammates do not listen to tracks, and whoever is on board costs no radio.
+            self._listeners = max(0, len({str(link.zid) for link in links}) - teammates)
+        self._streams, before = _streams(links), self._streams
+        if self._streams != before:
+            self._pacing.begin()
+        self._pacing.look(self._congestion.see(look_at_links(self._streams)), now)
+        if self._pacing.gives_way:
+            if now - self._gave_way_at > QUIET_S:
+                log.warning("network: the radio is full: tracks are said less often")
+            self._gave_way_at = now
+
+
+def _is_within(locator: str) -> bool:
+    """Whether a link stays within this machine."""
+    return locator.partition("/")[2].startswith(("127.", "[::1]"))
+
+
+def _streams(links: Sequence[zenoh.Link]) -> set[str]:
+    """HOST:PORT at the other end of each link that is TCP."""
+    ends = [str(link.dst) for link in links]
+    return {end.partition("/")[2].partition("?")[0] for end in ends if end.startswith(("tls/", "tcp/"))}
