@@ -464,7 +464,8 @@ class MotionReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgreedMotion:
-    """How a teammate moves by what was agreed before the flight; nothing of it was on the air.
+    """How a teammate moves, or this drone itself is to sway, by what was agreed before the flight; nothing of it was on
+    the air.
 
     t (n,) s, increasing, n ≥ 2, on our monotonic clock; displacement (n, 3) m in the team frame's axes, counted from
     anywhere. planned: by a plan of its way, which is flown less exactly than a code. tried: whether it flies that then

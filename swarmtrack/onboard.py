@@ -14,13 +14,14 @@ once they are known well enough. Both are functions of the stamps, so that here 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import assert_never
 
 import numpy as np
 
-from swarmtrack.formation.setpoint import OwnFlight
+from swarmtrack.formation.setpoint import NO_SWAY, OwnFlight, OwnSway
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
@@ -80,6 +81,8 @@ from swarmtrack.tracking.scan import make_scan
 MAX_SILENCE = 1.0
 # m: how well a drone knows its place that doubts its start or heading. For whoever hears it, that is nowhere.
 DOUBTED_M = 1000.0
+# Of the own codes, so many are kept; and s, from whose difference the velocity of a sway is taken.
+MOST_CODES, SWAY_S = 32, 0.05
 # m/s per axis: nobody whose name is not known is taken to be calmer. Who has hovered for long and then comes straight
 # on grows in the image, and no more; a filter that knows it to be calm takes that for an error of its boxes.
 STRANGERS_SPEED = 1.0
@@ -151,6 +154,7 @@ class Onboard:
         self._anybody = RelativeStates(strangers) if places_anybody else None
         self._frames = Frames(drone_id, relative)
         self._range_watch = RangeWatch()
+        self._own_codes: deque[AgreedMotion] = deque(maxlen=MOST_CODES)
         self._drone_id = drone_id
         self._consensus = Consensus()
         self._view: OwnView | None = None
@@ -191,7 +195,10 @@ class Onboard:
             case RangeReport():
                 self._hear_range(event)
             case AgreedMotion():
-                self._identities.agree(event)
+                if event.drone_id == self._drone_id:
+                    self._own_codes.append(event)
+                else:
+                    self._identities.agree(event)
             case Announcement():
                 if self._identities.announce(event):
                     self._frames.announce(event)
@@ -290,7 +297,17 @@ class Onboard:
             heading_step_age=now - self._heading_stepped_at,
             clash=bool(self._clashing),
             doubted=self._doubted,
+            sways=self._own_sway(now),
         )
+
+    def _own_sway(self, now: float) -> OwnSway:
+        """By its code, where it sways just now."""
+        for code in self._own_codes:
+            if code.t[0] < now < code.t[-1]:
+                times = [now - SWAY_S, now, now + SWAY_S]
+                before, at, after = np.interp(times, code.t, code.displacement[:, 2]).tolist()
+                return OwnSway(at, (after - before) / (2.0 * SWAY_S))
+        return NO_SWAY
 
     @property
     def team_from_local(self) -> Array:

@@ -231,7 +231,7 @@ class StarSection(Section):
     layer_m: Annotated[Number, Field(ge=0.0, le=5.0)] = Field(
         default=1.0, description="between the heights of neighbours and the leader's, m"
     )
-    height_m: Annotated[Number, Field(ge=4.0, le=50.0)] = Field(
+    height_m: Annotated[Number, Field(ge=4.0, le=120.0)] = Field(
         default=6.0, description="of the leader above the ground, m"
     )
     takes_off_s: NotNegative | None = Field(

@@ -8,7 +8,7 @@ import pytest
 from swarmtrack.benchmarks.relative_cost import CAMERA, IN_VIEW, SPAN_M, Hovering, places
 from swarmtrack.follower import Engagement, Follower
 from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.setpoint import Setpoint, Why
+from swarmtrack.formation.setpoint import NO_SWAY, Setpoint, Why
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
@@ -17,8 +17,10 @@ from swarmtrack.messages import EgoPose, IdClash, ImuSample, PeerDeparted
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
+from swarmtrack.motion.sway import sway
 from swarmtrack.onboard import Onboard
 from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.runtime.filed import coded_motion
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracker
 
 PARAMETERS = FormationParameters(
@@ -138,3 +140,15 @@ def test_an_autopilot_whose_clock_is_not_known_holds():
     t = hover(drone)
     told = Follower(PARAMETERS).command(drone, drone.tracks(t), Engagement(1, clock_known=False))
     assert told.setpoint.why is Why.CLOCK
+
+
+def test_the_own_code_is_swayed_by_while_it_lasts_and_is_nobody_elses():
+    drone = onboard(drone_id=2)
+    drone.tell(coded_motion(2, (1, 2, 3), begin=1.0))
+    for t in (0.5, 3.0, 5.2, 9.5):
+        hover(drone, seconds=0.1, t=t - 0.1)
+        own = drone.own_flight(t)
+        down, speed = sway(2, (1, 2, 3), t - 1.0)[:2, 2].tolist()
+        assert own.sways.down == pytest.approx(down, abs=5e-3)
+        assert own.sways.speed == pytest.approx(speed, abs=0.05)
+    assert own.sways == NO_SWAY

@@ -74,12 +74,12 @@ SWITCHED = TEAM.replace("[team.drones]", "code = { switch = { channel = 8 } }\n[
 UTC_S = 1777629600.0  # 2026-05-01T10:00:00Z
 
 
-def test_the_codes_of_the_others_are_those_of_the_whole_team_at_their_times(load):
+def test_the_codes_of_all_and_of_this_drone_itself_are_those_of_the_whole_team_at_their_times(load):
     motions = agreed_motions(load("drone.id = 2", CODES), 100.0 - UTC_S)
     assert [(one.drone_id, one.t[0], one.planned) for one in motions] == [
-        (drone_id, begin, False) for begin in (100.0, 160.0) for drone_id in (1, 7)
+        (drone_id, begin, False) for begin in (100.0, 160.0) for drone_id in (1, 2, 7)
     ]
-    seven = motions[1]
+    seven = motions[2]
     k = 60
     assert seven.displacement[k] == pytest.approx(sway(7, (1, 2, 7), seven.t[k] - 100.0)[0])
 

@@ -31,7 +31,7 @@ from swarmtrack.formation.barrier import (
 from swarmtrack.formation.law import SeenReference, added, displacement, saturated, towards, turn_rate
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.references import ReferenceWatch
-from swarmtrack.formation.setpoint import FASTEST_M_S, STILL, OwnFlight, Setpoint, Velocity, Why
+from swarmtrack.formation.setpoint import FASTEST_M_S, NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
 from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, TrackStatus
 
 # s: of a pose, of the gyro, of a scan: older than this they tell nothing of now.
@@ -131,7 +131,7 @@ class Formation:
             return self._brake(t, dt, Why.BROKEN)
         if why is Why.FOLLOW:
             self._followed, self._followed_at = slewed, t
-        velocity, clear_of = self._bent(slewed, states, own, tracks, t)
+        velocity, clear_of = self._bent(slewed, wanted, states, own, tracks)
         yaw_rate = self._turned(own, t, dt) if why is not Why.HEADING else 0.0
         if not _are_numbers((*velocity, yaw_rate)):
             return self._brake(t, dt, Why.BROKEN)
@@ -220,10 +220,12 @@ class Formation:
     def _with_height(
         self, wanted: Velocity, own: OwnFlight, why: Why, text: str
     ) -> tuple[Velocity, Why, str]:
-        """The slot's height beside the level velocity; that alone until the drone has come to it."""
-        off = self.parameters.down - own.position[2]
+        """The slot's height beside the level velocity, and the sway of its code about it; the height alone until the
+        drone has come to it."""
+        sways = own.sways if self._at_height else NO_SWAY
+        off = self.parameters.down + sways.down - own.position[2]
         climb = self.parameters.limits.climb
-        down = min(max(HEIGHT_GAIN * off, -climb), climb)
+        down = min(max(HEIGHT_GAIN * off + sways.speed, -climb), climb)
         if not self._at_height:
             self._at_height = abs(off) < AT_HEIGHT_M
         if why in HOLDS:
@@ -241,12 +243,13 @@ class Formation:
     def _bent(
         self,
         velocity: Velocity,
+        wanted: Velocity,
         states: Mapping[int, RelativeState],
         own: OwnFlight,
         tracks: Sequence[IdentifiedTrack],
-        t: float,
     ) -> tuple[Velocity, tuple[int, ...]]:
-        """Away from everybody who is seen, and within the fence; and of whom it had to keep clear."""
+        """Away from everybody who is seen, and within the fence; and of whom it had to keep clear. wanted: if nobody
+        were in the way, where `velocity` may be the rest of an evasion."""
         limits, here = self.parameters.limits, self._engaged_at
         assert here is not None
         spaces = fence(
@@ -257,7 +260,7 @@ class Formation:
             highest=here[2] - limits.fence_height,
             pull=limits.climb,
         )
-        near, aside = self._in_the_way(velocity, states, own, tracks)
+        near, aside = self._in_the_way(wanted, states, own, tracks)
         spaces += near
         north, east, down = nearest_velocity(added(velocity, aside), spaces)
         most_down, most_up = (min(space.bound, limits.climb) for space in spaces[:2])
@@ -273,7 +276,7 @@ class Formation:
         tracks: Sequence[IdentifiedTrack],
     ) -> tuple[list[HalfSpace], Velocity]:
         """A half-space for every track that was confirmed and whose distance is known, named or not; and a step aside,
-        m/s, from those who come."""
+        m/s, from those who come: to whom is retreating from them nobody comes, so that counts which is wanted."""
         near = [
             (entry.track.id, states[entry.track.id])
             for entry in tracks

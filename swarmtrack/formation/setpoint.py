@@ -37,6 +37,16 @@ class Why(enum.StrEnum):
         return self not in (Why.FOLLOW, Why.HEIGHT)
 
 
+class OwnSway(NamedTuple):
+    """About the own height by the drone's code (`motion.sway`), just now: m and m/s, down."""
+
+    down: float
+    speed: float
+
+
+NO_SWAY = OwnSway(0.0, 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class OwnFlight:
     """This drone itself, by its own autopilot, at the time of a command.
@@ -45,6 +55,7 @@ class OwnFlight:
     camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, of the newest scan's
     exposure, and since the heading last stepped; inf where there was none. clash: another process speaks as this drone;
     doubted: what it sees tells that its own start or heading is wrong; clock_known: the autopilot's clock is mapped.
+    sways: as its code has it.
     """
 
     position: Velocity
@@ -58,6 +69,7 @@ class OwnFlight:
     clash: bool = False
     doubted: bool = False
     clock_known: bool = True
+    sways: OwnSway = NO_SWAY
 
     @property
     def is_possible(self) -> bool:

@@ -52,16 +52,16 @@ def filed_announcement(drone_id: int, t: float, *, position: Array, yaw: float, 
 
 
 def agreed_motions(config: DroneConfig, monotonic_from_utc: float) -> list[AgreedMotion]:
-    """How the teammates move by their codes and by the plan. monotonic_from_utc [s]: what is added to UTC.
+    """How the teammates move by their codes and by the plan, and this drone itself by its code. monotonic_from_utc [s]:
+    what is added to UTC.
 
     Raises ConfigError where the file of the plan is wrong, or has a drone that is not of the team.
     """
     team, own = [int(drone_id) for drone_id in config.team.drones], config.drone.id
-    others = [drone_id for drone_id in team if drone_id != own]
     found = [
         coded_motion(drone_id, team, begin.timestamp() + monotonic_from_utc)
         for begin in (config.team.code.begins if config.team.code else ())
-        for drone_id in others
+        for drone_id in team
     ]
     if config.team.plan is None:
         return found

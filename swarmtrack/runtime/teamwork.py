@@ -123,7 +123,8 @@ class Teamwork:
         utc = self._clock.utc() - self._clock.now()
         for begin in possible_begins(t + utc):
             for drone_id in self._coded:
-                if drone_id != self._drone_id:
+                # When others begin is known less well than when we do.
+                if drone_id != self._drone_id or begin == next_begin(t + utc):
                     self._tell(coded_motion(drone_id, self._coded, begin - utc, tried=True))
         when = f"{datetime.fromtimestamp(next_begin(t + utc), UTC):%H:%M:%S} UTC"
         self._note(self._drone_id, f"the pilot's switch: codes are flown from {when} on", logging.INFO)

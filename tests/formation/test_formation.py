@@ -6,7 +6,7 @@ import pytest
 from support.formation_states import HEIGHT, Flying, in_slot, leader_from, parameters, state, track
 from swarmtrack.formation.formation import FADED_S, HOLDS, Formation
 from swarmtrack.formation.references import ENTRY_S, UNSEEN_S
-from swarmtrack.formation.setpoint import STILL, Why
+from swarmtrack.formation.setpoint import STILL, OwnSway, Why
 from swarmtrack.messages import TrackStatus
 
 
@@ -288,3 +288,19 @@ def test_the_same_story_gives_the_same_setpoints_to_the_last_bit():
             yield flying.tell(own, seen, [track(), track(None, 11)])
 
     assert list(story()) == list(story())
+
+
+# ── the code ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_drone_at_its_height_sways_about_it_by_its_code_and_one_that_climbs_does_not(flying):
+    swaying = {"sways": OwnSway(-0.1, -0.4)}
+    own = in_slot(**swaying)
+    flying.settled(in_slot())
+    setpoint = flying.tell(own, {10: leader_from(own)}, [track()], seconds=1.0)
+    # 0.1 m below where it should be now, which rises by 0.4 m/s.
+    assert setpoint.velocity[2] == pytest.approx(-0.4 - 0.8 * 0.1)
+    flying.formation.engage()
+    below = in_slot(off=(0.0, 0.0, 0.5), **swaying)
+    climbing = flying.tell(below, {10: leader_from(below)}, [track()], seconds=1.0)
+    assert climbing.velocity[2] == pytest.approx(-0.8 * 0.5)

@@ -63,6 +63,6 @@ async def test_the_pilot_throws_the_switch_and_onboard_knows_how_its_teammate_wi
         await heard.some.wait()
     agent.stop()
     await flying
-    assert {motion.drone_id for motion in heard.motions} == {2}
+    assert {motion.drone_id for motion in heard.motions} == {1, 2}
     began = heard.motions[-1].t[0] + clock.utc() - clock.now()
     assert abs(began / BEGINS_EVERY_S - round(began / BEGINS_EVERY_S)) < 1e-3
