@@ -262,7 +262,7 @@ class Identities:
         self._team_fit.look(tracks, predicted, p_drone, t)
         for i, track in enumerate(tracks):
             matches = self._weighing.matches(
-                track, predicted, t, p_drone=p_drone[i], p_seen=p_drone.sum(axis=0), ratios=ratios[i]
+                i, track, predicted, t, p_drone=p_drone[i], p_seen=p_drone.sum(axis=0), ratios=ratios[i]
             )
             self._judge(track, matches, t, seen_in=self._weighing.seen_in(i))
             if self._names.of(track.id) is None and track.status is TrackStatus.CONFIRMED:

@@ -201,12 +201,14 @@ class Judgement:
 
     def _believe(self, held: Assignment, match: Match, t: float) -> None:
         """The posterior is sure: what it went by is remembered."""
-        held.probability = match.probability
+        place = self._teammates.whereabouts.latest(held.drone_id)
+        is_fresh = t - place.t <= FRESH_S
+        stays = is_fresh or held.drone_id in self._teammates.whereabouts.on_pad
+        held.probability = self._weighing.claimed(held, match, t) if stays else match.probability
         held.evidence = match.log_ratio
         held.motion = self._weighing.motion(held.track_id, held.drone_id)
         held.since = t
-        place = self._teammates.whereabouts.latest(held.drone_id)
-        if t - place.t <= FRESH_S:
+        if is_fresh:
             track = self._names.alive[held.track_id]
             self._weighing.recognise(held.drone_id, track, match.distance, match.probability)
         self._pose_requests.answered(held.drone_id)

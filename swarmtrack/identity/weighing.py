@@ -17,6 +17,7 @@ from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.own_pose import OwnPose, ScanEvidence, shifted
 from swarmtrack.identity.posterior import (
+    FLATTEST,
     IN_VIEW,
     LOG_ANYWHERE,
     PRIOR,
@@ -47,6 +48,9 @@ RIVAL = 0.5
 LEAST_EXISTENCE = 1e-6
 # However well a place fits: as often is a start not what was said, or another drone's. Only motion proves a name.
 PLACE_ALONE = 0.97
+# Whose place is off by more of its sigmas than this has a start, or its observer has one, that is worse than it says:
+# then its place gives no name more than so much. In two dimensions, as rare as three sigmas in one.
+OFF_SIGMAS, OFF_ALONE = 3.44, 0.9
 # Of the image's size: as far as metres carry a teammate that is not far away.
 BESIDE = 0.5
 # Of a probability, from zero or one: what is further from both is not known yet.
@@ -69,12 +73,14 @@ SILENT_S = 3.0
 
 class Match(NamedTuple):
     """That a track is a drone: probability; elsewhere, that another track is the drone; log_ratio, by all evidence
-    but its past; distance m of the drone, NaN where nobody knows."""
+    but its past; distance m of the drone, NaN where nobody knows; off: by how many sigmas the track is beside where the
+    drone should be if it is still there, whatever the observer's heading."""
 
     probability: float
     elsewhere: float
     log_ratio: float
     distance: float
+    off: float
 
 
 class Weighing:
@@ -91,6 +97,8 @@ class Weighing:
         self._named: list[int] = []
         self._placed: dict[int, Announcement] = {}
         """By drone: the last place that it said."""
+        self._off = np.zeros((0, 0))
+        """(n, k): of the last scan, see `Match`."""
         self._published: dict[int, float] = {}
         """By drone: of when its last word on its motion was, s."""
 
@@ -182,6 +190,7 @@ class Weighing:
         """(c + 1, n, k) by likely component of the own pose, −inf outside every gate; in the last the observer may be
         anywhere, and only motion speaks, and where drones were seen. Averages over the scans in which it was asked of
         the same pair."""
+        self._off = np.zeros((len(tracks), len(predicted.drone_id)))
         if not tracks:
             self._evidence.forget()
             return np.zeros((len(own.likely) + 1, 0, len(predicted.drone_id)))
@@ -190,6 +199,7 @@ class Weighing:
         if not found.mean.size:
             return np.zeros((len(own.likely) + 1, *found.mean.shape[:2]))
         parts = shifted(self._evidence.residuals, predicted, view, own.components.only(own.likely))
+        self._off = _sigmas_off(parts)
         # What does not depend on the own pose is as good as ever for who is lost.
         places = np.concatenate(
             [
@@ -237,6 +247,12 @@ class Weighing:
         lasts = self.is_agreed(drone_id) or self.proofs.lasts(track_id, drone_id, t)
         proof = max(self.motion(track_id, drone_id), 0.0) if lasts else 0.0
         return 1.0 / (1.0 + math.exp(-proof) * (1.0 - PLACE_ALONE) / PLACE_ALONE)
+
+    def claimed(self, held: Assignment, match: Match, t: float) -> float:
+        """The probability to state of a name whose drone is where it said, or should be."""
+        proved = self.is_agreed(held.drone_id) or self.proofs.lasts(held.track_id, held.drone_id, t)
+        off = match.off > OFF_SIGMAS and not proved
+        return min(match.probability, OFF_ALONE) if off else match.probability
 
     def sure(self, drone_id: int, probability: float) -> float:
         """How sure a name must be: of a drone that moves as was agreed, as sure as a proof."""
@@ -307,15 +323,25 @@ class Weighing:
         return self.moved_since(held) < CONTRADICTED
 
     def matches(
-        self, track: Track, predicted: Predictions, t: float, *, p_drone: Array, p_seen: Array, ratios: Array
+        self,
+        row: int,
+        track: Track,
+        predicted: Predictions,
+        t: float,
+        *,
+        p_drone: Array,
+        p_seen: Array,
+        ratios: Array,
     ) -> dict[int, Match]:
-        """By drone, what speaks for it as the track. p_drone, ratios (k,) of the track, p_seen (k,) of all tracks."""
+        """By drone, what speaks for it as the track of that row. p_drone, ratios (k,) of the track, p_seen (k,) of all
+        tracks."""
         return {
             drone: Match(
                 min(float(p_drone[j]), self.trust(track.id, drone, t)),
                 float(p_seen[j] - p_drone[j]),
                 float(ratios[j]),
                 float(predicted.distance[j, 0]),
+                float(self._off[row, j]),
             )
             for j, drone in enumerate(predicted.drone_id)
         }
@@ -378,6 +404,16 @@ def _residuals(tracks: Sequence[Track], predicted: Predictions) -> ReprojectionR
     """Of the drones' bodies, which are not quite in the middle of their boxes."""
     mean = np.array([track.mean for track in tracks]).reshape(-1, 4)
     return residuals(mean, _of_bodies(tracks), predicted)
+
+
+def _sigmas_off(found: ReprojectionResiduals) -> Array:
+    """(n, k): the least of all headings, of residuals mean (c, n, k, 2) and cov (g, c, n, k, 2, 2), of drones that are
+    still where they said."""
+    u, v = found.mean[..., 0], found.mean[..., 1]
+    a, b, c = found.cov[0, ..., 0, 0], found.cov[0, ..., 0, 1], found.cov[0, ..., 1, 1]
+    determinant = np.maximum(a * c - b * b, FLATTEST * a * c)
+    squared = np.maximum(c * u * u - 2.0 * b * u * v + a * v * v, 0.0) / determinant
+    return np.asarray(np.sqrt(squared.min(axis=0, initial=np.inf)))
 
 
 def _of_bodies(tracks: Sequence[Track]) -> Array:

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer
+from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
 from swarmtrack.identity import own_pose
-from swarmtrack.identity.weighing import PLACE_ALONE
+from swarmtrack.identity.weighing import OFF_ALONE, PLACE_ALONE
 from swarmtrack.messages import FOREIGN, Announcement
 
 # m: of what is 8 m ahead of where the observer thinks it is; it stands 3 m further ahead.
@@ -66,6 +66,14 @@ def test_a_name_by_place_alone_is_never_surer_than_starts_are(observer):
     observer.sees(2.0, a=LEFT, b=RIGHT)
     stated = [entry.identity_probability for entry in observer.identities.label(observer.tracks)]
     assert stated == pytest.approx([PLACE_ALONE, PLACE_ALONE])
+
+
+def test_a_start_that_is_more_than_three_sigmas_off_gives_a_name_and_no_claim(observer):
+    """The heading explains what is off sideways, and nothing what is off in height."""
+    assert observer.sees(2.0, a=LEFT, b=shifted(RIGHT, 40.0, 20.0)) == {"a": 2, "b": 3}
+    stated = [entry.identity_probability for entry in observer.identities.label(observer.tracks)]
+    assert stated == pytest.approx([PLACE_ALONE, OFF_ALONE])
+    assert OFF_ALONE < 0.95
 
 
 def test_who_stands_on_anothers_pad_says_so_once_it_has_lasted_and_names_nobody(observer):
