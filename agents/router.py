@@ -9,22 +9,28 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
+import os
 import signal
 import sys
 
 import zenoh
 
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds
+from swarmtrack.clock import SystemClock
 from swarmtrack.config import load_team_config
 from swarmtrack.errors import TransportError
 from swarmtrack.log_lines import log_to_stderr
+from swarmtrack.security.credentials import Credentials
 from swarmtrack.security.names import Role
 from swarmtrack.transport import settings, topology
+from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.listening import credentials_in
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
+
+log = logging.getLogger(__name__)
 
 PERIOD_S = 10.0  # between two lines when nothing changes
 
@@ -52,16 +58,26 @@ def run(args: argparse.Namespace) -> int:
         network = topology.of_router(config.network, args.listen, credentials)
         settings.check(network)
     try:
-        asyncio.run(relay(network, args.seconds, args.quiet))
+        newer = asyncio.run(relay(network, args.seconds, args.quiet))
     except TransportError as error:  # the config is right; a port is taken
         print(f"swarmtrack router: {error}", file=sys.stderr)
         return 1
+    if newer is not None:
+        log.warning("roster number %d: begins anew", newer.roster.number)
+        # Within this process, Zenoh would hold the port for half a minute.
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     return 0
 
 
-async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) -> None:
-    """Until a signal, or for so long. Raises TransportError."""
+async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) -> Credentials | None:
+    """Until a signal, or for so long, or until there is a newer roster. Raises TransportError."""
     stopped = asyncio.Event()
+    newer: list[Credentials] = []
+
+    async def renew(found: Credentials) -> None:
+        newer.append(found)
+        stopped.set()
+
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         loop.add_signal_handler(number, stopped.set)
@@ -70,6 +86,7 @@ async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) ->
     tasks = [
         asyncio.create_task(watch.run(lambda: links_up(session))),
         asyncio.create_task(close_at_once()),
+        asyncio.create_task(follow_roster(network.credentials, SystemClock(), renew)),
     ]
     if not quiet:
         tasks.append(asyncio.create_task(_tell_health(session, watch)))
@@ -82,6 +99,7 @@ async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) ->
         for task in tasks:
             task.cancel()
         await close_session(session, [])
+    return newer[0] if newer else None
 
 
 async def _tell_health(session: zenoh.Session, watch: LinkWatch) -> None:

@@ -56,7 +56,7 @@ class Ranging:
         self._drone_id = drone_id
         self._boot = wire_keys.new_boot()
         self._clock = SystemClock()
-        self._speaker = ZenohSpeaker(network, Kind.RANGE, drone_id)
+        self._speaker = ZenohSpeaker(network, Kind.RANGE, drone_id, self._clock)
         self._said: dict[int, int] = {}
 
     async def __aenter__(self) -> Self:

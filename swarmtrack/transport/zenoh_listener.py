@@ -16,6 +16,7 @@ from swarmtrack.errors import TransportError
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
@@ -71,10 +72,11 @@ class ZenohListener:
         self._bridge = Bridge(self._take, self._capacity, int(self._newest_per_key), clock=self._clock)
         self._tokens = Bridge(self._on_token, 65536, newest_per_key=1, clock=self._clock)
         await self._join()
-        self._tasks = [asyncio.create_task(close_at_once(), name="lingering")]
-        if self._network.credentials is not None:
-            following = self._follow_roster(self._network.credentials)
-            self._tasks.append(asyncio.create_task(following, name="roster"))
+        following = follow_roster(self._network.credentials, self._clock, self._renew)
+        self._tasks = [
+            asyncio.create_task(close_at_once(), name="lingering"),
+            asyncio.create_task(following, name="roster"),
+        ]
 
     async def _join(self) -> None:
         bridge, tokens = self._bridge, self._tokens
@@ -100,26 +102,17 @@ class ZenohListener:
             await close_session(session, [])
             raise
 
-    async def _follow_roster(self, credentials: Credentials) -> None:
-        """Until cancelled: whoever has left the team is heard no more. Links are closed and made anew."""
-        # Not above: who has no keys need not load cryptography.
-        from swarmtrack.security.roster_watch import LOOK_S, RosterWatch  # noqa: PLC0415
-
-        watch = RosterWatch(credentials.ca.parent, credentials, self._clock)
-        while True:
-            await asyncio.sleep(LOOK_S)
-            found = await asyncio.to_thread(watch.news)
-            if found is None:
-                continue
-            log.warning("roster number %d: links are made anew", found.roster.number)
-            await self._leave()
-            self._network = replace(self._network, credentials=found)
-            while self._session is None:
-                try:
-                    await self._join()
-                except TransportError as error:
-                    log.warning("%s; we keep trying", error)
-                    await asyncio.sleep(REJOIN_S)
+    async def _renew(self, found: Credentials) -> None:
+        """Links are closed and made anew."""
+        log.warning("roster number %d: links are made anew", found.roster.number)
+        await self._leave()
+        self._network = replace(self._network, credentials=found)
+        while self._session is None:
+            try:
+                await self._join()
+            except TransportError as error:
+                log.warning("%s; we keep trying", error)
+                await asyncio.sleep(REJOIN_S)
 
     async def _leave(self) -> None:
         session, self._session = self._session, None

@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
+from dataclasses import replace
 from typing import Final
 
 import zenoh
 
+from swarmtrack.clock import Clock
 from swarmtrack.errors import TransportError
+from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import OPEN_S, bounded, close_session, open_session
 
+log = logging.getLogger(__name__)
+
 MAX_KEYS: Final = 1024
+REJOIN_S: Final = 1.0  # between two attempts to make links anew
 
 
 class ZenohSpeaker:
     """Puts messages of one kind on keys of its own. Never blocks; what the link does not take is lost and counted."""
 
-    def __init__(self, network: NetworkSettings, kind: Kind, drone_id: int) -> None:
+    def __init__(self, network: NetworkSettings, kind: Kind, drone_id: int, clock: Clock) -> None:
         settings.check(network)
         self._network = network
         self._kind = kind
         self._drone_id = drone_id
+        self._clock = clock
+        self._following: asyncio.Task[None] | None = None
         self._session: zenoh.Session | None = None
         self._publishers: dict[int, zenoh.Publisher] = {}
         self.unsent = 0
@@ -31,16 +42,32 @@ class ZenohSpeaker:
     async def open(self) -> None:
         """Raises TransportError where no router answers."""
         self._session = await open_session(self._network, listening=False)
+        following = follow_roster(self._network.credentials, self._clock, self._renew)
+        self._following = asyncio.create_task(following, name="roster")
+
+    async def _renew(self, found: Credentials) -> None:
+        """Links are closed and made anew; what is said meanwhile is lost and counted."""
+        log.warning("roster number %d: links are made anew", found.roster.number)
+        await self._leave()
+        self._network = replace(self._network, credentials=found)
+        while self._session is None:
+            try:
+                self._session = await open_session(self._network, listening=False)
+            except TransportError as error:
+                log.warning("%s; we keep trying", error)
+                await asyncio.sleep(REJOIN_S)
 
     async def prepare(self, other: int) -> None:
-        """To be awaited once before what is said about another drone. Raises TransportError."""
+        """To be awaited before what is said about another drone. Raises TransportError."""
         session = self._session
         if session is None:
-            raise TransportError("network: not open")
+            if self._following is None:
+                raise TransportError("network: not open")
+            return  # links are being made anew
         if other in self._publishers or len(self._publishers) >= MAX_KEYS:
             return
         key = keys.key(self._network.team, self._kind, self._drone_id, other)
-        self._publishers[other] = await bounded(
+        publisher = await bounded(
             lambda: session.declare_publisher(
                 key,
                 encoding=keys.ENCODINGS[self._kind],
@@ -51,6 +78,8 @@ class ZenohSpeaker:
             OPEN_S,
             "declare",
         )
+        if session is self._session:
+            self._publishers[other] = publisher
 
     def put(self, other: int, payload: bytes) -> None:
         """About another drone."""
@@ -64,6 +93,12 @@ class ZenohSpeaker:
         return links_up(self._session)
 
     async def close(self) -> None:
+        following, self._following = self._following, None
+        if following is not None:
+            following.cancel()
+        await self._leave()
+
+    async def _leave(self) -> None:
         session, self._session = self._session, None
         publishers, self._publishers = list(self._publishers.values()), {}
         if session is not None:

@@ -244,7 +244,7 @@ async def test_with_keys_a_drone_s_own_folder_speaks_for_its_radio_and_no_other(
     async with speaking(topology.of_drone(section, 1, team.credentials("1"))) as one:
         heard = HeardRanges(one)
         # Drone 2's keys, and a program that speaks as if it were drone 1's radio.
-        liar = ZenohSpeaker(topology.of_companion(section, 1, team.credentials("2")), Kind.RANGE, 1)
+        liar = ZenohSpeaker(topology.of_companion(section, 1, team.credentials("2")), Kind.RANGE, 1, CLOCK)
         await liar.open()
         try:
             await eventually(lambda: liar.links().count)
@@ -258,9 +258,17 @@ async def test_with_keys_a_drone_s_own_folder_speaks_for_its_radio_and_no_other(
                 await asyncio.sleep(0.02)
             async with Ranging(1, config=file, keys=team.folder / "drone-1") as ranging:
                 await say_until_heard(ranging, heard, 2, 8.5, 0.1)
+                # A newer roster reaches it, too: links are made anew, and it is heard again.
+                team.issue("3")
+                await eventually(lambda: not ranging.linked)
+                await eventually(lambda: ranging.linked)
+                before = [said.distance for said in heard.ranges]
+                heard.ranges.clear()
+                await say_until_heard(ranging, heard, 2, 9.5, 0.1)
         finally:
             await liar.close()
-        assert {said.distance for said in heard.ranges} == {8.5}
+        assert set(before) == {8.5}
+        assert {said.distance for said in heard.ranges} == {9.5}
 
 
 async def test_the_radio_example_passes_on_what_its_driver_prints(team):

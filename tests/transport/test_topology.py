@@ -314,6 +314,41 @@ async def test_without_keys_a_router_relays_on_loopback() -> None:
     await close_session(session, [])
 
 
+async def test_a_router_relays_nobody_any_more_who_left_the_roster(tmp_path: Path) -> None:
+    """It looks at its folder, and begins anew. The drones of this test keep the roster that they began with."""
+    team = Team(tmp_path / "ca", "1", "2", "3", "router-a", name="red")
+    [address] = free_addresses(1)
+    path = team_file(tmp_path, team, f'topology = "routers"\nrouters = ["{address}"]')
+    section = load_team_config(path).network
+    words = ("--config", str(path), "--listen", address, "--keys", str(team.folder / "router-a"))
+    router = program("router", *words)
+    try:
+        one, two, three = [
+            await Drone(topology.of_drone(section, i, team.credentials(str(i))), i).start() for i in (1, 2, 3)
+        ]
+        await one.knows(two, three)
+        team.authority.revoke("drone-2")
+        await eventually(lambda: not one.transport.status().ok)
+        await three.announce(2)
+        await one.knows(three, sequence=2)
+        await eventually(lambda: two.transport.status().ok)  # its certificate is good yet
+        await two.announce(2)
+        await three.announce(3)
+        await one.knows(three, sequence=3)
+        await asyncio.sleep(1.0)
+        assert dict(one.transport.status().counters)["peers"] == 1
+        for drone in (one, two, three):
+            await drone.stop()
+        router.send_signal(signal.SIGTERM)
+        code, said, complaints = await ended(router)
+        assert code == 0
+        assert said.count("relaying for team red") == 2
+        assert "roster number 2: begins anew" in complaints
+    finally:
+        router.kill()
+        await ended(router)
+
+
 async def test_two_router_processes_join_drones_and_one_may_die(team: Team, tmp_path: Path) -> None:
     addresses = free_addresses(2)
     routers = f'topology = "routers"\nrouters = ["{addresses[0]}", "{addresses[1]}"]'

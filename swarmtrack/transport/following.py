@@ -1,0 +1,26 @@
+"""Whoever has keys reads the roster again once it has changed: who left the team is heard no more."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from swarmtrack.clock import Clock
+from swarmtrack.security.credentials import Credentials
+
+
+async def follow_roster(
+    credentials: Credentials | None, clock: Clock, renew: Callable[[Credentials], Awaitable[None]]
+) -> None:
+    """Until cancelled; at once where there are no keys. renew: told of each newer roster, or renewed certificate."""
+    if credentials is None:
+        return
+    # Not above: who has no keys need not load cryptography.
+    from swarmtrack.security.roster_watch import LOOK_S, RosterWatch  # noqa: PLC0415
+
+    watch = RosterWatch(credentials.ca.parent, credentials, clock)
+    while True:
+        await asyncio.sleep(LOOK_S)
+        found = await asyncio.to_thread(watch.news)
+        if found is not None:
+            await renew(found)
