@@ -70,9 +70,9 @@ def test_a_name_by_place_alone_is_never_surer_than_starts_are(observer):
 
 def test_a_start_that_is_more_than_three_sigmas_off_gives_a_name_and_no_claim(observer):
     """The heading explains what is off sideways, and nothing what is off in height."""
-    assert observer.sees(2.0, a=LEFT, b=shifted(RIGHT, 40.0, 20.0)) == {"a": 2, "b": 3}
+    assert observer.sees(2.0, a=shifted(LEFT, 40.0, 20.0), b=RIGHT) == {"a": 2, "b": 3}
     stated = [entry.identity_probability for entry in observer.identities.label(observer.tracks)]
-    assert stated == pytest.approx([PLACE_ALONE, OFF_ALONE])
+    assert stated == pytest.approx([OFF_ALONE, PLACE_ALONE])
     assert OFF_ALONE < 0.95
 
 
