@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Self
 
-import numpy as np
 from pydantic import AfterValidator, Field, Strict, ValidationInfo, field_validator, model_validator
 
 from swarmtrack.errors import ConfigError
@@ -694,7 +693,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
     strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
 
     def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
-        return dict(zip(members, itertools.cycle(factor * np.array(values)), strict=False)) if values else {}
+        return dict(zip(members, itertools.cycle([factor * value for value in values]), strict=False))
 
     return Scenario(
         world=world,

@@ -207,6 +207,8 @@ def test_clock_skew_gives_every_machine_a_clock_of_its_own_kind_of_wrong():
     assert dict(scenario.utc_offset_s) == {1: 0.0, 2: 7200.0, 3: -30.0, 4: 0.0}
     assert {round(1e6 * skew) for skew in scenario.autopilot_skew.values()} >= {50, -50}
     assert set(scenario.autopilot_boot_s) == {1, 2, 3, 4}
+    # Plain numbers: they go into every time that the judge writes, and a recording takes no others.
+    assert {type(offset) for offset in scenario.utc_offset_s.values()} == {float}
 
 
 def test_the_lossy_radio_loses_delays_and_parts():
