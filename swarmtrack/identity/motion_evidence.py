@@ -60,9 +60,6 @@ PLACED_SHARE, PLACED_M = 0.2, 2.0
 STEP_FOUND_S = 1.0
 # Sayings that wait for their scan; who is told more is flooded.
 MANY = 256
-# Where north may be turned as well, noise is not to be taken for motion that another turn foretells better: m and rad
-# from one look to the next, of the own position and of the ray.
-TURNED_WHITE, TURNED_RAY = 0.03, 0.004
 # Log odds that are remembered: a track may after all have changed over to another target.
 MOST = math.log(1e6)
 _MODELS = 5
@@ -172,6 +169,7 @@ class MotionEvidence:
             self._filters.log[:, _MODELS:] = _of_none(self._filters.log)[:, None]
             self._ratio = {pair: _ratios(self._filters.log[row]) for pair, row in self._row.items()}
             self._begun.clear()
+            self._before.clear()
         elif weight is None and self.turns > 1:
             self._filters.used = _MODELS
             self._ratio = {pair: ratio[:1] for pair, ratio in self._ratio.items()}
@@ -227,9 +225,9 @@ class MotionEvidence:
 
     def begin_again(self, t: float) -> None:
         """By t the own heading has stepped: rays before cannot be compared with those since."""
-        then = next((logs for at, logs in self._before if at > t - STEP_FOUND_S), {})
-        for pair, row in self._row.items():
-            self._filters.log[row] = then.get(pair, 0.0)
+        lately = [logs for at, logs in self._before if at > t - STEP_FOUND_S]
+        for pair, row in self._row.items() if lately else ():
+            self._filters.log[row] = lately[0].get(pair, 0.0)
             self._ratio[pair] = self._ratios(row)
         self._begun.clear()
         self._before.clear()
@@ -359,9 +357,7 @@ def _looks(found: Sequence[_Look], turns: int) -> Looks:
     said = np.array(
         [look.saying.displacement + (look.scan.t - look.saying.t) * look.saying.velocity for look in found]
     )
-    own, ray = (TURNED_WHITE, TURNED_RAY) if turns > 1 else (0.0, 0.0)
-    kappa = np.array([_inverse_distance(look)[0] for look in found])
-    white = kappa * np.hypot([look.saying.trust.white for look in found], own)
+    white = np.array([look.saying.trust.white * _inverse_distance(look)[0] for look in found])
     foretold, speed = np.zeros((2, len(found), _MODELS + turns - 1, 3))
     it = [0, *range(_MODELS, _MODELS + turns - 1)]
     foretold[:, it] = said[:, None]
@@ -370,7 +366,7 @@ def _looks(found: Sequence[_Look], turns: int) -> Looks:
         np.array([look.scan.t for look in found]),
         np.array([look.scan.rays[look.row] for look in found]),
         np.array([look.scan.camera for look in found]),
-        np.array([look.scan.noise[look.row] for look in found]) + white**2 + ray**2,
+        np.array([look.scan.noise[look.row] for look in found]) + white**2,
         foretold,
         speed,
     )
