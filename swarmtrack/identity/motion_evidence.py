@@ -131,6 +131,14 @@ class _Scan:
         return np.clip(np.where(side > 0.0, side, KAPPA), 1e-3, 1.0 / NEAREST)
 
 
+class _Snapshot(NamedTuple):
+    """What was known at t [s]: the row of each pair, and the log likelihoods (rows, models)."""
+
+    t: float
+    row: dict[tuple[int, int], int]
+    log: Array
+
+
 class MotionEvidence:
     """Told of every scan, and of all that is said of how drones move."""
 
@@ -148,8 +156,8 @@ class MotionEvidence:
         self._log_turned = np.zeros(1)
         self._stepped_t = -math.inf
         """s: no ray from before this is compared any more."""
-        self._before: deque[tuple[float, dict[tuple[int, int], Array]]] = deque()
-        """Of the last `STEP_FOUND_S`, s: the log likelihoods of all pairs before each comparison."""
+        self._before: deque[_Snapshot] = deque()
+        """Before each comparison of the last `STEP_FOUND_S`, s."""
 
     @property
     def turns(self) -> int:
@@ -225,10 +233,11 @@ class MotionEvidence:
 
     def begin_again(self, t: float) -> None:
         """By t the own heading has stepped: rays before cannot be compared with those since."""
-        lately = [logs for at, logs in self._before if at > t - STEP_FOUND_S]
-        for pair, row in self._row.items() if lately else ():
-            self._filters.log[row] = lately[0].get(pair, 0.0)
-            self._ratio[pair] = self._ratios(row)
+        before = next((snapshot for snapshot in self._before if snapshot.t > t - STEP_FOUND_S), None)
+        if before is not None:
+            for pair, row in self._row.items():
+                self._filters.log[row] = before.log[before.row[pair]] if pair in before.row else 0.0
+                self._ratio[pair] = self._ratios(row)
         self._begun.clear()
         self._before.clear()
         self._stepped_t = t
@@ -258,10 +267,7 @@ class MotionEvidence:
 
     def _compare(self, sayings: Sequence[Saying]) -> None:
         """sayings: one of each drone, in order. The rays of the scan nearest to each are weighed by all models."""
-        now = self._scans[-1].t
-        while self._before and self._before[0][0] <= now - STEP_FOUND_S:
-            self._before.popleft()
-        self._before.append((now, {pair: self._filters.log[row].copy() for pair, row in self._row.items()}))
+        self._remember(self._scans[-1].t)
         pairs, looks, begins = [], [], []
         for saying in sayings:
             before = self._last.get(saying.drone_id)
@@ -279,6 +285,11 @@ class MotionEvidence:
             begins += [scan.t - self._begun.get(pair, -math.inf) > LIFE_S for pair in here]
         if pairs:
             self._weigh(pairs, looks, np.array(begins))
+
+    def _remember(self, now: float) -> None:
+        while self._before and self._before[0].t <= now - STEP_FOUND_S:
+            self._before.popleft()
+        self._before.append(_Snapshot(now, dict(self._row), self._filters.log.copy()))
 
     def _begin_again(self, last: Saying) -> None:
         """Where a drone is counted from has changed since `last`, also for the tracks that this scan lacks."""

@@ -66,11 +66,7 @@ def log_ratios(found: ReprojectionResiduals, camera: PinholeCamera, prior: Prior
     in view with probability `IN_VIEW`, and anywhere in it.
     """
     log_area = math.log(camera.width * camera.height)
-    u, v = found.mean[..., 0], found.mean[..., 1]
-    a, b, c = found.cov[..., 0, 0], found.cov[..., 0, 1], found.cov[..., 1, 1]
-    # Anyone may announce a covariance like a needle: its determinant must not round to zero, and all of this to NaN.
-    determinant = np.maximum(a * c - b * b, FLATTEST * a * c)
-    distance = np.maximum(c * u * u - 2.0 * b * u * v + a * v * v, 0.0) / determinant
+    distance, determinant = squared_sigmas(found.mean, found.cov)
     # Of the Gaussian, px².
     log_extent = LOG_TWO_PI + 0.5 * np.log(determinant)
     # From a pose that is no time old, nothing has flown off: the logarithm of a share of zero.
@@ -80,6 +76,15 @@ def log_ratios(found: ReprojectionResiduals, camera: PinholeCamera, prior: Prior
     log_density[distance > gate_threshold(GATE_PROBABILITY)] = -np.inf
     total = np.logaddexp.reduce(log_density, axis=0)
     return np.asarray(total + log_area + prior.log_ratio)
+
+
+def squared_sigmas(mean: Array, cov: Array) -> tuple[Array, Array]:
+    """How many sigmas (...) of cov (..., 2, 2) each mean (..., 2) is long, squared; and the determinants (...)."""
+    u, v = mean[..., 0], mean[..., 1]
+    a, b, c = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
+    # Anyone may announce a covariance like a needle: its determinant must not round to zero, and all of this to NaN.
+    determinant = np.maximum(a * c - b * b, FLATTEST * a * c)
+    return np.maximum(c * u * u - 2.0 * b * u * v + a * v * v, 0.0) / determinant, determinant
 
 
 def log_ratios_of_each(found: ReprojectionResiduals, camera: PinholeCamera) -> Array:

@@ -22,13 +22,11 @@ from swarmtrack.identity.whereabouts import Whereabouts
 from swarmtrack.messages import Announcement, Array, SightingReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 
-# The probability that it is wrong: from which on it is said, and below which no more.
-SAID, GONE = 0.75, 0.25
-# s that it must last.
-SAID_S, GONE_S = 0.5, 3.0
-# The probability from which on it is rather wrong than right, and s that this must last until it is said as well. One
-# teammate in the wrong direction tells no more: it may be that one's start.
-LIKELIER, LIKELIER_S = 0.4, 1.5
+# The probability that it is wrong, above which it is said, and s that this must last. One teammate in the wrong
+# direction tells no more than the second: it may be that one's start.
+SAID = ((0.75, 0.5), (0.4, 1.5))
+# And below which it is said no more.
+GONE = ((0.25, 3.0),)
 # rad: by so many sigmas, and by so much at least, a heading must be off to be worth a word.
 SIGMAS, LEAST = 2.0, math.radians(6.0)
 # m: and a start.
@@ -67,8 +65,8 @@ class SelfDoubt:
         """When a look last found something."""
         self._nameless: set[int] = set()
         """The tracks that had no name then."""
-        self._since = math.nan
-        self._likelier_since = math.nan
+        self._since: dict[float, float] = {}
+        """s: since when the probability has been beyond each of those that count."""
         self._t = -math.inf
         self._own_pad: Array | None = None
 
@@ -119,7 +117,7 @@ class SelfDoubt:
         vague = _known_by_motion(whereabouts, weighing)
         if self.said and not places and any(t - place.t < SOON_S for place in latest):
             # They will say in a moment where they are now.
-            self._t, self._since = t, math.nan
+            self._break_off(t)
             return
         evidence = weighing.look(tracks, view, ahead, [place.drone_id for place in places], vague)
         unexplained = nameless & {track.id for track in tracks} or self._p > PUZZLING or self.said
@@ -134,7 +132,7 @@ class SelfDoubt:
         if (latest or vague) and alive:
             self._judge(t)
         else:
-            self._t, self._since = t, math.nan
+            self._break_off(t)
 
     def forbids(self, name: Assignment, weighing: Weighing) -> bool:
         """Whether it is given up: who is elsewhere knows nobody by place, and who doubts itself nobody by place alone
@@ -184,24 +182,22 @@ class SelfDoubt:
             max(SIGMAS * self.own.heading_sigma, LEAST), max(SIGMAS * start_sigma, LEAST_M)
         )
 
+    def _break_off(self, t: float) -> None:
+        """Nobody is left to compare with: a doubt neither grows nor goes."""
+        self._t = t
+        self._since.clear()
+
     def _judge(self, t: float) -> None:
         if t - self._t > LONGEST_S:
-            self._since = self._likelier_since = math.nan
+            self._since.clear()
         self._t = t
-        if self._p < LIKELIER or self.said:
-            self._likelier_since = math.nan
-        elif math.isnan(self._likelier_since):
-            self._likelier_since = t
-        elif t - self._likelier_since >= LIKELIER_S:
-            self.said, self._since = True, math.nan
-            return
-        turns = self._p < GONE if self.said else self._p > SAID
-        if not turns:
-            self._since = math.nan
-        elif math.isnan(self._since):
-            self._since = t
-        elif t - self._since >= (GONE_S if self.said else SAID_S):
-            self.said, self._since = not self.said, math.nan
+        for p, lasting_s in GONE if self.said else SAID:
+            if (self._p < p) != self.said:
+                self._since.pop(p, None)
+            elif t - self._since.setdefault(p, t) >= lasting_s:
+                self.said = not self.said
+                self._since.clear()
+                return
 
 
 def _known_by_motion(whereabouts: Whereabouts, weighing: Weighing) -> list[int]:

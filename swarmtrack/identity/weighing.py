@@ -17,7 +17,6 @@ from swarmtrack.identity.evidence import Evidence
 from swarmtrack.identity.motion_evidence import PUBLISHED, REPORTED, MotionEvidence, Saying
 from swarmtrack.identity.own_pose import OwnPose, ScanEvidence, shifted
 from swarmtrack.identity.posterior import (
-    FLATTEST,
     IN_VIEW,
     LOG_ANYWHERE,
     PRIOR,
@@ -25,6 +24,7 @@ from swarmtrack.identity.posterior import (
     log_ratios,
     log_ratios_of_each,
     residuals,
+    squared_sigmas,
 )
 from swarmtrack.identity.proof import PROVED, Proofs
 from swarmtrack.identity.reprojection import (
@@ -409,10 +409,7 @@ def _residuals(tracks: Sequence[Track], predicted: Predictions) -> ReprojectionR
 def _sigmas_off(found: ReprojectionResiduals) -> Array:
     """(n, k): the least of all headings, of residuals mean (c, n, k, 2) and cov (g, c, n, k, 2, 2), of drones that are
     still where they said."""
-    u, v = found.mean[..., 0], found.mean[..., 1]
-    a, b, c = found.cov[0, ..., 0, 0], found.cov[0, ..., 0, 1], found.cov[0, ..., 1, 1]
-    determinant = np.maximum(a * c - b * b, FLATTEST * a * c)
-    squared = np.maximum(c * u * u - 2.0 * b * u * v + a * v * v, 0.0) / determinant
+    squared, _ = squared_sigmas(found.mean, found.cov[0])
     return np.asarray(np.sqrt(squared.min(axis=0, initial=np.inf)))
 
 

@@ -17,6 +17,7 @@ from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.following import follow_roster
+from swarmtrack.transport.joining import keep_joining
 from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
@@ -32,7 +33,6 @@ from swarmtrack.transport.zenoh_session import (
 
 log = logging.getLogger(__name__)
 
-REJOIN_S: Final = 1.0  # between two attempts to make links anew
 TEAMS_S: Final = 1.0  # for answers to who lives
 
 
@@ -107,12 +107,7 @@ class ZenohListener:
         log.warning("roster number %d: links are made anew", found.roster.number)
         await self._leave()
         self._network = replace(self._network, credentials=found)
-        while self._session is None:
-            try:
-                await self._join()
-            except TransportError as error:
-                log.warning("%s; we keep trying", error)
-                await asyncio.sleep(REJOIN_S)
+        await keep_joining(self._join)
 
     async def _leave(self) -> None:
         session, self._session = self._session, None

@@ -15,6 +15,7 @@ from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.following import follow_roster
+from swarmtrack.transport.joining import keep_joining
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import OPEN_S, bounded, close_session, open_session
@@ -22,7 +23,6 @@ from swarmtrack.transport.zenoh_session import OPEN_S, bounded, close_session, o
 log = logging.getLogger(__name__)
 
 MAX_KEYS: Final = 1024
-REJOIN_S: Final = 1.0  # between two attempts to make links anew
 
 
 class ZenohSpeaker:
@@ -41,21 +41,19 @@ class ZenohSpeaker:
 
     async def open(self) -> None:
         """Raises TransportError where no router answers."""
-        self._session = await open_session(self._network, listening=False)
+        await self._join()
         following = follow_roster(self._network.credentials, self._clock, self._renew)
         self._following = asyncio.create_task(following, name="roster")
+
+    async def _join(self) -> None:
+        self._session = await open_session(self._network, listening=False)
 
     async def _renew(self, found: Credentials) -> None:
         """Links are closed and made anew; what is said meanwhile is lost and counted."""
         log.warning("roster number %d: links are made anew", found.roster.number)
         await self._leave()
         self._network = replace(self._network, credentials=found)
-        while self._session is None:
-            try:
-                self._session = await open_session(self._network, listening=False)
-            except TransportError as error:
-                log.warning("%s; we keep trying", error)
-                await asyncio.sleep(REJOIN_S)
+        await keep_joining(self._join)
 
     async def prepare(self, other: int) -> None:
         """To be awaited before what is said about another drone. Raises TransportError."""

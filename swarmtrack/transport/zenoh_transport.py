@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import logging
 from collections import Counter
 from collections.abc import AsyncIterator
@@ -26,6 +25,7 @@ from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
 from swarmtrack.transport.giving_way import GivingWay
+from swarmtrack.transport.joining import keep_joining
 from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
@@ -47,7 +47,6 @@ PUT_S: Final = 3.0
 # Beyond the lease: of a process that was killed, the token is gone by then.
 CLASH_MARGIN_S: Final = 0.5
 SILENCE_S: Final = 0.5  # between two looks at who says nothing
-REJOIN_S: Final = 1.0  # between two attempts to reach a router
 
 _MAX_TOKENS: Final = 65536
 
@@ -124,7 +123,7 @@ class ZenohTransport:
         self._loop = asyncio.get_running_loop()
         self._listening = asyncio.create_task(self._listen_for_silence(), name="silence")
         if self._network.mode == Mode.CLIENT:  # a router that is not there yet is no reason not to fly
-            self._tasks = [asyncio.create_task(self._keep_joining(), name="joining")]
+            self._tasks = [asyncio.create_task(keep_joining(self._join), name="joining")]
             return
         try:
             await self._join()
@@ -147,7 +146,7 @@ class ZenohTransport:
 
     def _join_again(self) -> None:
         self._watch, self._renewed = LinkWatch(self._network), True
-        self._tasks = [asyncio.create_task(self._keep_joining(), name="joining")]
+        self._tasks = [asyncio.create_task(keep_joining(self._join), name="joining")]
 
     async def _listen_for_silence(self) -> None:
         """Until cancelled. Links that stand and carry nothing are made anew."""
@@ -160,14 +159,6 @@ class ZenohTransport:
                 await self._leave()
                 self._peers.part()
                 self._join_again()
-
-    async def _keep_joining(self) -> None:
-        for attempt in itertools.count():
-            try:
-                return await self._join()
-            except TransportError as error:
-                log.log(logging.INFO if attempt else logging.WARNING, "%s; we keep trying", error)
-            await asyncio.sleep(REJOIN_S)
 
     async def _join(self) -> None:
         session = await open_session(self._network, again=self._renewed)

@@ -1,0 +1,25 @@
+"""Making links, however often that fails at first."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+from collections.abc import Awaitable, Callable
+from typing import Final
+
+from swarmtrack.errors import TransportError
+
+log = logging.getLogger(__name__)
+
+REJOIN_S: Final = 1.0  # between two attempts
+
+
+async def keep_joining(join: Callable[[], Awaitable[None]]) -> None:
+    """Until `join` raises no TransportError. The first failure is a warning, the others are only for who asks."""
+    for attempt in itertools.count():
+        try:
+            return await join()
+        except TransportError as error:
+            log.log(logging.INFO if attempt else logging.WARNING, "%s; we keep trying", error)
+        await asyncio.sleep(REJOIN_S)
