@@ -27,6 +27,7 @@ import serial
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.sensors.mavlink.address import LinkAddress, parse_address
+from swarmtrack.sensors.mavlink.datagrams import Address, DatagramSocket, open_socket
 from swarmtrack.sensors.mavlink.ulog import read_ulog
 
 log = logging.getLogger(__name__)
@@ -138,7 +139,7 @@ class LiveLink:
         self._clock = clock
 
 
-class UdpLink(LiveLink, asyncio.DatagramProtocol):
+class UdpLink(LiveLink):
     """`udpin` listens, and answers the autopilot where it speaks from; `udpout` speaks first.
 
     The peer is learned from a valid frame of our autopilot only: otherwise whoever sends one byte captures our answers.
@@ -151,37 +152,43 @@ class UdpLink(LiveLink, asyncio.DatagramProtocol):
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
         super().__init__(address, clock)
         self._listens = address.scheme == "udpin"
-        self._peer: tuple[str, int] | None = None
+        self._peer: Address | None = None
         self._heard_at = -math.inf
-        self._stranger: tuple[str, int] | None = None
-        self._transport: asyncio.DatagramTransport | None = None
-        self._receiver: Receiver
-        self._lost: asyncio.Future[None]
+        self._stranger: Address | None = None
+        self._socket: DatagramSocket | None = None
 
     async def run(self, receiver: Receiver) -> None:
-        loop = asyncio.get_running_loop()
-        self._receiver, self._lost, self.remark = receiver, loop.create_future(), ""
+        self.remark = ""
         self._peer = self._stranger = None
-        end = (self.address.host, self.address.port)
+        host, port = self.address.host, self.address.port
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT):
-                await loop.create_datagram_endpoint(
-                    lambda: self,
-                    local_addr=end if self._listens else None,
-                    remote_addr=None if self._listens else end,
-                )
+                self._socket = await open_socket(host, port, self._clock, listens=self._listens)
         except TimeoutError as error:  # nothing else of UDP takes its time
-            raise LinkDown(f"no name server tells within {CONNECT_TIMEOUT:g} s where {end[0]} is") from error
+            raise LinkDown(f"no name server tells within {CONNECT_TIMEOUT:g} s where {host} is") from error
         except OSError as error:
             raise LinkDown(self._why(error)) from error
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._socket, self._read, self._socket, receiver)
         try:
             receiver.opened()
-            await self._lost
+            await asyncio.Event().wait()
         finally:
-            if self._transport is not None:
-                self._transport.close()
-            self._transport = None
-        raise LinkDown("the socket was closed")
+            loop.remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
+
+    def _read(self, opened: DatagramSocket, receiver: Receiver) -> None:
+        """All that came since the last look."""
+        try:
+            for arrival, data, sender in opened.waiting():
+                if self._peer not in (None, sender) and arrival - self._heard_at < PEER_SILENT:
+                    self._refuse(sender)
+                elif receiver.received(arrival, data):
+                    self._peer, self._heard_at = sender, arrival
+                    self.remark = ""
+        except OSError as error:
+            self._note(error)
 
     def _why(self, error: OSError) -> str:
         if error.errno == errno.EADDRINUSE:
@@ -190,46 +197,29 @@ class UdpLink(LiveLink, asyncio.DatagramProtocol):
             return f"permission: port {self.address.port} needs root, choose one above 1023"
         return network_trouble(error, self.address)
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        arrival = self._clock.now()
-        if self._peer not in (None, addr) and arrival - self._heard_at < PEER_SILENT:
-            self._refuse(addr)
-        elif self._receiver.received(arrival, data):
-            self._peer, self._heard_at = addr, arrival
-            self.remark = ""
-
-    def _refuse(self, addr: tuple[str, int]) -> None:
+    def _refuse(self, sender: Address) -> None:
         """Said once for each connection: whoever forges may come from thousands of ports."""
         self.foreign += 1
         if self._stranger is None and self._peer is not None:
-            self._stranger = addr
+            self._stranger = sender
             log.warning(
                 "%s: %s port %d speaks as well: not read while the autopilot does, at %s port %d",
                 self.address,
-                *addr[:2],
+                *sender[:2],
                 *self._peer[:2],
             )
 
-    def error_received(self, exc: Exception) -> None:
-        if isinstance(exc, ConnectionRefusedError):
-            self.remark = "nobody listens there"
-        elif isinstance(exc, OSError):
-            self.remark = network_trouble(exc, self.address)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if not self._lost.done():
-            self._lost.set_result(None)
+    def _note(self, error: OSError) -> None:
+        refused = isinstance(error, ConnectionRefusedError)
+        self.remark = "nobody listens there" if refused else network_trouble(error, self.address)
 
     def send(self, data: bytes) -> None:
-        if self._transport is None:
+        if self._socket is None or (self._listens and self._peer is None):
             return
-        if not self._listens:
-            self._transport.sendto(data)
-        elif self._peer is not None:
-            self._transport.sendto(data, self._peer)
+        try:
+            self._socket.send(data, self._peer if self._listens else None)
+        except OSError as error:
+            self._note(error)
 
     def drop(self, reason: str) -> None:
         """Silence says nothing about a UDP socket."""

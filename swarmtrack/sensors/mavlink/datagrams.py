@@ -1,0 +1,105 @@
+"""A UDP socket that is emptied at each look: all that came since the last one, each with the time of its arrival.
+
+An autopilot sends some hundred datagrams per second, several at a time, and whoever is late to look stamps them late.
+So the kernel stamps them (`SO_TIMESTAMPNS`). Its stamps are of the wall clock, which may step: what is read now cannot
+have come before the last look, nor after this one, whatever a stamp says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from swarmtrack.clock import Clock
+
+# Not in Python's socket module. The answer comes under the same number, as a struct timespec.
+SO_TIMESTAMPNS = 35
+TIMESPEC = struct.Struct("@ll")
+ANCILLARY = socket.CMSG_SPACE(TIMESPEC.size)
+LARGEST = 65536  # bytes
+# Datagrams read in one piece, before others on the event loop get their turn.
+MOST = 200
+
+Address = tuple[str, int]
+
+
+class Datagram(NamedTuple):
+    """arrival [s]: on our clock."""
+
+    arrival: float
+    data: bytes
+    sender: Address
+
+
+class DatagramSocket:
+    """Open until `close`; nothing here blocks."""
+
+    def __init__(self, opened: socket.socket, clock: Clock) -> None:
+        self._socket = opened
+        self._clock = clock
+        self._looked_at = clock.now()
+
+    def waiting(self) -> Iterator[Datagram]:
+        """What has come since the last call, in its order, `MOST` at most. Raises `OSError` for what the network says
+        instead: the rest is read by the next call."""
+        now, utc, since = self._clock.now(), self._clock.utc(), self._looked_at
+        for _ in range(MOST):
+            try:
+                data, ancillary, _, sender = self._socket.recvmsg(LARGEST, ANCILLARY)
+            except BlockingIOError:
+                self._looked_at = now
+                return
+            stamp = _stamp(ancillary)
+            age = 0.0 if stamp is None else utc - stamp
+            yield Datagram(min(max(now - age, since), now), data, sender)
+
+    def send(self, data: bytes, receiver: Address | None = None) -> None:
+        """To the other end, or to a receiver where there is none. What finds no room is dropped: all of ours is soon
+        repeated. Raises `OSError`."""
+        try:
+            if receiver is None:
+                self._socket.send(data)
+            else:
+                self._socket.sendto(data, receiver)
+        except BlockingIOError:
+            pass
+
+    def fileno(self) -> int:
+        """For the event loop, to wake whoever looks."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+async def open_socket(host: str, port: int, clock: Clock, *, listens: bool) -> DatagramSocket:
+    """Bound to host:port if it listens, else connected to it. Raises `OSError`, that of the last address tried."""
+    loop = asyncio.get_running_loop()
+    trouble: OSError | None = None
+    for family, kind, protocol, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM):
+        opened = socket.socket(family, kind, protocol)
+        try:
+            opened.setblocking(False)
+            opened.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+            if listens:
+                opened.bind(address)
+            else:
+                opened.connect(address)
+        except OSError as error:
+            opened.close()
+            trouble = error
+        else:
+            return DatagramSocket(opened, clock)
+    raise trouble or OSError(f"{host} has no address")
+
+
+def _stamp(ancillary: list[tuple[int, int, bytes]]) -> float | None:
+    """The kernel's, s UTC; None where it gave none."""
+    for level, kind, value in ancillary:
+        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(value) == TIMESPEC.size:
+            seconds, nanoseconds = TIMESPEC.unpack(value)
+            return float(seconds + 1e-9 * nanoseconds)
+    return None
