@@ -20,6 +20,10 @@ BENCHMARKS = {
         "time until all drones know each other, up to 100 drones",
     ),
     "clips": ("swarmtrack.benchmarks.real_clips", "real drones on labelled clips, through the agent"),
+    "cost": (
+        "swarmtrack.benchmarks.cost",
+        "what tracking and an agent cost, beside another checkout",
+    ),
     "detection-noise": (
         "swarmtrack.benchmarks.detection_noise",
         "how far the shipped detector's boxes are off, and which pairs it resolves",

@@ -361,7 +361,7 @@ class DetectorSection(Section):
         default=5, description="with guided looks: frames from one whole frame to the next"
     )
     target_px: Positive = Field(
-        default=24.0,
+        default=48.0,
         description="with guided looks: windows are enlarged, up to three times, until a drone is this wide",
     )
     tiles: Switch = Field(

@@ -138,7 +138,8 @@ class Detections:
 
     t: time of exposure; sequence: of the frame; centre (n, 2) [u, v]; size (n, 2) [w, h]; score (n,) in 0…1;
     covariance (n, 2, 2) px² of the centre, or None where the detector does not know. coverage: share of the image that
-    was looked at, 0…1; every track was.
+    was looked at, 0…1; every track was. likeness (n,) in 0…1: the score by looks alone, whether it moves or not; None:
+    it is the score.
     """
 
     t: float
@@ -148,6 +149,7 @@ class Detections:
     score: Array
     covariance: Array | None = None
     coverage: float = 1.0
+    likeness: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.score)
@@ -156,6 +158,8 @@ class Detections:
         _hold(self, "size", (n, 2))
         if self.covariance is not None:
             _hold(self, "covariance", (n, 2, 2))
+        if self.likeness is not None:
+            _hold(self, "likeness", (n,))
 
     def __len__(self) -> int:
         return len(self.score)
@@ -166,8 +170,9 @@ class Scan:
     """What the tracker is told of one exposure, in undistorted pixels.
 
     z (m, 2) [u, v]; R (m, 2, 2) px² or None (the tracker's own `measurement_sigma`); size (m, 2) px or None;
-    score (m,) or None. Whether a measurement is usable (finite, near the image) is the tracker's to judge. coverage:
-    share of the image that was looked at, all tracks with it: so much less clutter is expected.
+    score (m,) or None; likeness (m,) or None, as in `Detections`. Whether a measurement is usable (finite, near the
+    image) is the tracker's to judge. coverage: share of the image that was looked at, all tracks with it: so much less
+    clutter is expected.
     """
 
     t: float
@@ -176,6 +181,7 @@ class Scan:
     size: Array | None = None
     score: Array | None = None
     coverage: float = 1.0
+    likeness: Array | None = None
 
     def __post_init__(self) -> None:
         z = np.asarray(self.z, dtype=float)
@@ -186,6 +192,7 @@ class Scan:
             ("R", self.R, (m, 2, 2)),
             ("size", self.size, (m, 2)),
             ("score", self.score, (m,)),
+            ("likeness", self.likeness, (m,)),
         ):
             if value is not None and np.shape(value) != shape:
                 raise ValueError(f"Scan.{name}: expected shape {shape} to match z, got {np.shape(value)}")

@@ -59,7 +59,7 @@ class AttentionParameters:
     one frame, around tracks; tiles: whether to look through the frame in tiles of tile_px."""
 
     whole_every: int = 5
-    target_px: float = 24.0
+    target_px: float = 48.0
     most_enlarged: float = 3.0
     fovea_px: int = 128
     largest_px: int = 320

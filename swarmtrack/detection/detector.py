@@ -159,7 +159,7 @@ class Detector:
             self._trouble = _unusable(frame.image)
             return None
         try:
-            found, seconds = self._look_through(look)
+            found, score, seconds = self._look_through(look)
         except ModelError as error:  # NaN from this image only: the next one may be fine
             self._broken += 1
             self._trouble = str(error)
@@ -171,10 +171,19 @@ class Detector:
         self._trouble = ""
         height, width = frame.image.shape[:2]
         seen = coverage(windows, (width, height))
-        return Detections(frame.t, frame.sequence, found.centre, found.size, found.score, coverage=seen)
+        return Detections(
+            frame.t,
+            frame.sequence,
+            found.centre,
+            found.size,
+            score,
+            coverage=seen,
+            likeness=None if score is found.score else found.score,
+        )
 
-    def _look_through(self, look: Look) -> tuple[Candidates, Array]:
-        """What is in the windows, in pixels of the image, and the seconds (3,) that it took."""
+    def _look_through(self, look: Look) -> tuple[Candidates, Array, Array]:
+        """What is in the windows, in pixels of the image, its scores (n,) with the odds of motion, and the seconds (3,)
+        that it took."""
         threshold, image = self.score_threshold, look.frame.image
         least = threshold if look.comparison is None else min(threshold, motion_cue.LEAST)
         whole = (image.shape[1], image.shape[0])
@@ -188,10 +197,11 @@ class Detector:
             spent += seconds
         found = parts[0] if len(parts) == 1 else merged(parts, limit=self._limit)
         began = self._clock.now()
+        score = found.score
         if self._motion is not None:
-            found = self._motion.weigh(look.frame, found, threshold, look.comparison)
+            found, score = self._motion.weigh(look.frame, found, threshold, look.comparison)
         spent[2] += self._clock.now() - began
-        return found, spent
+        return found, score, spent
 
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""

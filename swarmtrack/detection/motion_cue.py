@@ -88,13 +88,13 @@ class MotionCue:
 
     def weigh(
         self, frame: Frame, found: Candidates, threshold: float, comparison: Comparison | None
-    ) -> Candidates:
-        """What the net scores `threshold` or more, and what motion makes sure; best first, scores with the odds of
-        motion. Without a comparison it is `found`. The frame is kept for those to come."""
+    ) -> tuple[Candidates, Array]:
+        """What the net scores `threshold` or more, and what motion makes sure; and the scores (n,) with the odds of
+        motion, best first. Without a comparison it is `found`. The frame is kept for those to come."""
         grey = _grey(frame.image)
         self._keep(frame.t, grey)
         if comparison is None:
-            return found
+            return found, found.score
         ratio = np.ones(len(found.score))
         if grey.shape == comparison.grey.shape:  # else the camera has changed its size just now
             then = _moved_into(comparison.grey, grey, comparison.pixels_then)
@@ -105,7 +105,8 @@ class MotionCue:
         score = np.where(ratio > 1.0, odds / (1.0 + odds), found.score)
         shown = (found.score >= threshold) | (score >= max(threshold, SURE))
         order = np.argsort(-score, kind="stable")
-        return found._replace(score=score).take(order[shown[order]])
+        order = order[shown[order]]
+        return found.take(order), score[order]
 
     def _keep(self, t: float, grey: Image) -> None:
         """For the frames to come. A clock that went back, or an image of another size, starts again."""

@@ -119,6 +119,7 @@ FORMS: tuple[Form, ...] = (
             Entry("score", "score", (-1,)),
             Entry("covariance", "covariance_px2", (-1, 2, 2)),
             Entry("coverage", "coverage"),
+            Entry("likeness", "likeness", (-1,), added=True),
         ),
     ),
     Form(

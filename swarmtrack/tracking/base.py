@@ -6,6 +6,7 @@ something about all targets at once: that is where the trackers differ.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import compress
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -14,8 +15,8 @@ import numpy as np
 
 from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
-from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
+from swarmtrack.tracking.lifecycle import Reach
 from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
@@ -80,12 +81,9 @@ class Tracker:
         self._sensor = sensor
         self._filter = filter
         self._innovations = InnovationWindow(sensor.parameters.gate_probability)
-        self._surely_before = lifecycle.MAX_SLANT * min(camera.fx, camera.fy) / 2.0 - max(
-            camera.cx, camera.cy
-        )
-        self._surely_placed = lifecycle.largest_variance(camera)
+        self._reach = Reach(camera)
         self._smoother = FixedLag(sensor.parameters.lag_s, camera, TURNS[sensor.parameters.profile])
-        self._rate, self._steady = np.zeros(3), False
+        self._rate, self._steady = [0.0, 0.0, 0.0], False
         self._t: float | None = None
         self._last_scan: float | None = None
         self._late_scans = 0
@@ -148,7 +146,7 @@ class Tracker:
 
         rotation_variance rad² per axis: of the rotation's error.
         """
-        if not np.isfinite(t) or (self._t is not None and t < self._t):
+        if not math.isfinite(t) or (self._t is not None and t < self._t):
             return  # to the time of a late scan, which `update` will refuse: the rotation leads away from our state
         dt = 0.0 if self._t is None else t - self._t
         self._note_turn(dt, rotation)
@@ -161,14 +159,15 @@ class Tracker:
         """Whether the camera goes on turning as it did."""
         if dt <= 0.0:
             return
-        rate = np.zeros(3) if rotation is None else turned_by(rotation) / dt
-        self._steady = bool(np.abs(rate - self._rate).max() < STEADY)
+        turn = [0.0, 0.0, 0.0] if rotation is None else turned_by(rotation).tolist()
+        rate = [angle / dt for angle in turn]
+        self._steady = all(abs(new - old) < STEADY for new, old in zip(rate, self._rate, strict=True))
         self._rate = rate
 
     def update(self, scan: Scan) -> bool:
         """Fold in a scan. One that is older than the last, or the same again, is refused (False) and counted."""
         behind = self._t is not None and scan.t < self._t
-        if behind or scan.t == self._last_scan or not np.isfinite(scan.t):
+        if behind or scan.t == self._last_scan or not math.isfinite(scan.t):
             self._late_scans += 1
             return False
         if scan.t != self._t:
@@ -189,7 +188,7 @@ class Tracker:
     def vouch(self, track_id: int) -> None:
         """Something else than its looks says that a weak look-alike is a target: it may be confirmed."""
         table = self._filter.table
-        table.fit[table.id == track_id] = True
+        table.likeness[table.id == track_id] = np.inf
 
     def at(
         self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0
@@ -200,9 +199,6 @@ class Tracker:
         mean, cov = self._filter.extrapolated(t - self._t, rotation, rotation_variance)
         cov = self._sensor.with_lasting_error(cov)
         tracks = self._show().tracks(t, mean, cov)
-        if np.abs(mean).max(initial=0.0) < self._surely_before and cov.max(initial=0.0) < self._surely_placed:
+        if self._reach.surely_holds_all(mean, cov):
             return tracks
-        camera = self._sensor.camera
-        return tuple(
-            compress(tracks, lifecycle.is_placed(cov, camera) & lifecycle.within_reach(mean, camera))
-        )
+        return tuple(compress(tracks, self._reach.holds(mean, cov)))

@@ -19,19 +19,28 @@ IDENTITY.setflags(write=False)
 
 
 class Innovations(NamedTuple):
-    """Of n tracks × m measurements: distance (n, m), squared Mahalanobis; log_density (n, m) of N(y; 0, S)."""
+    """Of n tracks × m measurements: distance (…, n, m), squared Mahalanobis; log_density (…, n, m) of N(y; 0, S)."""
 
     distance: Array
     log_density: Array
 
 
+def variances(cov: Array) -> Array:
+    """The diagonals (…, d) of matrices (…, d, d): a view to write through, which `diagonal` does not give."""
+    return np.asarray(np.einsum("...ii->...i", cov))
+
+
 def innovations(mean: Array, cov: Array, z: Array, R: Array) -> Innovations:
-    """y = z − H x and S = H P Hᵀ + R for n tracks × m measurements; z (m, 2), R (m, 2, 2)."""
+    """y = z − H x and S = H P Hᵀ + R for n tracks × m measurements; z (m, 2), R (m, 2, 2).
+
+    R (k, m, 2, 2): the same with each of k noises at once, k in front of the result.
+    """
+    R = R[..., None, :, :, :]
     u, v = z[:, 0] - mean[:, 0, None], z[:, 1] - mean[:, 2, None]
     a, b, c = (
-        cov[:, 0, 0, None] + R[:, 0, 0],
-        cov[:, 0, 2, None] + R[:, 0, 1],
-        cov[:, 2, 2, None] + R[:, 1, 1],
+        cov[:, 0, 0, None] + R[..., 0, 0],
+        cov[:, 0, 2, None] + R[..., 0, 1],
+        cov[:, 2, 2, None] + R[..., 1, 1],
     )
     determinant = a * c - b * b
     distance = (c * u * u - 2.0 * b * u * v + a * v * v) / determinant

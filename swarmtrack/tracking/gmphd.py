@@ -151,7 +151,7 @@ class GmPhd(GaussianTracks):
 
     def _drop(self, t: float) -> None:
         stay = self._population.drop(t)
-        if not stay.all():
+        if stay is not None:
             self.mixture = self.mixture.select(np.flatnonzero(stay[blocks(self.mixture.label).row]))
 
     def _fold_in(self, t: float, measured: Measurements) -> tuple[Array, Explained]:
@@ -159,7 +159,8 @@ class GmPhd(GaussianTracks):
         table, prior, labels = self.table, self.mixture, blocks(self.mixture.label)
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         size = table.size.take(labels.row, axis=0)
-        log_ratio = self._sensor.likelihoods(prior.mean, prior.cov, size, measured).log_ratio
+        boxes = self._sensor.box_likelihoods(size, measured)
+        log_ratio = self._sensor.likelihoods(prior.mean, prior.cov, boxes, measured).log_ratio
         is_gaussian = np.bincount(labels.row) == 1
         rows = sure_pairs(log_ratio, (is_gaussian * table.existence)[labels.row])
         pairs = pairs_of(prior.label, (prior.mean, prior.cov), (measured.z, measured.R), rows)
@@ -169,7 +170,7 @@ class GmPhd(GaussianTracks):
         missed, detected = sums(weight[:, 0], labels.starts), shares.taken.sum(axis=1)
         seen = detected > missed
         if seen.any():
-            self._population.learn_looks(seen, measured.select(shares.taken[seen].argmax(axis=1)))
+            self._population.learn_looks(t, seen, measured.select(shares.taken[seen].argmax(axis=1)))
         table.existence = np.minimum(missed + detected, lifecycle.MAX_EXISTENCE)
         self._population.judge(t, seen, visibility)
         # A confirmed label that is missed for long keeps a remainder, so that one clear detection brings it back.
@@ -223,7 +224,7 @@ class GmPhd(GaussianTracks):
             into = into[into]
         twins, joined = tentative[joins], into[tentative[joins]]
         np.maximum.at(table.last_seen, joined, table.last_seen[twins])
-        np.logical_or.at(table.fit, joined, table.fit[twins])
+        np.maximum.at(table.likeness, joined, table.likeness[twins])
         table.missed_since[joined], table.lost[joined] = np.nan, False
         self._relabel(into)
 

@@ -83,7 +83,8 @@ class Jpdaf(GaussianTracks):
         """Give each track its shares, and update; returns the probability (m,) of a new target at each detection."""
         table = self.table
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
-        log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured).log_ratio
+        boxes = self._sensor.box_likelihoods(table.size, measured)
+        log_ratio = self._sensor.likelihoods(table.mean, table.cov, boxes, measured).log_ratio
         sure = sure_pairs(log_ratio, table.confirmed * table.existence)
         pairs = pairs_of(table.id, (table.mean, table.cov), (measured.z, measured.R), sure)
         newcomer = self._sensor.birth_existence(measured.odds)
@@ -104,7 +105,7 @@ class Jpdaf(GaussianTracks):
         seen = detected >= SEEN
         if seen.any():
             best = share[seen].argmax(axis=1)
-            self._population.learn_looks(seen, measured.select(best))
+            self._population.learn_looks(t, seen, measured.select(best))
         self._population.judge(t, seen, visibility)
         unexplained = np.maximum(1.0 - share.sum(axis=0), 0.0)
         births = np.where(self._population.shadowed(t, measured, seen), 0.0, unexplained * newcomer)

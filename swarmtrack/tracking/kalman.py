@@ -39,7 +39,8 @@ class Kalman(GaussianTracks):
         self._population.drop(t)
         taken, explained = self._associate(t, measured)
         self._population.drop(t)
-        self._population.give_birth(t, measured.select(~taken))
+        if not taken.all():
+            self._population.give_birth(t, measured.select(~taken))
         return explained
 
     def _associate(self, t: float, measured: Measurements) -> tuple[NDArray[np.bool_], Explained]:
@@ -47,7 +48,8 @@ class Kalman(GaussianTracks):
         table, z, R = self.table, measured.z, measured.R
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         p_detection = visibility.p_detection
-        log_ratio = self._sensor.likelihoods(table.mean, table.cov, table.size, measured).log_ratio
+        boxes = self._sensor.box_likelihoods(table.size, measured)
+        log_ratio = self._sensor.likelihoods(table.mean, table.cov, boxes, measured).log_ratio
         sure = sure_pairs(log_ratio, table.existence)
         pairs = pairs_of(table.id, (table.mean, table.cov), (measured.z, measured.R), sure)
         with np.errstate(divide="ignore"):
@@ -58,12 +60,14 @@ class Kalman(GaussianTracks):
         likelihood[rows] += p_detection[rows] * np.exp(log_ratio[rows, columns])
         table.existence = lifecycle.reweigh(table.existence, likelihood)
         table.mean[rows], table.cov[rows] = update(table.mean[rows], table.cov[rows], z[columns], R[columns])
-        self._population.learn_looks(rows, measured.select(columns))
+        self._population.learn_looks(t, rows, measured.select(columns))
         seen, taken = np.zeros(len(table), np.bool_), np.zeros(len(z), np.bool_)
         seen[rows], taken[columns] = True, True
         self._population.judge(t, seen, visibility)
         clutter = len(z) - float(table.existence[rows].sum())
-        return taken | self._population.shadowed(t, measured, seen), Explained(pairs, clutter)
+        if not taken.all():
+            taken |= self._population.shadowed(t, measured, seen)
+        return taken, Explained(pairs, clutter)
 
     def _match(self, log_ratio: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Confirmed tracks choose first, weighed by their existence; tentative ones share what is left."""

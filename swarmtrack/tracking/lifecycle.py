@@ -76,3 +76,22 @@ def is_placed(cov: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
     """(n,) that something is known of where a target is. Beyond that, products of covariances lose their sign."""
     variance = largest_variance(camera)
     return np.asarray((cov[:, 0, 0] < variance) & (cov[:, 2, 2] < variance))
+
+
+class Reach:
+    """Of targets with means (n, 4) and covariances (n, 4, 4): who is within reach of a camera, and placed."""
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self._camera = camera
+        self._surely_before = MAX_SLANT * min(camera.fx, camera.fy) / 2.0 - max(camera.cx, camera.cy)
+        self._surely_placed = largest_variance(camera)
+
+    def surely_holds_all(self, mean: Array, cov: Array) -> bool:
+        """By the largest numbers alone, a quarter of the price of asking for each; NaN fails it."""
+        return bool(
+            np.abs(mean).max(initial=0.0) < self._surely_before and cov.max(initial=0.0) < self._surely_placed
+        )
+
+    def holds(self, mean: Array, cov: Array) -> NDArray[np.bool_]:
+        """(n,)."""
+        return within_reach(mean, self._camera) & is_placed(cov, self._camera)

@@ -34,7 +34,7 @@ from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
-from swarmtrack.tracking.manoeuvre import Manoeuvres, ModeInnovations, ModeMixture
+from swarmtrack.tracking.manoeuvre import PLACE, Manoeuvres, ModeInnovations, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, propagate
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import Population, blend_sizes
@@ -139,7 +139,12 @@ class Leaves(NamedTuple):
     size: Array
 
     def take(self, rows: Indices) -> Leaves:
-        return Leaves(self.owner[rows], self.motion.take(rows), self.existence[rows], self.size[rows])
+        return Leaves(
+            self.owner.take(rows),
+            self.motion.take(rows),
+            self.existence.take(rows),
+            self.size.take(rows, axis=0),
+        )
 
 
 class Weighed(NamedTuple):
@@ -260,49 +265,53 @@ class Mbm:
     def _weigh(self, measured: Measurements) -> Weighed:
         table, leaves = self.table, self._leaves
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
-        ratio = self._with_outliers(self._log_ratio(measured), measured)
-        shift, merged = np.zeros((len(table), 2, 2)), np.zeros_like(ratio)
-        if visibility.overlap.any() and ratio.size:
-            ratio, merged, shift = self._with_merged(ratio, visibility.overlap, measured)
-        p_detected = leaves.existence * visibility.p_detection[leaves.owner]
+        boxes = self._sensor.box_likelihoods(leaves.size, measured)
+        ratio = self._with_outliers(boxes, measured)
+        shift, merged = np.zeros((len(table), 2, 2)), np.zeros(ratio.shape)
+        if ratio.size and visibility.overlap.any():
+            ratio, merged, shift = self._with_merged(ratio, boxes, visibility.overlap, measured)
+        p_detected = leaves.existence * visibility.p_detection.take(leaves.owner)
         missed = np.log1p(-p_detected)
         with np.errstate(divide="ignore"):
             gain = ratio + (np.log(p_detected) - missed)[:, None]
         # To confirmed tracks the tentative ones are more clutter, as much as they claim: else a track that was lost
         # would sooner or later be found in whatever looks a little like a drone, again and again.
         confirmed = table.confirmed[leaves.owner]
-        claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
-        gain[confirmed] -= np.log1p(p_detected[~confirmed] @ claim)
+        if not confirmed.all():
+            claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
+            gain[confirmed] -= np.log1p(p_detected[~confirmed] @ claim)
         gain[gain < -self._depth] = -np.inf  # to have made none is likelier by more than what is kept
         return Weighed(visibility, shift, merged, ratio, gain, missed)
 
-    def _log_ratio(self, measured: Measurements, shift: Array | None = None) -> Array:
-        """(L, m) by both modes; shift (n, 2, 2) px² of each track's detections."""
-        leaves = self._leaves
-        mean, cov, mode = leaves.motion
-        cov = cov[:, :, manoeuvre.KINEMATIC, manoeuvre.KINEMATIC]
+    def _log_ratio(self, boxes: Array, measured: Measurements, shift: Array | None = None) -> Array:
+        """(…, L, m) by both modes, … that of measured.R; boxes (L, m): see `SensorModel.box_likelihoods`; shift (n, 2,
+        2) px² of each track's detections."""
+        mean, cov, mode = self._leaves.motion
         if shift is not None:
             cov = cov.copy()
-            cov[:, :, POSITION, POSITION] += shift[leaves.owner][:, None]
-        mean = mean[:, :, manoeuvre.KINEMATIC].reshape(-1, 4)
-        size = np.repeat(leaves.size, 2, axis=0)
-        by_mode = self._sensor.likelihoods(mean, cov.reshape(-1, 4, 4), size, measured).log_ratio
-        by_mode = by_mode.reshape(len(leaves.owner), 2, len(measured.z)) + np.log(mode)[:, :, None]
-        return np.asarray(np.logaddexp(by_mode[:, manoeuvre.CALM], by_mode[:, manoeuvre.AGILE]))
+            cov[:, :, PLACE, PLACE] += shift[self._leaves.owner][:, None]
+        by_mode = self._sensor.likelihoods(
+            mean.reshape(-1, 6), cov.reshape(-1, 6, 6), boxes.repeat(2, axis=0), measured
+        ).log_ratio
+        by_mode = (
+            by_mode.reshape(*by_mode.shape[:-2], *mode.shape, len(measured.z)) + np.log(mode)[:, :, None]
+        )
+        return np.asarray(np.logaddexp(by_mode[..., manoeuvre.CALM, :], by_mode[..., manoeuvre.AGILE, :]))
 
-    def _with_outliers(self, ratio: Array, measured: Measurements) -> Array:
+    def _with_outliers(self, boxes: Array, measured: Measurements) -> Array:
         """The log-ratios (L, m) where some detections scatter as was told, and not as little as was measured.
 
         Only who made what is so asked: a box that jumps is still the target's. The update follows it, as it would with
         the noise that was told, whose gain is no smaller.
         """
         if measured.widest is None:
-            return ratio
-        wide = self._log_ratio(measured._replace(R=measured.widest))
+            return self._log_ratio(boxes, measured)
+        both = np.array([measured.R, measured.widest])
+        ratio, wide = self._log_ratio(boxes, measured._replace(R=both))
         return np.asarray(np.logaddexp(math.log1p(-OUTLIERS) + ratio, math.log(OUTLIERS) + wide))
 
     def _with_merged(
-        self, ratio: Array, overlap: Array, measured: Measurements
+        self, ratio: Array, boxes: Array, overlap: Array, measured: Measurements
     ) -> tuple[Array, Array, Array]:
         """Where a detection may also be one of two targets: the log-ratios (L, m), that it is one (L, m), and `shift`.
 
@@ -316,7 +325,7 @@ class Mbm:
         ]
         p[p < self._parameters.least_weight] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            merged = np.log(p) + self._log_ratio(measured, shift)
+            merged = np.log(p) + self._log_ratio(boxes, measured, shift)
             total = np.logaddexp(np.log1p(-p) + ratio, merged)
             return total, np.where(total > -np.inf, np.exp(merged - total), 0.0), shift
 
@@ -340,12 +349,12 @@ class Mbm:
     # --- who made what ------------------------------------------------------------------------------
 
     def _explain_confirmed(self, weighed: Weighed) -> Explanation:
-        confirmed = np.flatnonzero(self.table.confirmed)
+        (confirmed,) = self.table.confirmed.nonzero()
         taken = np.zeros(weighed.gain.shape[1])
         if not len(confirmed):
             return Explanation(Association(confirmed, confirmed), [], taken)
         alone, groups = self._groups(confirmed, weighed)
-        settled, doubtful = self._settle(self._best[alone], weighed)
+        settled, doubtful = self._settle(self._best.take(alone), weighed)
         taken[settled.column[settled.column >= 0]] = 1.0
 
         disputed = []
@@ -360,10 +369,11 @@ class Mbm:
     def _groups(self, confirmed: Indices, weighed: Weighed) -> tuple[Indices, list[Indices]]:
         """Tracks with one leaf whose detections nobody else wants; and the others, by what they have to do with each
         other."""
-        wanted = self._wanted(weighed)[confirmed]
-        shared = wanted[:, wanted.sum(axis=0) > 1]
-        if not (shared.shape[1] or self._clusters):
+        wanted = self._wanted(weighed).take(confirmed, axis=0)
+        by_several = wanted.sum(axis=0) > 1
+        if not (self._clusters or by_several.any()):
             return confirmed, []
+        shared = wanted[:, by_several]
         label = clusters.components(self._related(confirmed, shared))
         alone = np.bincount(label, minlength=len(label))[label] == 1
         for cluster in self._clusters:
@@ -394,7 +404,8 @@ class Mbm:
         """Of tracks with one leaf (k,) whose detections nobody else wants: the association of those where one
         explanation is beyond doubt, and the leaves of the others."""
         m = weighed.gain.shape[1]
-        options = np.concatenate([weighed.gain[leaves], np.zeros((len(leaves), 1))], axis=1)
+        options = np.zeros((len(leaves), m + 1))
+        options[:, :m] = weighed.gain.take(leaves, axis=0)
         choice = options.argmax(axis=1)
         best = options.max(axis=1)
         clear = (options > (best - self._depth)[:, None]).sum(axis=1) == 1
@@ -469,27 +480,31 @@ class Mbm:
         continued = [
             cluster._replace(leaf=leaf) for (cluster, _), leaf in zip(disputed, rows[2:], strict=True)
         ]
-        hit = told.column >= 0
-        confirmed_before = self.table.confirmed[leaves.owner]
         alone = self._alone(weighed)
         if self._parameters.learn_noise == "both" and self._clusters:
             alone |= self._alone_in_dispute(weighed) & np.isnan(measured.size[:, 0])
-        sure = np.flatnonzero(alone[told.leaf[hit], told.column[hit]])
-        pairs = fit.pairs(self.table.id[leaves.owner[hit]], told.column[hit], sure)
-        tentative = hit & ~confirmed_before
+        (hit,) = (told.column >= 0).nonzero()
+        owner, column = leaves.owner.take(hit), told.column.take(hit)
+        (sure,) = alone[told.leaf.take(hit), column].nonzero()
+        pairs = fit.pairs(self.table.id.take(owner), column, sure)
+        tentative = ~self.table.confirmed.take(owner)
         free = 1.0 - taken
-        free[told.column[tentative]] = 0.0
-        clutter = free.sum() + (1.0 - leaves.existence[tentative]).sum()
+        clutter = free.sum()
+        if tentative.any():
+            free[column[tentative]] = 0.0
+            clutter = free.sum() + (1.0 - leaves.existence[hit[tentative]]).sum()
 
         shown = self._keep(leaves, undisputed, continued)
-        seen = hit[shown]
+        published = Association(told.leaf.take(shown), told.column.take(shown))
         self._show_best()
-        self._weigh_existence(Association(told.leaf[shown], told.column[shown]), weighed, taken)
-        self.table.fit[leaves.owner[hit]] |= measured.fit[told.column[hit]]
+        self._weigh_existence(published, weighed, taken)
+        seen = published.column >= 0
+        self._population.learn_likeness(t, seen, measured.likeness.take(published.column[seen]))
         self._population.judge(t, seen, weighed.visibility)
-        free[self._population.shadowed(t, measured, seen)] = 0.0
-        self._population.give_birth(t, measured.select(free > 0.5))
-        self._grow_leaves()
+        if (free > 0.5).any():
+            free[self._population.shadowed(t, measured, seen)] = 0.0
+            self._population.give_birth(t, measured.select(free > 0.5))
+            self._grow_leaves()
         return Explained(pairs, float(clutter))
 
     def _alone(self, weighed: Weighed) -> NDArray[np.bool_]:
@@ -525,27 +540,29 @@ class Mbm:
     ) -> tuple[Leaves, ModeInnovations]:
         """The leaves after the scan, and of those that made a detection how well it fitted."""
         before = self._leaves.take(told.leaf)
-        hit = np.flatnonzero(told.column >= 0)
-        column, owner = told.column[hit], before.owner
-        merged = weighed.merged[told.leaf[hit], column]
-        R = measured.R[column] + merged[:, None, None] * weighed.shift[owner[hit]]
-        updated, fit = manoeuvre.update(before.motion.take(hit), measured.z[column], R)
+        (hit,) = (told.column >= 0).nonzero()
+        leaf, column, owner = told.leaf.take(hit), told.column.take(hit), before.owner
+        merged = weighed.merged[leaf, column]
+        R = measured.R.take(column, axis=0) + merged[:, None, None] * weighed.shift.take(
+            owner.take(hit), axis=0
+        )
+        updated, fit = manoeuvre.update(before.motion.take(hit), measured.z.take(column, axis=0), R)
         motion = before.motion
         for old, new in zip(motion, updated, strict=True):
             old[hit] = new  # `take` made copies
         size = before.size
-        size[hit] = blend_sizes(size[hit], measured.size[column])
+        size[hit] = blend_sizes(size.take(hit, axis=0), measured.size.take(column, axis=0))
 
-        p_detection = weighed.visibility.p_detection[owner]
+        p_detection = weighed.visibility.p_detection.take(owner)
         likelihood = 1.0 - p_detection
         likelihood[hit] += (
-            p_detection[hit] * np.exp(weighed.ratio[told.leaf[hit], column]) * (1.0 - taken[column])
+            p_detection.take(hit) * np.exp(weighed.ratio[leaf, column]) * (1.0 - taken.take(column))
         )
         existence = lifecycle.reweigh(before.existence, likelihood)
-        confirmed = self.table.confirmed[owner]
-        existence[confirmed] = np.maximum(existence[confirmed], lifecycle.MIN_CONFIRMED_EXISTENCE)
+        confirmed = self.table.confirmed.take(owner)
+        existence = np.maximum(existence, np.where(confirmed, lifecycle.MIN_CONFIRMED_EXISTENCE, 0.0))
         # The hypotheses' weights tell whether it made it.
-        existence[hit[confirmed[hit]]] = lifecycle.MAX_EXISTENCE
+        existence[hit[confirmed.take(hit)]] = lifecycle.MAX_EXISTENCE
         return Leaves(owner, motion, existence, size), fit
 
     def _weigh_existence(self, shown: Association, weighed: Weighed, taken: Array) -> None:
@@ -553,10 +570,11 @@ class Mbm:
         Tentative ones have what confirmed ones left of a detection."""
         p_detection = weighed.visibility.p_detection
         likelihood = 1.0 - p_detection
-        hit = np.flatnonzero(shown.column >= 0)
-        ratio = weighed.ratio[shown.leaf[hit], shown.column[hit]]
-        left = np.where(self.table.confirmed[hit], 1.0, 1.0 - taken[shown.column[hit]])
-        likelihood[hit] += p_detection[hit] * np.exp(np.minimum(ratio, LARGEST_LOG_RATIO)) * left
+        (hit,) = (shown.column >= 0).nonzero()
+        leaf, column = shown.leaf.take(hit), shown.column.take(hit)
+        ratio = weighed.ratio[leaf, column]
+        left = np.where(self.table.confirmed.take(hit), 1.0, 1.0 - taken.take(column))
+        likelihood[hit] += p_detection.take(hit) * np.exp(np.minimum(ratio, LARGEST_LOG_RATIO)) * left
         self.table.existence = lifecycle.reweigh(self.table.existence, likelihood)
 
     def _keep(self, leaves: Leaves, settled: Indices, continued: list[Cluster]) -> Indices:
@@ -614,7 +632,7 @@ class Mbm:
     def _drop(self, t: float) -> None:
         """Tracks end, and with them their leaves and their part in hypotheses."""
         kept = self._population.drop(t)
-        if kept.all():
+        if kept is None:
             return
         row = np.cumsum(kept) - 1  # of each track that stays
         staying = kept[self._leaves.owner]
@@ -634,6 +652,11 @@ class Mbm:
 def _distinct(associations: list[Association], count: int, m: int) -> tuple[Association, list[Indices]]:
     """What `count` leaves make of m detections in any of these associations, once each and ordered by leaf; and for
     each of the given ones its rows among them."""
+    if len(associations) == 2:  # nothing is in dispute: each leaf is the only one of its track
+        settled, started = associations
+        column = np.empty(count, np.intp)
+        column[settled.leaf], column[started.leaf] = settled.column, started.column
+        return Association(np.arange(count), column), [settled.leaf, started.leaf]
     told = np.zeros((count, m + 1), np.bool_)
     for leaf, column in associations:
         told[leaf, column + 1] = True

@@ -29,14 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.gaussian import variances
 from swarmtrack.tracking.motion_model import POSITION
 
-CLASSES = (
-    16.0,
-    32.0,
-    64.0,
-)  # px, mean side of a box, between one class of sizes and the next; a point is a class too
-POINTS = len(CLASSES) + 1
+# px, mean side of a box, between one class of sizes and the next. A point is a class too: its side is NaN, which is
+# sorted behind infinity.
+CLASSES = np.array([16.0, 32.0, 64.0, math.inf])
+POINTS = len(CLASSES)
 MEMORY = 200.0  # detections of a class after which an old one counts for 1/e
 KEPT = 1.0 - 1.0 / MEMORY
 PRIOR_LOG_R = math.log(
@@ -143,7 +142,8 @@ class NoiseScales:
         """R (m, 2, 2) px² of boxes of sizes (m, 2) px, NaN for points, as it was measured."""
         scale = np.array([scale.value for scale in self._R])[size_class(size)]
         R = R * scale[:, None, None]
-        R[:, [0, 1], [0, 1]] = np.maximum(R[:, [0, 1], [0, 1]], LEAST_SIGMA**2)
+        variance = variances(R)
+        np.maximum(variance, LEAST_SIGMA**2, out=variance)
         return R
 
     def learn(self, pairs: SurePairs, size: Array, *, steady: bool) -> None:
@@ -176,20 +176,21 @@ def pairs_of(
     (mean, cov), (z, R), (i, j) = prior, measured, rows
     S = cov[i][:, POSITION, POSITION] + R[j]
     e = whitened(z[j] - mean[i][:, POSITION], S)
-    share = 0.5 * (R[j][:, [0, 1], [0, 1]] / S[:, [0, 1], [0, 1]]).sum(axis=1)
+    share = 0.5 * (R[j].diagonal(axis1=1, axis2=2) / S.diagonal(axis1=1, axis2=2)).sum(axis=1)
     return SurePairs(track[i], j, e, share, np.ones(len(i)), (e * e).sum(axis=1))
 
 
 def size_class(size: Array) -> NDArray[np.intp]:
     """(n,) of boxes (n, 2) px; NaN for points."""
-    with np.errstate(invalid="ignore"):
-        side = np.sqrt(size[:, 0] * size[:, 1])
-    return np.where(np.isnan(side), POINTS, np.searchsorted(CLASSES, side))
+    side = np.sqrt(size[:, 0] * size[:, 1])
+    return CLASSES.searchsorted(side)
 
 
 def whitened(y: Array, S: Array) -> Array:
     """L⁻¹ y (k, 2) with S = L Lᵀ, of innovations y (k, 2) and their covariances S (k, 2, 2)."""
     a = np.sqrt(S[:, 0, 0])
     across = S[:, 0, 1] / a
-    first = y[:, 0] / a
-    return np.column_stack([first, (y[:, 1] - across * first) / np.sqrt(S[:, 1, 1] - across**2)])
+    e = np.empty_like(y)
+    e[:, 0] = first = y[:, 0] / a
+    e[:, 1] = (y[:, 1] - across * first) / np.sqrt(S[:, 1, 1] - across**2)
+    return e

@@ -34,10 +34,12 @@ def unresolved(mean: Array, cov: Array, resolution: Array) -> Array:
     result = np.zeros((n, n))
     if n < 2 or not resolution.any():
         return result
-    position, sigma = mean[:, POSITION], np.sqrt(cov[:, [0, 2], [0, 2]])
+    position, sigma = mean[:, POSITION], np.sqrt(cov.diagonal(axis1=1, axis2=2)[:, POSITION])
     reach = FAR * (resolution / math.sqrt(8.0) + sigma)
     apart = np.abs(position[:, None] - position[None]) - reach[:, None] - reach[None]
-    i, j = np.nonzero(np.triu((apart < 0.0).all(axis=2), 1))
+    i, j = np.nonzero((apart < 0.0).all(axis=2))
+    once = i < j
+    i, j = i[once], j[once]
     if not i.size:
         return result
     offset = position[i] - position[j]

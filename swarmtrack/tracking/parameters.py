@@ -46,10 +46,10 @@ class CommonParameters:
     """Expected new targets per image."""
     birth_speed_sigma: float = 100.0
     """px/s per axis, of a target just found."""
-    birth_score: float = 0.55
-    """A track is confirmed only with a detection of at least this score. Weaker look-alikes are followed, so that
-    their detections do not disturb other tracks, but they are not reported as drones, unless a teammate should be
-    there."""
+    birth_score: float = 0.45
+    """A track is confirmed only if the scores of its last three seconds, by looks alone, are on average at least this,
+    and surely so: the fewer looks, the higher they must be. Weaker look-alikes are followed, so that their detections
+    do not disturb other tracks, but they are not reported as drones, unless a teammate should be there."""
     confirm_probability: float = 0.99
     """Existence above which a tentative track is confirmed."""
     max_coast_s: float = 1.0

@@ -11,7 +11,7 @@ from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.parameters import CommonParameters
-from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
+from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility, within
 from swarmtrack.tracking.table import TrackTable
 
 SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxes jitter, drones grow slowly
@@ -24,6 +24,11 @@ JUMP_S = (
 ROUNDING_S = 1e-6  # of times that are sums of frame periods
 # times the gate, in squared sigmas: up to here a detection may be the track's own although it seemed not to be
 OUTLYING = 4.0
+LOOK_S = 0.1  # looks that follow each other sooner are alike, and count for less
+LEAST_LOOK = 1e-6  # what a look at once counts: a track that was told, and is seen at that very time
+MANY_LOOKS = 30.0  # over which the likeness is a mean
+# Log odds by which a mean is better or worse than it should be, for one look: one sigma of those of a real drone.
+LUCK = 0.5
 FADED = 0.05  # share of its existence at birth, below which a tentative track ends
 
 
@@ -34,6 +39,7 @@ class Population:
         self.table = TrackTable.empty()
         self._sensor = sensor
         self._parameters = parameters
+        self._reach = lifecycle.Reach(sensor.camera)
         self._gate = gate_threshold(parameters.gate_probability)
         self._next_id = 1
 
@@ -42,7 +48,7 @@ class Population:
         n = len(points)
         R, unknown = np.tile(self._sensor.R, (n, 1, 1)), np.full((n, 2), np.nan)
         surely = np.full(n, lifecycle.MAX_EXISTENCE)
-        newcomers = self.born(t, Measurements(points, R, unknown, np.ones(n), np.ones(n, np.bool_)), surely)
+        newcomers = self.born(t, Measurements(points, R, unknown, np.ones(n), np.full(n, np.inf)), surely)
         newcomers.confirmed[:] = True
         self.table.append(newcomers)
         return [int(id) for id in newcomers.id]
@@ -61,23 +67,34 @@ class Population:
         ids = np.arange(self._next_id, self._next_id + n)
         self._next_id += n
         no, seen, never = np.zeros(n, np.bool_), np.full(n, t), np.full(n, np.nan)
+        size, likeness = measured.size.copy(), measured.likeness.copy()
         return TrackTable(
-            ids, mean, cov, existence, measured.size.copy(), no, no.copy(), seen, never, measured.fit.copy()
+            ids, mean, cov, existence, size, no, no.copy(), seen, never, likeness, np.ones(n), seen.copy()
         )
 
     def survive(self, dt: float) -> None:
         self.table.existence = lifecycle.survive(self.table.existence, dt, self._parameters.p_survival)
 
-    def learn_looks(self, rows: NDArray[np.intp] | NDArray[np.bool_], measured: Measurements) -> None:
-        """Box size and fitness of these rows (k), from the detections (k) that they made."""
+    def learn_looks(
+        self, t: float, rows: NDArray[np.intp] | NDArray[np.bool_], measured: Measurements
+    ) -> None:
+        """Box size and likeness of these rows (k), from the detections (k) that they made at t."""
+        self.table.size[rows] = blend_sizes(self.table.size[rows], measured.size)
+        self.learn_likeness(t, rows, measured.likeness)
+
+    def learn_likeness(self, t: float, rows: NDArray[np.intp] | NDArray[np.bool_], likeness: Array) -> None:
+        """Of these rows (k), from that (k) of the detections that they made at t."""
         table = self.table
-        table.size[rows] = blend_sizes(table.size[rows], measured.size)
-        table.fit[rows] |= measured.fit
+        new = within((t - table.looked[rows]) / LOOK_S, LEAST_LOOK, 1.0)
+        looks = np.minimum(table.looks[rows], MANY_LOOKS - new)
+        table.likeness[rows] = (looks * table.likeness[rows] + new * likeness) / (looks + new)
+        table.looks[rows], table.looked[rows] = looks + new, t
 
     def judge(self, t: float, seen: NDArray[np.bool_], visibility: Visibility) -> None:
         """After a scan at t that saw these rows (n,) and has reweighed existence: who is confirmed, who is lost."""
         table = self.table
-        table.confirmed |= table.fit & (table.existence >= self._parameters.confirm_probability)
+        is_drone = table.likeness >= LUCK / np.sqrt(table.looks)
+        table.confirmed |= is_drone & (table.existence >= self._parameters.confirm_probability)
         floor = np.where(table.confirmed, lifecycle.MIN_CONFIRMED_EXISTENCE, 0.0)
         table.existence = np.maximum(table.existence, floor)
         # A detection that leaves it open whether the track is there keeps it for a moment, to be detected once more.
@@ -86,17 +103,18 @@ class Population:
         table.missed_since = np.where(seen, np.nan, np.fmin(table.missed_since, t))
         table.lost = ~seen & ((table.existence < lifecycle.LOST_BELOW) | (visibility.in_view < 0.5))
 
-    def drop(self, t: float) -> NDArray[np.bool_]:
+    def drop(self, t: float) -> NDArray[np.bool_] | None:
         """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that
-        may be anywhere; returns which (n,) stay."""
+        may be anywhere; returns which (n,) stay, None if all do."""
         table = self.table
         coasted = t - table.last_seen >= self._parameters.max_coast_s - ROUNDING_S
         faded = table.existence < FADED * self._sensor.usual_birth
-        camera = self._sensor.camera
-        gone = ~(lifecycle.within_reach(table.mean, camera) & lifecycle.is_placed(table.cov, camera))
-        stay = ~(coasted | faded | gone)
-        if not stay.all():
-            table.keep(stay)
+        stay = ~(coasted | faded)
+        if not self._reach.surely_holds_all(table.mean, table.cov):
+            stay &= self._reach.holds(table.mean, table.cov)
+        if stay.all():
+            return None
+        table.keep(stay)
         return stay
 
     def shadowed(self, t: float, measured: Measurements, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -20,4 +20,5 @@ def make_scan(detections: Detections, t: float, camera: PinholeCamera, tracker: 
     if R is not None:
         J = camera.undistort_jacobian(detections.centre[good])
         R = J @ R[good] @ J.swapaxes(1, 2)
-    return Scan(t, z[good], R, detections.size[good], detections.score[good], detections.coverage)
+    likeness = None if detections.likeness is None else detections.likeness[good]
+    return Scan(t, z[good], R, detections.size[good], detections.score[good], detections.coverage, likeness)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Scan
 from swarmtrack.tracking.association import gate_threshold
-from swarmtrack.tracking.gaussian import innovations
+from swarmtrack.tracking.gaussian import innovations, variances
 from swarmtrack.tracking.lifecycle import probability_in_view
+from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.noise import LEAST_SIGMA, NoiseScales, SurePairs
 from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
@@ -33,20 +34,21 @@ NOISE_BOUND = 10.0
 
 
 class Measurements(NamedTuple):
-    """What can be used of a scan: z (m, 2), R (m, 2, 2), size (m, 2), odds (m,) of being no clutter, fit (m,) to
-    start a track; widest (m, 2, 2): R of outliers, None where no detection is off by more than by R."""
+    """What can be used of a scan: z (m, 2), R (m, 2, 2), size (m, 2), odds (m,) of being no clutter; likeness (m,): the
+    log odds of being a drone by looks alone, over those of `birth_score`; widest (m, 2, 2): R of outliers, None where
+    no detection is off by more than by R."""
 
     z: Array
     R: Array
     size: Array
     odds: Array
-    fit: NDArray[np.bool_]
+    likeness: Array
     widest: Array | None = None
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
         widest = None if self.widest is None else self.widest[rows]
         return Measurements(
-            self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.fit[rows], widest
+            self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.likeness[rows], widest
         )
 
 
@@ -73,6 +75,9 @@ class SensorModel:
 
     def __init__(self, camera: PinholeCamera, parameters: CommonParameters) -> None:
         self.camera = camera
+        low, high = camera.ideal_bounds
+        self._image = 0.5 * (low + high), high - low
+        """Its middle and its extent (2,) in ideal px."""
         self.counters = {"unusable_detections": 0}
         self.R = parameters.measurement_sigma**2 * np.eye(2)
         self.clutter_per_scan = parameters.clutter_per_scan
@@ -87,6 +92,9 @@ class SensorModel:
         """Where it is learned both ways."""
         self.parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
+        bar = min(max(parameters.birth_score, SCORES[0]), SCORES[1])
+        self._bar = math.log(bar / (1.0 - bar))
+        """Of the likeness: the log odds that it is counted from."""
         self._uses_boxes = parameters.profile != "paper"
         self._occludes = parameters.occlusion and self._uses_boxes
 
@@ -94,47 +102,52 @@ class SensorModel:
         """The detections that are finite, near the image and known better than the image is large; the others are
         counted. A box larger than the image or without extent is none; a detection that came twice is two."""
         m, told = len(scan.z), self.parameters
-        low, high = self.camera.ideal_bounds
-        size, odds, fit = np.full((m, 2), np.nan), np.ones(m), np.ones(m, np.bool_)
+        middle, extent = self._image
         if scan.size is not None and self._uses_boxes:
-            sensible = (np.asarray(scan.size) > 0.0) & (scan.size < high - low)
-            size = np.where(sensible.all(axis=1)[:, None], scan.size, np.nan)
+            sensible = ((np.asarray(scan.size) > 0.0) & (scan.size < extent)).all(axis=1)
+            size = np.where(sensible[:, None], scan.size, np.nan)
+        else:
+            size = np.full((m, 2), np.nan)
         if scan.score is not None and self._uses_boxes:
-            score = np.clip(scan.score, *SCORES)
+            score = within(scan.score, *SCORES)
             odds = (score / (1.0 - score)) ** told.score_weight
-            fit = np.asarray(scan.score) >= told.birth_score
-        good = (np.abs(scan.z - 0.5 * (low + high)) < high - low).all(axis=1)  # NaN compares as False
-        good &= np.isfinite(odds)
+            looks = score if scan.likeness is None else within(scan.likeness, *SCORES)
+            likeness = np.log(looks / (1.0 - looks)) - self._bar
+        else:
+            odds, likeness = np.ones(m), np.full(m, np.inf)
+        good = (np.abs(scan.z - middle) < extent).all(axis=1)  # NaN compares as False
+        good &= np.isfinite(odds) & ~np.isnan(likeness)
         if scan.R is None:
             R = self.measurement_noise(size, scan.score)
         else:
-            R, sound = _sound_covariances(scan.R, largest=float((high - low).max()))
+            R, sound = _sound_covariances(scan.R, largest=float(extent.max()))
             good &= sound
-        self.counters["unusable_detections"] += m - int(good.sum())
+        unusable = m - int(np.count_nonzero(good))
+        self.counters["unusable_detections"] += unusable
         widest = None
         if self._noise_learned == "both":
             told_R, R = R, self.noise.applied(R, size)
             widest = np.maximum(told_R, R)
         elif self.noise_scale > 1.0:
             R = R * self.noise_scale
-        measured = Measurements(scan.z, R, size, odds, fit, widest)
-        return measured if good.all() else measured.select(good)
+        measured = Measurements(scan.z, R, size, odds, likeness, widest)
+        return measured.select(good) if unusable else measured
 
     def measurement_noise(self, size: Array, score: Array | None) -> Array:
         """R (m, 2, 2) px² of detections that bring none; size (m, 2) px, NaN while unknown; score (m,).
 
         σ² = measurement_sigma² + side² (size_noise² + (score_noise (1 − s) / s)²) along each side of the box.
         """
-        R, told = np.tile(self.R, (len(size), 1, 1)), self.parameters
-        known = ~np.isnan(size)
-        if self._uses_boxes and known.any():
+        R, told = np.zeros((len(size), 2, 2)) + self.R, self.parameters
+        unknown = np.isnan(size)
+        if self._uses_boxes and not unknown.all():
             share = np.full(len(size), told.size_noise**2)
             if score is not None:
-                s = np.clip(score, LEAST_SCORE, 1.0)
+                s = within(score, LEAST_SCORE, 1.0)
                 share += (told.score_noise * (1.0 - s) / s) ** 2
-            low, high = self.camera.ideal_bounds
-            side = np.clip(np.where(known, size, 0.0), 0.0, high - low)
-            R[:, [0, 1], [0, 1]] += side**2 * share[:, None]
+            side = within(np.where(unknown, 0.0, size), 0.0, self._image[1])
+            variance = variances(R)
+            variance += side**2 * share[:, None]
         return R
 
     def with_lasting_error(self, cov: Array) -> Array:
@@ -142,7 +155,8 @@ class SensorModel:
         have edges of whole pixels, and more boxes of a target that hovers round them the same way."""
         cov = cov.copy()
         if self._noise_learned == "both":
-            cov[:, [0, 2], [0, 2]] += LEAST_SIGMA**2
+            of_position = variances(cov)[:, POSITION]
+            of_position += LEAST_SIGMA**2
         return cov
 
     def visibility(
@@ -173,11 +187,17 @@ class SensorModel:
         """(n, 2) px: how close another may come before the two are one detection; see `occlusion.resolutions`."""
         return resolutions(size, self.parameters.resolution_px)
 
-    def likelihoods(self, mean: Array, cov: Array, size: Array, measured: Measurements) -> Likelihoods:
-        """Of targets with means (n, 4), covariances (n, 4, 4) and box sizes (n, 2), NaN while unknown."""
+    def box_likelihoods(self, size: Array, measured: Measurements) -> Array:
+        """(n, m) what the boxes say for targets of sizes (n, 2) px, NaN while unknown: the part of the log-likelihoods
+        that is the same wherever the targets are."""
+        return _log_likelihood_of_sizes(size, measured.size, self.parameters.size_sigma)
+
+    def likelihoods(self, mean: Array, cov: Array, boxes: Array, measured: Measurements) -> Likelihoods:
+        """Of targets with means (n, d) and covariances (n, d, d) of states that begin like [u, vu, v, vv]; boxes (n,
+        m): see `box_likelihoods`. If measured.R is (k, m, 2, 2), the same with each of k noises, k in front."""
         distance, log_density = innovations(mean, cov, measured.z, measured.R)
         log_ratio = log_density - self.log_clutter_intensity(measured.odds)
-        log_ratio += _log_likelihood_of_sizes(size, measured.size, self.parameters.size_sigma)
+        log_ratio += boxes
         log_ratio[distance > self._gate] = -np.inf
         return Likelihoods(distance, log_ratio)
 
@@ -229,15 +249,20 @@ class SensorModel:
         return np.minimum(birth / (birth + self.clutter_per_scan), self.parameters.confirm_probability)
 
 
+def within(values: Array, least: float | Array, most: float | Array) -> Array:
+    """As `np.clip`, in half its time for a few values."""
+    return np.minimum(np.maximum(values, least), most)
+
+
 def _sound_covariances(R: Array, largest: float) -> tuple[Array, NDArray[np.bool_]]:
     """Covariances R (m, 2, 2) px² made symmetric and no smaller than `LEAST_VARIANCE`, and which (m,) can be used:
     positive, with sigmas below `largest` px."""
     R = np.array(R, dtype=float)
-    variance = R[:, [0, 1], [0, 1]]
-    across = np.abs(R[:, [0, 1], [1, 0]])
-    most_across = MOST_CORRELATED * np.sqrt(np.clip(variance, 0.0, largest**2)).prod(axis=1)
+    variance = variances(R)
+    across = np.abs(R.reshape(-1, 4)[:, 1:3])
+    most_across = MOST_CORRELATED * np.sqrt(within(variance, 0.0, largest**2)).prod(axis=1)
     sound = ((variance > 0.0) & (variance < largest**2) & (across <= most_across[:, None])).all(axis=1)
-    R[:, [0, 1], [0, 1]] = np.maximum(variance, LEAST_VARIANCE)
+    np.maximum(variance, LEAST_VARIANCE, out=variance)
     R[:, 0, 1] = R[:, 1, 0]
     return R, sound
 
@@ -249,9 +274,6 @@ def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Ar
     A side that differs by more than `SIZE_GATE` sigma is that of a box around two drones: it speaks against, but no
     louder.
     """
-    known, told = np.isfinite(tracks).any(), np.isfinite(measured).any()
-    if not (known and told):
-        return np.zeros((len(tracks), len(measured)))
     deviation = np.abs(np.log(measured)[None] - np.log(tracks)[:, None]) / sigma
     likelihood = 0.5 * (1.0 - np.minimum(deviation, SIZE_GATE) ** 2)
-    return np.asarray(np.nan_to_num(likelihood, nan=0.0).sum(axis=2))
+    return np.asarray(np.where(np.isnan(likelihood), 0.0, likelihood).sum(axis=2))

@@ -22,7 +22,8 @@ class TrackTable:
     """n tracks. mean (n, 4), cov (n, 4, 4), existence (n,), size (n, 2) px NaN while unknown, confirmed (n,): ever was;
     lost (n,): missed, and rather hidden, out of view or gone than there;
     last_seen (n,) s: the last scan that detected it; missed_since (n,) s: the first scan after it, NaN while detected;
-    fit (n,): one of its detections at least was sure enough for a track to be confirmed.
+    likeness (n,): the mean log odds that it is a drone, by the looks of its last detections; looks (n,): how many;
+    looked (n,) s: when the last one was.
     """
 
     id: NDArray[np.int64]
@@ -34,7 +35,9 @@ class TrackTable:
     lost: NDArray[np.bool_]
     last_seen: Array
     missed_since: Array
-    fit: NDArray[np.bool_]
+    likeness: Array
+    looks: Array
+    looked: Array
 
     @classmethod
     def empty(cls) -> TrackTable:
@@ -48,7 +51,9 @@ class TrackTable:
             np.empty(0, np.bool_),
             np.empty(0),
             np.empty(0),
-            np.empty(0, np.bool_),
+            np.empty(0),
+            np.empty(0),
+            np.empty(0),
         )
 
     def __len__(self) -> int:

@@ -26,9 +26,8 @@ Batch = tuple[NDArray[Any], ...]
 """Images (size, crop, crop, 3) uint8 BGR, then the fields of `Targets`, each with a leading batch axis."""
 
 AHEAD = 6  # batches that a generator may be ahead of the trainer
-TIMEOUT = (
-    300.0  # s without a batch: the generator is dead or the machine is; the first waits for all cut-outs
-)
+# s without a batch: the generator is dead or the machine is; the first waits for all cut-outs.
+TIMEOUT = 300.0
 
 
 class TrainingError(SwarmtrackError):

@@ -24,9 +24,8 @@ from swarmtrack.training.labelled_images import NEGATIVE, DataError, LabelledFra
 
 VIDEOS = (".mp4", ".avi", ".mkv")
 DRONE = "drone"
-WINDOW = (
-    320  # px: side of what is kept around an object, the largest piece of a frame that becomes a usual sample
-)
+# px: side of what is kept around an object, the largest piece of a frame that becomes a usual sample.
+WINDOW = 320
 
 
 class Clip(NamedTuple):

@@ -84,7 +84,7 @@ def test_a_window_holds_the_box_and_its_uncertainty_up_to_the_image_s_edge(scene
 
 
 def test_a_small_drone_is_enlarged_and_a_large_one_seen_as_it_is():
-    for size, scale in ((8.0, 3.0), (12.0, 2.0), (24.0, 1.0), (90.0, 1.0)):
+    for size, scale in ((8.0, 3.0), (24.0, 2.0), (48.0, 1.0), (90.0, 1.0)):
         attention = AttentionWindows(AttentionParameters(tiles=False))
         attention.next(IMAGE, 0.5, np.empty((0, 6)))
         (window,) = attention.next(IMAGE, 0.5, np.array([box_of(600, 300, size=size)]))

@@ -72,11 +72,12 @@ def compared_with(cue, t):
 
 
 def weighed(then, now, found, pixels_then=same_place):
-    """What becomes of candidates 0.1 s after the picture `then`."""
+    """What becomes of candidates 0.1 s after the picture `then`, with the scores that motion makes."""
     cue = MotionCue()
     keep(cue, 1.0, then)
     comparison = cue.compare(1.1, Turned(pixels_then))
-    return cue.weigh(frame(1.1, now), found, THRESHOLD, comparison)
+    shown, score = cue.weigh(frame(1.1, now), found, THRESHOLD, comparison)
+    return shown._replace(score=score)
 
 
 def test_a_weak_candidate_that_moved_is_shown_and_one_that_stands_still_is_as_weak_as_before():

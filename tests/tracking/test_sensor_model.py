@@ -279,7 +279,7 @@ def test_whatever_comes_what_is_usable_is_sound_and_the_rest_is_counted(scan):
     assert (np.isnan(usable.size).all(axis=1) | (usable.size > 0.0).all(axis=1)).all()
     assert not (usable.size > 640.0).any()
     assert ((usable.odds > 0.0) & np.isfinite(usable.odds)).all()
-    assert len(usable.R) == len(usable.size) == len(usable.odds) == len(usable.fit) == len(usable.z)
+    assert len(usable.R) == len(usable.size) == len(usable.odds) == len(usable.likeness) == len(usable.z)
 
 
 @pytest.mark.parametrize("name", TRACKERS)

@@ -17,7 +17,9 @@ def table_of(n):
         lost=np.zeros(n, np.bool_),
         last_seen=np.zeros(n),
         missed_since=np.full(n, np.nan),
-        fit=np.ones(n, np.bool_),
+        likeness=np.ones(n),
+        looks=np.ones(n),
+        looked=np.zeros(n),
     )
 
 

@@ -302,6 +302,32 @@ def test_a_doubtful_detection_carries_a_track_on_but_confirms_none(name):
 
 
 @every_tracker
+def test_what_flies_and_looks_like_a_drone_only_now_and_then_is_confirmed_by_no_motion(name):
+    """A gull: the detector is sure that it moves, and in one look of five takes it for a drone."""
+    tracker = create_tracker(name, camera=CAMERA, birth_score=0.5)
+    for k in range(60):
+        looks = [0.7 if k % 5 == 4 else 0.3, 0.3 if k % 5 == 4 else 0.7]
+        z = np.array([[100.0 + 2 * k, 100.0], [500.0 - 2 * k, 300.0]])
+        tracker.predict(k / 15)
+        tracker.update(Scan(k / 15, z, score=np.array([0.95, 0.95]), likeness=np.array(looks)))
+    (track,) = confirmed(tracker.tracks)
+    assert track.mean[2] > 250.0
+
+
+@every_tracker
+def test_a_likeness_that_is_no_number_is_no_detection_and_a_track_that_was_told_is_one_at_once(name):
+    tracker = create_tracker(name, camera=CAMERA)
+    tracker.initiate(0.0, np.array([[100.0, 100.0]]))
+    for k in range(5):
+        tracker.predict(k / 15)
+        scores = {"score": np.full(2, 0.9), "likeness": np.array([0.9, math.nan])} if k else {}
+        tracker.update(Scan(k / 15, np.array([[100.0, 100.0], [400.0, 300.0]])[: 1 + bool(k)], **scores))
+    (track,) = tracker.tracks
+    assert track.status == "confirmed"
+    assert tracker.counters["unusable_detections"] == 4
+
+
+@every_tracker
 def test_a_doubtful_look_alike_is_confirmed_once_somebody_vouches_for_it(name):
     tracker = create_tracker(name, camera=CAMERA, birth_score=0.5)
     for k in range(12):
