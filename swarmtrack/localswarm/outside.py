@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack
 from typing import Any
@@ -91,18 +92,22 @@ class Outside:
         self._epoch = epoch
 
     async def ready(self, patience_s: float = PATIENCE_S) -> None:
-        """Until every link tells what can be used. Raises NoTruth, saying of each that does not why."""
-        start = self._clock.now()
+        """Until every link tells what can be used. Raises NoTruth, saying of each that does not why; where one never
+        will, the others still have `SETTLED_S` to tell."""
+        start, hopeless = self._clock.now(), math.inf
         while True:
             await asyncio.sleep(LOOK_S)
             troubles = self.troubles()
-            waited = self._clock.now() - start
-            if waited < SETTLED_S:
+            now = self._clock.now()
+            if now - start < SETTLED_S:
                 continue
             if not troubles:
                 return
             fatal = [text for fault, text in troubles.values() if fault in FATAL]
-            if fatal or waited > patience_s:
+            if fatal:
+                hopeless = min(hopeless, now)
+            all_tell = len(fatal) == len(troubles) or now - hopeless > SETTLED_S
+            if (fatal and all_tell) or now - start > patience_s:
                 raise NoTruth("\n".join(fatal or [text for _, text in troubles.values()]))
 
     def troubles(self) -> dict[int, tuple[TruthFault, str]]:
