@@ -30,6 +30,12 @@ WHAT_IF = ("drone", "camera", "autopilot", "tracker", "identity", "motion", "det
 """Tables of the config that have a say in a replay."""
 
 
+# Of the shipped model, while recordings did not say it: windows around tracks were enlarged less than they are now.
+BOXES_OF_OLD = BoxWidth(
+    factor=1.14, padding_px=16.2, drone_sigma=0.19, wander_sigma=0.133, wander_s=2.1, white_sigma=0.061
+)
+
+
 @dataclass(frozen=True, slots=True)
 class FlightSettings:
     """start: team_from_body, None where the autopilot says it; box_width: what the detector said of its boxes."""
@@ -166,18 +172,13 @@ def _mounted(record: dict[str, Any]) -> MountedCamera:
 
 
 def _box_width(record: dict[str, Any], config: DroneConfig) -> BoxWidth | None:
-    """As recorded. Older recordings do not hold it: there the shipped model's is what its file says today."""
+    """As recorded. Older recordings do not hold it: their boxes are those that the shipped model drew then."""
     if "box_width" in record:
         said = record["box_width"]
         return None if said is None else BoxWidth(**said)
     if config.detector.model != "default" or config.camera.detects_by_itself:
         return None
-    # Not above: who reads a recording of today needs no ONNX Runtime.
-    from swarmtrack.detection.description import box_width_of  # noqa: PLC0415
-    from swarmtrack.detection.model import metadata_of, model_path  # noqa: PLC0415
-
-    path = model_path("default")
-    return box_width_of(str(path), metadata_of(path))
+    return BOXES_OF_OLD
 
 
 def _pose_record(pose: Pose) -> dict[str, Any]:

@@ -44,7 +44,7 @@ SHOWN = {
     "autopilot.link": '"serial:/dev/ttyAMA0:921600"',
     "autopilot.system_id": "1",
     "autopilot.signing_key": '"mavlink.key"',
-    "detector.box_width": "{ factor = 1.14, padding_px = 16.2 }",
+    "detector.box_width": "{ factor = 1.28, padding_px = 8.3 }",
     "detector.score_threshold": "0.3",
     "detector.input_scale": "0.5",
     "detector.engine_cache": '"engines"',
