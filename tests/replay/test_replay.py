@@ -26,14 +26,13 @@ pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 from support.recorded_flight import SAID, fly
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.config import load_config
-from swarmtrack.detection.detector import Detector
 from swarmtrack.evaluation.replay_diff import ConfirmedTrack, SeenScan, compare
 from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.formation.setpoint import Why
 from swarmtrack.recording import inputs
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.repair import repair
-from swarmtrack.recording.settings import read_settings
+from swarmtrack.recording.settings import BOXES_OF_OLD, read_settings
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.replay.replayer import Replayer
 from swarmtrack.runtime import perception
@@ -199,7 +198,7 @@ def test_a_tilt_that_is_less_sure_makes_places_less_sure_and_changes_no_track(fl
         assert more == pytest.approx(level**2 * np.radians([5.0, 0.5]) @ np.radians([5.0, -0.5]), rel=1e-3)
 
 
-def test_an_older_recording_had_the_boxes_of_the_shipped_model(flown):
+def test_an_older_recording_had_the_boxes_of_the_model_that_was_shipped_then(flown):
     (recording,) = recordings_below(flown[0] / "drone-1")
     calibration = {
         key: value for key, value in recording.attached("calibration.json").items() if key != "box_width"
@@ -210,7 +209,7 @@ def test_an_older_recording_had_the_boxes_of_the_shipped_model(flown):
     table = recording.attached("config.json")
     table["camera"]["source"] = "v4l2:///dev/video0"
     recording.attachments["config.json"] = SimpleNamespace(data=json.dumps(table))
-    assert read_settings(recording)[0].box_width == Detector().description.box_width
+    assert read_settings(recording)[0].box_width == BOXES_OF_OLD
 
 
 def test_it_is_the_same_in_every_process(flown, tmp_path, capsys):
