@@ -33,7 +33,7 @@ from swarmtrack.messages import Announcement, Array, Detections, EgoPose, Flight
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.alignment import WINDOW_S, FrameSight, SightErrors, align
 from swarmtrack.relative.frames import APART_S
 from swarmtrack.relative.looks import TeamLook
@@ -147,9 +147,13 @@ class Hovering:
     def __init__(self, *, announced: bool) -> None:
         self.onboard = Onboard(
             1,
-            camera=CAMERA,
-            mounting=Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
-            tracker=create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
+            cameras=[
+                OnboardCamera(
+                    CAMERA,
+                    Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
+                    create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
+                )
+            ],
             gyro=GyroHistory(),
             ego=EgoHistory(origin=np.zeros(3)),
             identity=IdentityParameters(),

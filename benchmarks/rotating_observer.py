@@ -33,7 +33,7 @@ from swarmtrack.messages import Array, Detections, ImuSample, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.scenarios import HOVER_S, Scenario
 from swarmtrack.simulation.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
@@ -174,9 +174,13 @@ def _track(
     """Feed one Onboard in the order of arrival, and ask it at every instant what holds now."""
     onboard = Onboard(
         OBSERVER,
-        camera=scenario.camera,
-        mounting=Mounting(scenario.body_from_camera),
-        tracker=create_tracker(tracker, camera=scenario.camera, **parameters),
+        cameras=[
+            OnboardCamera(
+                scenario.camera,
+                Mounting(scenario.body_from_camera),
+                create_tracker(tracker, camera=scenario.camera, **parameters),
+            )
+        ],
         gyro=GyroHistory(),
         ego=EgoHistory(),
         identity=IdentityParameters(),

@@ -34,7 +34,7 @@ from swarmtrack.messages import (
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.perceived import Perceived
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion, filed_announcement
@@ -169,13 +169,17 @@ class VirtualSwarm:
         turned = _yaw(self._mistake(drone_id).mounting) @ mounted.rotation
         onboard = Onboard(
             drone_id,
-            camera=scenario.camera,
-            mounting=Mounting(
-                Pose(turned, mounted.position),
-                time_offset_s=-self.stamps_late(drone_id) if self._camera_clocks_told else 0.0,
-                estimate_time_offset=not self._camera_clocks_told,
-            ),
-            tracker=create_tracker(self._tracker, camera=scenario.camera, **AGENT_PARAMETERS),
+            cameras=[
+                OnboardCamera(
+                    scenario.camera,
+                    Mounting(
+                        Pose(turned, mounted.position),
+                        time_offset_s=-self.stamps_late(drone_id) if self._camera_clocks_told else 0.0,
+                        estimate_time_offset=not self._camera_clocks_told,
+                    ),
+                    create_tracker(self._tracker, camera=scenario.camera, **AGENT_PARAMETERS),
+                )
+            ],
             gyro=GyroHistory(),
             ego=EgoHistory(origin=start.position_m),
             identity=self._identity,

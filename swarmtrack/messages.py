@@ -139,7 +139,7 @@ class Detections:
     t: time of exposure; sequence: of the frame; centre (n, 2) [u, v]; size (n, 2) [w, h]; score (n,) in 0…1;
     covariance (n, 2, 2) px² of the centre, or None where the detector does not know. coverage: share of the image that
     was looked at, 0…1; every track was. likeness (n,) in 0…1: the score by looks alone, whether it moves or not; None:
-    it is the score.
+    it is the score. camera: which of the drone's, by its place in the config.
     """
 
     t: float
@@ -150,6 +150,7 @@ class Detections:
     covariance: Array | None = None
     coverage: float = 1.0
     likeness: Array | None = None
+    camera: int = 0
 
     def __post_init__(self) -> None:
         n = len(self.score)
@@ -207,12 +208,13 @@ class TrackStatus(enum.StrEnum):
 
 
 class Track(NamedTuple):
-    """One target in the image plane. mean (4,) [u, vu, v, vv] px, px/s; cov (4, 4); size (2,) px.
+    """One target in the image plane of one camera. mean (4,) [u, vu, v, vv] px, px/s; cov (4, 4); size (2,) px.
 
     A tuple and no dataclass, because `at` makes thousands of them a second.
 
     `id` is local to this drone and never reused. `probability` is that of existence. `coasting_since` is the
-    time of the first scan that missed it, None while it is being detected.
+    time of the first scan that missed it, None while it is being detected. `camera`: in whose pixels it is, by its
+    place in the config; a target that goes over from one camera to the next stays the same track.
     """
 
     id: int
@@ -223,6 +225,7 @@ class Track(NamedTuple):
     probability: float
     size: Array
     coasting_since: float | None = None
+    camera: int = 0
 
 
 class MotionProof(NamedTuple):

@@ -17,7 +17,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import numpy as np
 
@@ -60,7 +60,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
-from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
+from swarmtrack.motion.gyro import GyroHistory, Orientation
 from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
@@ -75,6 +75,7 @@ from swarmtrack.relative.states import RelativeStates
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
+from swarmtrack.tracking.rig import Rig, RigCamera
 from swarmtrack.tracking.scan import make_scan
 
 # s that a scan may stay away beyond the history: by then a target may be anywhere.
@@ -108,6 +109,14 @@ class Counters:
     """Given up because other observers see that drone elsewhere."""
 
 
+class OnboardCamera(NamedTuple):
+    """One of a drone's cameras: its lens, how it sits, and the tracker of what it sees."""
+
+    camera: PinholeCamera
+    mounting: Mounting
+    tracker: Tracker
+
+
 class Onboard:
     """Told what happened; never asks, waits or sends."""
 
@@ -115,9 +124,7 @@ class Onboard:
         self,
         drone_id: int,
         *,
-        camera: PinholeCamera,
-        mounting: Mounting,
-        tracker: Tracker,
+        cameras: Sequence[OnboardCamera],
         gyro: GyroHistory,
         ego: EgoHistory,
         identity: IdentityParameters,
@@ -126,23 +133,33 @@ class Onboard:
         estimate_gyro_bias: bool = True,
         places_anybody: bool = False,
     ) -> None:
-        """start_sigma_m: how well the drone knows where it starts, m per axis, beside what its autopilot says.
+        """cameras: in the order of the config, as `Detections.camera` counts them; the gyro's axes are the first one's.
+        start_sigma_m: how well the drone knows where it starts, m per axis, beside what its autopilot says.
         estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins. places_anybody: find
         where confirmed tracks are by their size also while they have no name, for who has to keep clear of them."""
         self.counters = Counters()
         self.gyro = gyro
-        self.camera_clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
+        self._cameras = tuple(cameras)
+        camera, mounting, _ = cameras[0]
+        self.camera_clocks = tuple(
+            CameraClock(each.mounting.time_offset_s, estimates=each.mounting.estimate_time_offset)
+            for each in cameras
+        )
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self.camera = camera
         self._heading_steps = HeadingSteps(gyro, mounting.body_from_camera.rotation)
         self._heading_bulletin = HeadingBulletin()
         self._mounting = mounting
-        self._tracker = tracker
+        self._rig = Rig(
+            [
+                RigCamera(each.camera, each.mounting.body_from_camera, each.tracker, each.mounting.sigma)
+                for each in cameras
+            ]
+        )
         self._ego = ego
         self._identities = Identities(
             drone_id,
-            camera=camera,
-            body_from_camera=mounting.body_from_camera,
+            cameras=[(each.camera, each.mounting.body_from_camera) for each in cameras],
             parameters=identity,
             start_sigma_m=start_sigma_m,
         )
@@ -161,9 +178,9 @@ class Onboard:
         self._doubted = False
         self._heading_stepped_at = -math.inf
         self._clashing: frozenset[str] = frozenset()
-        # Of the camera, at the tracker's time.
+        # Of the first camera, at the last scan.
         self._orientation: Orientation | None = None
-        self._waiting = WaitingScans(self.camera_clock, gyro)
+        self._waiting = WaitingScans(self.camera_clocks, gyro)
         self._events: list[Output] = []
 
     def tell(self, event: Input) -> None:
@@ -238,19 +255,18 @@ class Onboard:
     def tracks(self, now: float) -> TrackList:
         """Everything tracked, carried on to now; nothing once the scans have stayed away for too long."""
         self._settle(now)
-        if self._tracker.t is None:
+        if self._rig.t is None:
             return TrackList(now, now, ())
-        if now - self._tracker.t > self.gyro.history_s + MAX_SILENCE:
-            return TrackList(now, self._tracker.t, ())
+        if now - self._rig.t > self.gyro.history_s + MAX_SILENCE:
+            return TrackList(now, self._rig.t, ())
         labelled = self._identities.label(self.carried(now))
-        return TrackList(now, self._tracker.t, self._placed(labelled, now))
+        return TrackList(now, self._rig.t, self._placed(labelled, now))
 
     def carried(self, t: float) -> tuple[Track, ...]:
         """The tracks of the last scan, carried on by the gyro to t; no scan that waits is looked at."""
-        if self._tracker.t is None or self._orientation is None:
+        if self._rig.t is None or self._orientation is None:
             return ()
-        turn = rotation_between(self._orientation, self.gyro.orientation(t))
-        return self._tracker.at(t, turn.matrix, turn.variance)
+        return self._rig.at(t, self.gyro.orientation(t))
 
     def ego_pose(self, t: float) -> TeamPose | None:
         """Where this drone itself was at t, in the team frame, and how well it knows that: not at all while it doubts
@@ -283,7 +299,7 @@ class Onboard:
             return None
         way, velocity, _ = self._ego.flown_on(now)
         axis = pose.world_from_body @ self._mounting.body_from_camera.rotation[:, 2]
-        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._tracker.t
+        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._rig.t
         north, east, down = (pose.position + way).tolist()
         vn, ve, vd = velocity.tolist()
         return OwnFlight(
@@ -317,7 +333,7 @@ class Onboard:
     @property
     def scan_t(self) -> float | None:
         """Exposure of the last scan."""
-        return self._tracker.t
+        return self._rig.t
 
     @property
     def self_doubt(self) -> bool:
@@ -344,12 +360,19 @@ class Onboard:
     @property
     def consistency(self) -> Consistency | None:
         """Whether the tracker is as good as it thinks."""
-        return self._tracker.consistency
+        found = (each.tracker.consistency for each in self._cameras)
+        return next((one for one in found if one is not None), None)
 
     @property
     def measured_noise(self) -> MeasuredNoise | None:
         """What the tracker has learned of the noise that it was told."""
-        return self._tracker.measured_noise
+        found = (each.tracker.measured_noise for each in self._cameras)
+        return next((one for one in found if one is not None), None)
+
+    @property
+    def camera_clock(self) -> CameraClock:
+        """That of the first camera."""
+        return self.camera_clocks[0]
 
     @property
     def teammates(self) -> dict[int, Announcement]:
@@ -360,7 +383,7 @@ class Onboard:
     def part_counters(self) -> dict[str, int]:
         """What its parts refused or had to mend."""
         parts = (
-            self._tracker, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus, self._relative
+            self._rig, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus, self._relative
         )  # fmt: skip
         return {name: count for part in parts for name, count in part.counters.items()}
 
@@ -431,57 +454,60 @@ class Onboard:
         self._relative.hear_sightings(self._frames.report_in_ours(report))
 
     def _track(self, detections: Detections, t: float) -> None:
-        newest, before = self.gyro.newest, self._tracker.t
+        number = detections.camera
+        camera, mounting, tracker = self._cameras[number]
+        newest, before = self.gyro.newest, tracker.t
         too_old = newest is not None and t < newest - self.gyro.history_s
         if too_old or (before is not None and t <= before):
             self.counters.late_scans += 1
             return
         self.counters.scans_ahead_of_gyro += newest is not None and newest < t
         orientation = self.gyro.orientation(t)
-        turn = rotation_between(self._orientation or orientation, orientation)
-        self._tracker.predict(t, turn.matrix, turn.variance)
-        if turn.variance > UNMEASURED**2:
+        if self._rig.turn_variance(number, orientation) > UNMEASURED**2:
             self._identities.turn_unmeasured()
-        scan = make_scan(detections, t, self.camera, self._tracker)
-        self.camera_clock.see(detections.t, scan, self.camera)
-        self._tracker.update(scan)
+        self._rig.predict(number, t, orientation)
+        scan = make_scan(detections, t, camera, tracker)
+        self.camera_clocks[number].see(detections.t, scan, camera)
+        self._rig.update(number, scan, orientation)
         self._orientation = orientation
         self.counters.scans += 1
         self.counters.detections += len(detections)
-        tracks = self._tracker.tracks
+        tracks = self._rig.tracks(orientation)
         observer = self._ego.at(t)
         if observer is not None:
-            self._identities.observe(tracks, observer)
+            self._identities.observe(tracks, observer, number)
             self._events += self._identities.take_astray()
             for track_id in self._identities.take_vouched():
-                self._tracker.vouch(track_id)
+                self._rig.vouch(track_id)
             self._watch_doubt(t)
             seen = self._identities.sightings(observer.t)
             own = self._as_sure_as_it_is(observer)
-            self._view = OwnView.of(own, self._mounting.body_from_camera, seen)
+            self._view = OwnView.of(own, mounting.body_from_camera, seen)
             self._consensus.remember(self._view)
         labelled = self._identities.label(tracks)
         if observer is not None:
-            labelled = self._in_metres(labelled, scan, observer)
+            labelled = self._in_metres(labelled, scan, observer, number)
         self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled)))
 
     def _in_metres(
-        self, tracks: tuple[IdentifiedTrack, ...], scan: Scan, observer: TeamPose
+        self, tracks: tuple[IdentifiedTrack, ...], scan: Scan, observer: TeamPose, number: int
     ) -> tuple[IdentifiedTrack, ...]:
-        """The same tracks, and where those are that are teammates."""
-        R = scan.R if scan.R is not None else self._tracker.measurement_noise(_sizes(scan), scan.score)
-        camera = observer.pose @ self._mounting.body_from_camera
+        """The same tracks, and where those are that are teammates, after a scan of a camera by its number."""
+        lens, mounting, tracker = self._cameras[number]
+        R = scan.R if scan.R is not None else tracker.measurement_noise(_sizes(scan), scan.score)
+        camera = observer.pose @ mounting.body_from_camera
         velocity, velocity_cov = self._ego.velocity(observer.t)
 
         def looked(boxes: Sequence[NamedBox]) -> TeamLook:
-            return TeamLook.of(observer.t, boxes, self.camera, camera, velocity, padding_px=self._padding_px)
+            return TeamLook.of(observer.t, boxes, lens, camera, velocity, padding_px=self._padding_px)
 
         if self._anybody is not None:
-            self._anybody.observe(looked(named_boxes(_nameless(tracks), scan, R)))
-        look = looked(named_boxes(tracks, scan, R))
+            self._anybody.observe(looked(named_boxes(_nameless(tracks), scan, R, number)))
+        look = looked(named_boxes(tracks, scan, R, number))
         self._frames.see(look)
         self._relative.observe(look)
-        own = OwnMotion(camera.position, velocity, velocity_cov, self._attitude_cov(observer))
+        first = observer.pose @ self._mounting.body_from_camera
+        own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))
         return _with_places(tracks, self._relative.at(observer.t, own))
 
     def _placed(self, tracks: tuple[IdentifiedTrack, ...], now: float) -> tuple[IdentifiedTrack, ...]:

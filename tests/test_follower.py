@@ -18,7 +18,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.sway import sway
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracker
@@ -31,9 +31,13 @@ PARAMETERS = FormationParameters(
 def onboard(drone_id=1, start=None, *, places_anybody=True):
     return Onboard(
         drone_id,
-        camera=CAMERA,
-        mounting=Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
-        tracker=create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
+        cameras=[
+            OnboardCamera(
+                CAMERA,
+                Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
+                create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
+            )
+        ],
         gyro=GyroHistory(),
         ego=EgoHistory(start=start) if start else EgoHistory(origin=np.zeros(3)),
         identity=IdentityParameters(),

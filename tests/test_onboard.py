@@ -24,7 +24,7 @@ from swarmtrack.messages import (
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.tracking import TRACKERS, create_tracker
 
@@ -37,11 +37,15 @@ NO_ACCEL = np.full(3, np.nan)
 def onboard(tracker="kalman", camera=CAMERA, start=START, offset=0.0, measurement_sigma=2.0, **identity):
     return Onboard(
         1,
-        camera=camera,
-        mounting=Mounting(FORWARD, offset),
-        tracker=create_tracker(
-            tracker, camera=camera, clutter_per_scan=0.5, measurement_sigma=measurement_sigma
-        ),
+        cameras=[
+            OnboardCamera(
+                camera,
+                Mounting(FORWARD, offset),
+                create_tracker(
+                    tracker, camera=camera, clutter_per_scan=0.5, measurement_sigma=measurement_sigma
+                ),
+            )
+        ],
         gyro=GyroHistory(),
         ego=EgoHistory(start=start),
         identity=IdentityParameters(**identity),

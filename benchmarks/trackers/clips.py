@@ -26,7 +26,7 @@ from swarmtrack.messages import Detections, Frame, StampKind, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 from swarmtrack.training.labelled_clips import Clip, drone_clips, read_truth
 
@@ -77,9 +77,13 @@ def follow(clip: Clip, seen: Sequence[Detections], tracker: str) -> ClipRow:
     )
     onboard = Onboard(
         1,
-        camera=camera,
-        mounting=Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
-        tracker=create_tracker(tracker, camera=camera, **AGENT_PARAMETERS),
+        cameras=[
+            OnboardCamera(
+                camera,
+                Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
+                create_tracker(tracker, camera=camera, **AGENT_PARAMETERS),
+            )
+        ],
         gyro=GyroHistory(),
         ego=EgoHistory(),
         identity=IdentityParameters(),

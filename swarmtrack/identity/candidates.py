@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.boxes import coincide
 from swarmtrack.identity.names import Names
 from swarmtrack.identity.parameters import IdentityParameters
@@ -46,13 +45,13 @@ class CandidateDrones:
         self._teammates = teammates
         self._names = names
         self._weighing = weighing
-        self._expected: dict[int, bool] = {}
-        """By drone without a settled track: whether it should be in view, or nearly."""
+        self._expected: dict[int, dict[int, bool]] = {}
+        """By camera, and drone without a settled track: whether it should be in view, or nearly."""
 
     def undecided(self) -> list[Track]:
         """The tracks that take part in the matching. One whose ID is not settled does even while it is not detected:
         else whoever is near would have no rival for as long."""
-        return [track for track in self._names.alive.values() if self._is_undecided(track)]
+        return [track for track in self._names.shown.values() if self._is_undecided(track)]
 
     def _is_undecided(self, track: Track) -> bool:
         held = self._names.of(track.id)
@@ -87,8 +86,13 @@ class CandidateDrones:
         """Where the settled drones should be in whose gate a nameless track is, or whose track does not move as they
         do; and those tracks."""
         newcomers = [track for track in undecided if self._names.of(track.id) is None]
-        known = [held for held in self._names.settled if held.drone_id in self._teammates.announced]
-        settled = {held.drone_id: self._names.alive[held.track_id] for held in known}
+        shown = self._names.shown
+        known = [
+            held
+            for held in self._names.settled
+            if held.drone_id in self._teammates.announced and held.track_id in shown
+        ]
+        settled = {held.drone_id: shown[held.track_id] for held in known}
         contradicted = {held.drone_id for held in known if self._weighing.is_contradicted(held)}
         if not settled or not (newcomers or contradicted):
             return NOBODY, []
@@ -109,17 +113,18 @@ class CandidateDrones:
         return self._weighing.astray(tracks, sorted(known - set(predicted.drone_id)))
 
     def ask_who_enters(
-        self, predicted: Predictions, camera: PinholeCamera, pose_requests: PoseRequests, t: float
+        self, predicted: Predictions, view: ObserverCamera, pose_requests: PoseRequests
     ) -> None:
         """Whoever should come into view soon is asked where it is, so that the answer is there when its track is."""
+        camera, before = view.camera, self._expected.get(view.number, {})
         u, v = predicted.pixel.T / np.array([[camera.width], [camera.height]])
         near = (np.abs(u - 0.5) < 0.5 + SOON) & (np.abs(v - 0.5) < 0.5 + SOON)
         expected = dict(zip(predicted.drone_id, near.tolist(), strict=True))
         for drone, enters in expected.items():
-            if enters and self._expected.get(drone) is False:
-                pose_requests.ask_again(self._teammates.whereabouts.latest(drone), t)
+            if enters and before.get(drone) is False:
+                pose_requests.ask_again(self._teammates.whereabouts.latest(drone), view.observer.t)
         named = dict.fromkeys(self._names.stated, True)
-        self._expected = dict.fromkeys(self._teammates.announced, False) | named | expected
+        self._expected[view.number] = dict.fromkeys(self._teammates.announced, False) | named | expected
 
     def _reproject(self, places: Sequence[Announcement], view: ObserverCamera) -> Predictions:
         whereabouts = self._teammates.whereabouts

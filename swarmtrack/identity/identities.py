@@ -16,7 +16,7 @@ processes speak as one drone, that ID is assigned to no track.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -60,20 +60,19 @@ class Identities:
         self,
         drone_id: int,
         *,
-        camera: PinholeCamera,
-        body_from_camera: Pose,
+        cameras: Sequence[tuple[PinholeCamera, Pose]],
         parameters: IdentityParameters,
         start_sigma_m: float = 0.0,
     ) -> None:
-        """start_sigma_m: how well this drone knows where it starts, m per axis, beside its autopilot's sigma."""
-        self._camera = camera
-        self._body_from_camera = body_from_camera
+        """cameras: of each its lens and body_from_camera. start_sigma_m: how well this drone knows where it starts, m
+        per axis, beside its autopilot's sigma."""
+        self._cameras = tuple(cameras)
         self._parameters = parameters
         self._teammates = Teammates(drone_id)
         self._names = Names()
         self._disputes = Disputes()
         self._pose_requests = PoseRequests()
-        self._weighing = Weighing(camera, parameters.window_s)
+        self._weighing = Weighing([camera for camera, _ in cameras], parameters.window_s)
         self._self_doubt = SelfDoubt(
             drone_id,
             start_sigma_m=start_sigma_m,
@@ -178,11 +177,11 @@ class Identities:
         if self._parameters.profile != "paper":
             self._occlusion.turn_unmeasured()
 
-    def observe(self, tracks: Iterable[Track], observer: TeamPose) -> None:
-        """Look at the tracks of a scan, with this drone's own pose at its exposure."""
+    def observe(self, tracks: Iterable[Track], observer: TeamPose, camera: int = 0) -> None:
+        """Look at all tracks after a scan of a camera, with this drone's own pose at its exposure."""
         t = observer.t
-        view = ObserverCamera.of(observer, self._camera, self._body_from_camera)
-        self._names.follow({track.id: track for track in tracks}, t)
+        view = ObserverCamera.of(observer, *self._cameras[camera], camera)
+        self._names.follow({track.id: track for track in tracks}, t, camera)
         self._teammates.forget(t, self._names.drones)
         self._disputes.forget(t)
         if self._parameters.profile == "paper":
@@ -226,7 +225,7 @@ class Identities:
     def _assign_nearest(self, view: ObserverCamera) -> None:
         """Of every confirmed track, once, and again when its drone announces itself again."""
         self._names.remember_rays(view)
-        undecided = [track for track in self._names.alive.values() if self._is_undecided_in_paper(track)]
+        undecided = [track for track in self._names.shown.values() if self._is_undecided_in_paper(track)]
         self._names.keep_unassigned(undecided, view.observer.t)
         mean = np.array([track.mean for track in undecided]).reshape(-1, 4)
         for row, drone in nearest(mean, self._candidates.expected(view)).items():
@@ -246,7 +245,7 @@ class Identities:
         contested, held = self._candidates.contested(undecided, view)
         tracks, predicted = [*undecided, *held], joined(self._candidates.expected(view), contested)
         predicted = joined(predicted, self._candidates.unexpected(tracks, predicted))
-        self._candidates.ask_who_enters(predicted, self._camera, self._pose_requests, t)
+        self._candidates.ask_who_enters(predicted, view, self._pose_requests)
         own = self._self_doubt.own
         every = self._weighing.weigh(tracks, predicted, view, own)
         probability, ratios = own.mixed(every, self._judgement.with_history(every, tracks, predicted))
@@ -277,7 +276,7 @@ class Identities:
         self._weighing.watch(self._names.alive, view, places)
         self._judgement.call_out(view, places)
         self._self_doubt.look(
-            self._names.alive,
+            self._names.shown,
             self._names,
             self._names.lost.values(),
             view=view,

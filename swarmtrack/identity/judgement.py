@@ -76,7 +76,7 @@ class Judgement:
 
     def call_out(self, view: ObserverCamera, places: Mapping[int, Announcement]) -> None:
         """Whoever motion finds elsewhere than it says is from now on not placed by that."""
-        for found in self._weighing.proofs.astray(self._names.alive, view, places):
+        for found in self._weighing.proofs.astray(self._names.shown, view, places):
             self._astray.append(found)
             self._teammates.whereabouts.doubt(found.drone_id, found.miss_m or 0.0)
 

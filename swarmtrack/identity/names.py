@@ -16,12 +16,13 @@ FORGET_S = 30.0
 class Names:
     """Of each track its assignment, or since when it has none; iterates over assignments.
 
-    alive: the tracks of the last scan, by their numbers. unassigned: those without an ID. lost: by drone, its
-    assignment when its track ended.
+    alive: all tracks after the last scan, by their numbers; shown: those in the pixels of its camera. unassigned: those
+    without an ID. lost: by drone, its assignment when its track ended.
     """
 
     def __init__(self) -> None:
         self.alive: Mapping[int, Track] = {}
+        self.shown: Mapping[int, Track] = {}
         self.unassigned: dict[int, Unassigned] = {}
         self.lost: dict[int, Assignment] = {}
         self._assignments: dict[int, Assignment] = {}
@@ -96,9 +97,10 @@ class Names:
         for held in [held for held in self if held.drone_id == drone_id]:
             self.fire(held, event)
 
-    def follow(self, alive: Mapping[int, Track], t: float) -> None:
-        """The tracks of another scan: IDs are taken from those that ended."""
+    def follow(self, alive: Mapping[int, Track], t: float, camera: int = 0) -> None:
+        """The tracks after another scan, of this camera: IDs are taken from those that ended."""
         self.alive = alive
+        self.shown = {id: track for id, track in alive.items() if track.camera == camera}
         for ended in [held for held in self if held.track_id not in alive]:
             self.fire(ended, Event.TRACK_ENDED)
             if ended.seen is not None:
@@ -111,7 +113,9 @@ class Names:
 
     def remember_rays(self, view: ObserverCamera) -> None:
         """Where the drones are seen whose tracks were detected."""
-        tracks = [(held, self.alive[held.track_id]) for held in self if held.stated]
+        tracks = [
+            (held, self.shown[held.track_id]) for held in self if held.stated and held.track_id in self.shown
+        ]
         detected = [(held, track) for held, track in tracks if track.coasting_since is None]
         rays = rays_to([(held.drone_id, track) for held, track in detected], view)
         for (held, _), ray in zip(detected, rays, strict=True):
@@ -122,6 +126,12 @@ class Names:
         return self.unassigned.setdefault(track_id, Unassigned(t))
 
     def keep_unassigned(self, tracks: list[Track], t: float) -> None:
-        """Of all tracks these take part in the matching: those among them without an ID."""
+        """Of the tracks shown these take part in the matching: those among them without an ID. Those of other cameras
+        stay as they are."""
         nameless = [track.id for track in tracks if track.id not in self._assignments]
-        self.unassigned = {id: self.unassigned.get(id) or Unassigned(t) for id in nameless}
+        elsewhere = {
+            id: entry
+            for id, entry in self.unassigned.items()
+            if id in self.alive and id not in self.shown and id not in self._assignments
+        }
+        self.unassigned = {id: self.unassigned.get(id) or Unassigned(t) for id in nameless} | elsewhere

@@ -66,5 +66,10 @@ class OcclusionWatch:
     def _near(self, held: Assignment) -> set[int]:
         """The drones whose tracks nearly touch this one."""
         alive = self._names.alive
-        others = (other for other in self._names if other.track_id != held.track_id)
-        return {other.drone_id for other in others if meet(alive[held.track_id], alive[other.track_id])}
+        own = alive[held.track_id]
+        others = (
+            (other.drone_id, alive[other.track_id])
+            for other in self._names
+            if other.track_id != held.track_id
+        )
+        return {drone for drone, track in others if track.camera == own.camera and meet(own, track)}

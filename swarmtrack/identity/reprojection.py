@@ -113,10 +113,15 @@ class ObserverCamera:
     observer: TeamPose
     camera: PinholeCamera
     team_from_camera: Pose
+    number: int = 0
+    """Which of the observer's cameras it is."""
 
     @classmethod
-    def of(cls, observer: TeamPose, camera: PinholeCamera, body_from_camera: Pose) -> ObserverCamera:
-        return cls(observer, camera, Pose(observer.world_from_body, observer.position) @ body_from_camera)
+    def of(
+        cls, observer: TeamPose, camera: PinholeCamera, body_from_camera: Pose, number: int = 0
+    ) -> ObserverCamera:
+        pose = Pose(observer.world_from_body, observer.position) @ body_from_camera
+        return cls(observer, camera, pose, number)
 
     def rays(self, pixel: Array) -> Array:
         """Unit vectors (n, 3) in the team frame of undistorted pixels (n, 2)."""

@@ -29,14 +29,16 @@ MOST_SURE = 0.98
 class Spans:
     """By drone, what its boxes told."""
 
-    def __init__(self, focal_px: float) -> None:
-        self._focal_px = focal_px
+    def __init__(self) -> None:
         self._known: dict[int, tuple[float, float, float]] = {}
         """log m, how many times it was measured, and the probability that it was this drone's."""
 
-    def learn(self, drone_id: int, size: Array, distance: float, probability: float) -> None:
-        """size (2,) px of a box that is this drone's with that probability; distance m."""
-        seen = self._log_span(size, distance)
+    def learn(
+        self, drone_id: int, size: Array, distance: float, probability: float, *, focal_px: float
+    ) -> None:
+        """size (2,) px of a box that is this drone's with that probability, by a camera of that focal length; distance
+        m."""
+        seen = _log_span(size, distance, focal_px)
         if not math.isfinite(seen):
             return
         p = min(probability, MOST_SURE)
@@ -56,10 +58,12 @@ class Spans:
         """Whoever was taken for it may have been another."""
         self._known.pop(drone_id, None)
 
-    def log_ratio(self, drone_id: int, size: Array, distance: float, distance_sigma: float) -> float:
+    def log_ratio(
+        self, drone_id: int, size: Array, distance: float, distance_sigma: float, *, focal_px: float
+    ) -> float:
         """Of a box (2,) px if it is the drone at that distance, ± distance_sigma m, and if it is a stranger's. Zero
         where either is not known."""
-        seen = self._log_span(size, distance)
+        seen = _log_span(size, distance, focal_px)
         if not math.isfinite(seen):
             return 0.0
         noise = BOX_SIGMA**2 + min(distance_sigma / distance, MOST_VAGUE) ** 2
@@ -69,9 +73,10 @@ class Spans:
             density = p * _normal(seen - mean, BOX_SIGMA**2 / count + noise) + (1.0 - p) * density
         return math.log(max(density * STRANGER_LOG, 1e-6))
 
-    def _log_span(self, size: Array, distance: float) -> float:
-        side = float(np.max(size))
-        return math.log(side * distance / self._focal_px) if side > 0.0 and distance > 0.0 else math.nan
+
+def _log_span(size: Array, distance: float, focal_px: float) -> float:
+    side = float(np.max(size))
+    return math.log(side * distance / focal_px) if side > 0.0 and distance > 0.0 else math.nan
 
 
 def _normal(x: float, variance: float) -> float:

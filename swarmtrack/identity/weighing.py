@@ -83,14 +83,26 @@ class Match(NamedTuple):
     off: float
 
 
+class _Eye(NamedTuple):
+    """What is kept of each camera: its residuals, and what its scene is like."""
+
+    camera: PinholeCamera
+    evidence: Evidence
+    scene: Scene
+
+    @classmethod
+    def of(cls, camera: PinholeCamera, window_s: float) -> _Eye:
+        return cls(camera, Evidence(window_s), Scene(2.0 * math.atan(0.5 * camera.height / camera.fy)))
+
+
 class Weighing:
     """Log ratios of "the track is that drone" and "it is a stranger, and the drone is not seen"."""
 
-    def __init__(self, camera: PinholeCamera, window_s: float) -> None:
-        self._camera = camera
-        self._evidence = Evidence(window_s)
-        self._scene = Scene(2.0 * math.atan(0.5 * camera.height / camera.fy))
-        self._spans = Spans(camera.fx)
+    def __init__(self, cameras: Sequence[PinholeCamera], window_s: float) -> None:
+        self._eyes = [_Eye.of(camera, window_s) for camera in cameras]
+        self._eye = self._eyes[0]
+        """That of the last scan."""
+        self._spans = Spans()
         self._motion = MotionEvidence()
         self.proofs = Proofs()
         self._agreed = AgreedMotions()
@@ -142,7 +154,7 @@ class Weighing:
             predicted,
             [drones.index(drone) for drone in predicted.drone_id],
             self.seen(predicted.drone_id),
-            np.array([self._scene.strangers(angle) for angle in _elevations(tracks, view)]),
+            np.array([self._eye.scene.strangers(angle) for angle in _elevations(tracks, view)]),
             self.told_motion(tracks, [*drones, *vague]),
             np.repeat([False, True], [len(drones), len(vague)]),
         )
@@ -159,16 +171,19 @@ class Weighing:
 
     def seen(self, drones: Iterable[int]) -> Array:
         """(k,) that each has a track while it is in view."""
-        return np.array([self._scene.seen(drone) for drone in drones])
+        return np.array([self._eye.scene.seen(drone) for drone in drones])
 
     def watch(
         self, alive: Mapping[int, Track], view: ObserverCamera, places: Mapping[int, Announcement]
     ) -> None:
-        """All tracks of a scan, named or not, and the latest places: who moves with a drone is likely that drone."""
+        """All tracks after a scan, named or not, and the latest places: who moves with a drone is likely that drone.
+        From here on it is the scan's camera of which everything is asked."""
+        self._eye = self._eyes[view.number]
         detected = [
             track
             for track in alive.values()
-            if track.coasting_since is None
+            if track.camera == view.number
+            and track.coasting_since is None
             and (track.status is TrackStatus.CONFIRMED or track.probability >= RIVAL)
         ]
         self._motion.keep(alive)
@@ -192,19 +207,19 @@ class Weighing:
         the same pair."""
         self._off = np.zeros((len(tracks), len(predicted.drone_id)))
         if not tracks:
-            self._evidence.forget()
+            self._eye.evidence.forget()
             return np.zeros((len(own.likely) + 1, 0, len(predicted.drone_id)))
         found = _residuals(tracks, predicted.without_heading(view))
-        self._evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
+        self._eye.evidence.add(view.observer.t, [track.id for track in tracks], predicted.key, found)
         if not found.mean.size:
             return np.zeros((len(own.likely) + 1, *found.mean.shape[:2]))
-        parts = shifted(self._evidence.residuals, predicted, view, own.components.only(own.likely))
+        parts = shifted(self._eye.evidence.residuals, predicted, view, own.components.only(own.likely))
         self._off = _sigmas_off(parts)
         # What does not depend on the own pose is as good as ever for who is lost.
         places = np.concatenate(
             [
-                log_ratios_of_each(parts, self._camera),
-                log_ratios(self._evidence.residuals, self._camera)[None],
+                log_ratios_of_each(parts, self._eye.camera),
+                log_ratios(self._eye.evidence.residuals, self._eye.camera)[None],
             ]
         )
         places[-1][:, np.any(predicted.turn, axis=1)] = -np.inf
@@ -229,12 +244,14 @@ class Weighing:
             for i in np.flatnonzero(allowed[:, j]).tolist():
                 track = tracks[i]
                 weak = track.status is TrackStatus.TENTATIVE
-                prior = self._scene.log_ratio(drone, elevation[i], weak=weak, in_view=in_view[j])
+                prior = self._eye.scene.log_ratio(drone, elevation[i], weak=weak, in_view=in_view[j])
                 ratios[i, j] += prior - PRIOR.log_ratio
                 if weak or track.coasting_since is not None:
                     ratios[i, j] += math.log(max(track.probability, LEAST_EXISTENCE))
                 if by_place[i, j] > LOG_ASTRAY:
-                    ratios[i, j] += self._spans.log_ratio(drone, track.size, distance, sigma)
+                    ratios[i, j] += self._spans.log_ratio(
+                        drone, track.size, distance, sigma, focal_px=self._eye.camera.fx
+                    )
         return np.asarray(every + ratios + motion)
 
     def tells_motion(self, drone_id: int) -> bool:
@@ -284,7 +301,7 @@ class Weighing:
         mean, cov = np.zeros((k, 4)), np.zeros((k, 4, 4))
         mean[:, ::2] = predicted.pixel
         cov[:, ::2, ::2] = predicted.cov[0]
-        found: list[float] = probability_in_view(mean, cov, self._camera).tolist()
+        found: list[float] = probability_in_view(mean, cov, self._eye.camera).tolist()
         return found
 
     def _somewhere(self, predicted: Predictions) -> list[int]:
@@ -304,11 +321,11 @@ class Weighing:
 
     def near(self, tracks: Sequence[Track], predicted: Predictions) -> NDArray[np.bool_]:
         """(n, k): by where they are now alone, is a track rather the drone than a stranger?"""
-        return np.asarray(log_ratios(_residuals(tracks, predicted), self._camera) > 0.0)
+        return np.asarray(log_ratios(_residuals(tracks, predicted), self._eye.camera) > 0.0)
 
     def seen_in(self, row: int) -> int:
         """In how many scans the track of this row was weighed."""
-        return self._evidence.seen_in(row)
+        return self._eye.evidence.seen_in(row)
 
     def motion(self, track_id: int, drone_id: int) -> float:
         """The part of a log ratio that tells how both moved."""
@@ -348,7 +365,7 @@ class Weighing:
 
     def log_missed(self, drone_id: int) -> float:
         """Log odds for a track that was named when a newcomer had no track yet: the drone would have been missed."""
-        return self._scene.log_missed(drone_id)
+        return self._eye.scene.log_missed(drone_id)
 
     def learn(
         self,
@@ -375,7 +392,7 @@ class Weighing:
                 weak.append((elevation, p_stranger * track.probability))
             else:
                 strong.append((elevation, p_stranger))
-        self._scene.learn(view.observer.t, strong, weak, seen)
+        self._eye.scene.learn(view.observer.t, strong, weak, seen)
 
     def misses_somebody(self, predicted: Predictions, p_drone: Array) -> bool:
         """Whether one of them should be in the image or beside it, and is none of its tracks, by p_drone (n, k). Then a
@@ -384,12 +401,12 @@ class Weighing:
 
     def _is_inside(self, predicted: Predictions, beside: float = 0.0) -> NDArray[np.bool_]:
         """(k,); beside: how far out counts as well, of the image's size."""
-        away = np.abs(predicted.pixel / (self._camera.width, self._camera.height) - 0.5)
+        away = np.abs(predicted.pixel / (self._eye.camera.width, self._eye.camera.height) - 0.5)
         return np.asarray((away < 0.5 + beside).all(axis=1))
 
     def recognise(self, drone_id: int, track: Track, distance: float, probability: float) -> None:
         """The posterior is sure that the track is the drone, which is `distance` m away now."""
-        self._spans.learn(drone_id, track.size, distance, probability)
+        self._spans.learn(drone_id, track.size, distance, probability, focal_px=self._eye.camera.fx)
 
     def hide(self, track_id: int, log_odds: float) -> None:
         """The track was not seen for a while, or met another: how it moved before speaks for no more than this."""

@@ -18,8 +18,9 @@ GATE = 16.0
 _NOWHERE, _NOTHING = np.full(2, np.nan), np.full((2, 2), np.nan)
 
 
-def named_boxes(tracks: Sequence[IdentifiedTrack], scan: Scan, R: Array) -> list[NamedBox]:
-    """The teammates among the tracks after a scan, each with its detection. R (m, 2, 2) px²: of the scan's detections.
+def named_boxes(tracks: Sequence[IdentifiedTrack], scan: Scan, R: Array, camera: int = 0) -> list[NamedBox]:
+    """The teammates among the tracks after a scan of a camera, each with its detection. R (m, 2, 2) px²: of the scan's
+    detections.
 
     A detection that is the nearest of two confirmed tracks may be a box around both, and is nobody's.
     """
@@ -27,7 +28,9 @@ def named_boxes(tracks: Sequence[IdentifiedTrack], scan: Scan, R: Array) -> list
     shown = [
         entry.track
         for entry in tracks
-        if entry.track.status is TrackStatus.CONFIRMED and entry.track.coasting_since is None
+        if entry.track.status is TrackStatus.CONFIRMED
+        and entry.track.coasting_since is None
+        and entry.track.camera == camera
     ]
     mine: dict[int, int] = {}
     if named and shown and len(scan.z):

@@ -14,7 +14,7 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
@@ -35,13 +35,15 @@ def make_onboard(
     x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
     return Onboard(
         config.drone.id,
-        camera=mounted.camera,
-        mounting=Mounting(
-            mounted.body_from_camera, mounted.time_offset_s, config.camera.estimate_time_offset
-        ),
-        tracker=create_tracker(
-            config.tracker.name, camera=mounted.camera, **AGENT_PARAMETERS | config.tracker.parameters
-        ),
+        cameras=[
+            OnboardCamera(
+                mounted.camera,
+                Mounting(mounted.body_from_camera, mounted.time_offset_s, config.camera.estimate_time_offset),
+                create_tracker(
+                    config.tracker.name, camera=mounted.camera, **AGENT_PARAMETERS | config.tracker.parameters
+                ),
+            )
+        ],
         gyro=GyroHistory(
             history_s=motion.history_s,
             noise_density=motion.gyro_noise_density_rad_s_sqrt_hz,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from difflib import get_close_matches
 from typing import Any
@@ -13,7 +14,9 @@ from swarmtrack.tracking.gmphd import GmPhd
 from swarmtrack.tracking.jpdaf import Jpdaf
 from swarmtrack.tracking.kalman import Kalman
 from swarmtrack.tracking.mbm import Mbm
+from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import SensorModel
+from swarmtrack.tracking.table import TrackIds
 
 __all__ = ["AGENT_PARAMETERS", "DEFAULT_TRACKER", "TRACKERS", "Scan", "Tracker", "create_tracker"]
 
@@ -33,6 +36,27 @@ def create_tracker(name: str, *, camera: PinholeCamera, **parameters: Any) -> Tr
 
     Raises ValueError for an unknown name, an unknown parameter or a value out of range, naming what was expected.
     """
+    (tracker,) = create_trackers(name, cameras=[camera], **parameters)
+    return tracker
+
+
+def create_trackers(name: str, *, cameras: Sequence[PinholeCamera], **parameters: Any) -> list[Tracker]:
+    """One for each camera of a drone, for a `Rig`: no two of their tracks have the same number. Raises as
+    `create_tracker` does."""
+    told = parameters_of(name, **parameters)
+    ids = TrackIds()
+    trackers = []
+    for index, camera in enumerate(cameras):
+        sensor = SensorModel(camera, told)
+        trackers.append(Tracker(sensor, TRACKERS[name](sensor, told, ids), index))
+    return trackers
+
+
+def parameters_of(name: str, **parameters: Any) -> CommonParameters:
+    """Of a tracker by name.
+
+    Raises ValueError for an unknown name, an unknown parameter or a value out of range, naming what was expected.
+    """
     if name not in TRACKERS:
         raise ValueError(f"tracker.name: found {name!r}, expected one of {', '.join(TRACKERS)}")
     kind = TRACKERS[name]
@@ -41,6 +65,4 @@ def create_tracker(name: str, *, camera: PinholeCamera, **parameters: Any) -> Tr
         if key not in known:
             nearest = get_close_matches(key, known, n=1, cutoff=0.0)[0]
             raise ValueError(f"tracker.{key}: unknown parameter of {name}, did you mean {nearest}?")
-    told = kind.Parameters(**parameters)
-    sensor = SensorModel(camera, told)
-    return Tracker(sensor, kind(sensor, told))
+    return kind.Parameters(**parameters)

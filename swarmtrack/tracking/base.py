@@ -12,16 +12,18 @@ from itertools import compress
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
+from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.lifecycle import Reach
 from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.smoothing import FixedLag
-from swarmtrack.tracking.table import TrackColumns, TrackTable
+from swarmtrack.tracking.table import TrackColumns, TrackIds, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
 
 # rad/s: a change of the camera's rate from scan to scan, below which a clock 10 ms off moves nothing by half a pixel
@@ -44,7 +46,7 @@ class Filter(Protocol):
 
     Parameters: ClassVar[type[CommonParameters]]
 
-    def __init__(self, sensor: SensorModel, parameters: Any) -> None: ...
+    def __init__(self, sensor: SensorModel, parameters: Any, ids: TrackIds) -> None: ...
 
     @property
     def table(self) -> TrackTable:
@@ -72,12 +74,24 @@ class Filter(Protocol):
         """Means (n, 4) and covariances (n, 4, 4) of the table's rows, carried on by dt; nothing is changed."""
         ...
 
+    def release(
+        self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
+    ) -> Handover:
+        """Take these rows (n,) of the table out, carried on as `extrapolated` does, for another camera's filter."""
+        ...
+
+    def adopt(self, arriving: Handover) -> None:
+        """Rows that another filter of the same kind released, in this camera's pixels at the time of the belief."""
+        ...
+
 
 class Tracker:
     """Multi-target tracking in the image plane, clocked by the exposures of the scans."""
 
-    def __init__(self, sensor: SensorModel, filter: Filter) -> None:
+    def __init__(self, sensor: SensorModel, filter: Filter, camera_index: int = 0) -> None:
+        """camera_index: which of a drone's cameras it is."""
         camera = sensor.camera
+        self._camera_index = camera_index
         self._sensor = sensor
         self._filter = filter
         self._innovations = InnovationWindow(sensor.parameters.gate_probability)
@@ -104,7 +118,7 @@ class Tracker:
 
     def _show(self) -> TrackColumns:
         if self._shown is None:
-            self._shown = self._filter.table.shown()
+            self._shown = self._filter.table.shown(self._camera_index)
         return self._shown
 
     @property
@@ -184,6 +198,24 @@ class Tracker:
         self._sensor.learn_clutter(explained.clutter, scan.coverage)
         self._sensor.learn_noise(explained.pairs, measured.size, steady=self._steady)
         return True
+
+    def extrapolated(self, t: float, rotation: Array, rotation_variance: float) -> tuple[Array, Array]:
+        """Means (n, 4) and covariances (n, 4, 4) of all tracks carried on to t; the tracker itself is unchanged."""
+        dt = 0.0 if self._t is None else t - self._t
+        return self._filter.extrapolated(dt, rotation, rotation_variance)
+
+    def release(
+        self, rows: NDArray[np.bool_], t: float, rotation: Array, rotation_variance: float
+    ) -> Handover:
+        """Take these rows (n,) of the `tracks` out, carried on to t and turned, for another camera's tracker."""
+        assert self._t is not None
+        self._shown = None
+        return self._filter.release(rows, t - self._t, rotation, rotation_variance)
+
+    def adopt(self, arriving: Handover) -> None:
+        """Tracks that another one released, in pixels of this camera at the time of the state."""
+        self._shown = None
+        self._filter.adopt(arriving)
 
     def vouch(self, track_id: int) -> None:
         """Something else than its looks says that a weak look-alike is a target: it may be confirmed."""

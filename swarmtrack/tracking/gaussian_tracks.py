@@ -1,22 +1,26 @@
-"""What filters have in common that show each track as one Gaussian: how tracks start, and how they move."""
+"""What filters have in common that show each track as one Gaussian: how tracks start, move, and come and go."""
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from swarmtrack.messages import Array
+from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import Population
 from swarmtrack.tracking.sensor_model import SensorModel
-from swarmtrack.tracking.table import TrackTable
+from swarmtrack.tracking.table import TrackIds, TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
 
 
 class GaussianTracks:
     """A `Filter` (see base.py) but for its `update`, which is where such filters differ."""
 
-    def __init__(self, sensor: SensorModel, parameters: CommonParameters) -> None:
+    def __init__(self, sensor: SensorModel, parameters: CommonParameters, ids: TrackIds) -> None:
         self._sensor = sensor
         self._motion = TargetMotion(sensor.camera, parameters)
-        self._population = Population(sensor, parameters)
+        self._population = Population(sensor, parameters, ids)
         self.counters: dict[str, int] = {}
 
     @property
@@ -34,3 +38,15 @@ class GaussianTracks:
         self, dt: float, rotation: Array | None, rotation_variance: float
     ) -> tuple[Array, Array]:
         return self._motion.carried(self.table.mean, self.table.cov, dt, rotation, rotation_variance)
+
+    def release(
+        self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
+    ) -> Handover:
+        leaving = self._population.release(rows)
+        leaving.mean, leaving.cov = self._motion.handed_over(
+            leaving.mean, leaving.cov, dt, rotation, rotation_variance
+        )
+        return Handover(leaving, None)
+
+    def adopt(self, arriving: Handover) -> None:
+        self.table.append(arriving.table)

@@ -31,12 +31,14 @@ from swarmtrack.tracking.association import Indices
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian_tracks import GaussianTracks
+from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.marginals import SMALL, beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import FADED
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
+from swarmtrack.tracking.table import TrackIds
 
 ROUNDING = 1e-9  # added to the diagonal of a correlation: positive definite to the computer, too
 LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain, and doubles end at 709
@@ -108,8 +110,8 @@ class GmPhd(GaussianTracks):
 
     Parameters: ClassVar[type[CommonParameters]] = GmPhdParameters
 
-    def __init__(self, sensor: SensorModel, parameters: GmPhdParameters) -> None:
-        super().__init__(sensor, parameters)
+    def __init__(self, sensor: SensorModel, parameters: GmPhdParameters, ids: TrackIds) -> None:
+        super().__init__(sensor, parameters, ids)
         self.mixture = Mixture.empty()
         self._parameters = parameters
         self._one_to_one = parameters.one_to_one and parameters.profile != "paper"
@@ -142,6 +144,19 @@ class GmPhd(GaussianTracks):
             self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
             self._add_newest(int(born.sum()))
         return explained
+
+    def release(
+        self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
+    ) -> Handover:
+        """Each label as the one Gaussian that it is shown as."""
+        self.mixture = self.mixture.select(np.flatnonzero(~rows[blocks(self.mixture.label).row]))
+        return super().release(rows, dt, rotation, rotation_variance)
+
+    def adopt(self, arriving: Handover) -> None:
+        super().adopt(arriving)
+        self._add_newest(len(arriving.table))
+        self.table.arrange(np.argsort(self.table.id, kind="stable"))
+        self.mixture = self.mixture.select(np.argsort(self.mixture.label, kind="stable"))
 
     def _add_newest(self, n: int) -> None:
         """A component for each of the last n rows of the table."""

@@ -34,6 +34,7 @@ from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import FADED
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
+from swarmtrack.tracking.table import TrackIds
 
 LEAST_EXISTENCE = 1e-12
 DOUBTFUL = 0.95  # existence of a confirmed track below which it may be a double of another
@@ -64,8 +65,8 @@ class Jpdaf(GaussianTracks):
 
     Parameters: ClassVar[type[CommonParameters]] = JpdafParameters
 
-    def __init__(self, sensor: SensorModel, parameters: JpdafParameters) -> None:
-        super().__init__(sensor, parameters)
+    def __init__(self, sensor: SensorModel, parameters: JpdafParameters, ids: TrackIds) -> None:
+        super().__init__(sensor, parameters, ids)
         self._parameters = parameters
         self.counters = {"scans_approximated": 0}
 

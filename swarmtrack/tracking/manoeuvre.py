@@ -153,12 +153,15 @@ def predict(
     rotation_variance: float = 0.0,
     turn: Turn = turn_exactly,
 ) -> ModeMixture:
-    """dt ≥ 0 seconds later: some have changed their mode, all have moved, and the camera has turned (see
-    `motion_model.propagate`)."""
+    """dt seconds later: some have changed their mode, all have moved, and the camera has turned (see
+    `motion_model.propagate`). Back, for some hundredths of a second, all move as they do."""
     if not len(mixture.mean):
         return mixture
-    mean, cov, mode = _interact(mixture, dt, manoeuvres)
     F, Q = _transitions(dt, manoeuvres)
+    if dt < 0.0:
+        (mean, cov, mode), Q = mixture, np.zeros_like(Q)
+    else:
+        mean, cov, mode = _interact(mixture, dt, manoeuvres)
     mean = (F @ mean[:, :, :, None])[..., 0]
     # `matmul` takes twice as long for a transposed view.
     cov = F @ cov @ np.ascontiguousarray(F.swapaxes(1, 2)) + Q

@@ -33,13 +33,14 @@ from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
+from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
 from swarmtrack.tracking.manoeuvre import PLACE, Manoeuvres, ModeInnovations, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, propagate
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.population import Population, blend_sizes
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
-from swarmtrack.tracking.table import TrackTable
+from swarmtrack.tracking.table import TrackIds, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
 
 Indices = NDArray[np.intp]
@@ -184,14 +185,14 @@ class Mbm:
 
     Parameters: ClassVar[type[CommonParameters]] = MbmParameters
 
-    def __init__(self, sensor: SensorModel, parameters: MbmParameters) -> None:
+    def __init__(self, sensor: SensorModel, parameters: MbmParameters, ids: TrackIds) -> None:
         self._sensor = sensor
         self._parameters = parameters
         self._manoeuvres = parameters.manoeuvres
         self._turn = TURNS[parameters.profile]
         self._ordinary = (ORDINARY_FLOW / sensor.camera.fx) ** 2
         self._depth = -math.log(parameters.least_weight)
-        self._population = Population(sensor, parameters)
+        self._population = Population(sensor, parameters, ids)
         self._leaves = Leaves(np.empty(0, np.intp), manoeuvre.NOBODY, np.empty(0), np.empty((0, 2)))
         self._best: Indices = np.empty(0, np.intp)  # of each track, its leaf in the best hypothesis
         self._clusters: list[Cluster] = []
@@ -245,6 +246,28 @@ class Mbm:
             rotation_variance=self._learned(rotation_variance),
             turn=self._turn,
         )
+
+    def release(
+        self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
+    ) -> Handover:
+        """Of a track in dispute, what the published hypothesis says; the others go on without it."""
+        motion = manoeuvre.predict(
+            self._published().take(np.flatnonzero(rows)),
+            dt,
+            self._manoeuvres.calmed(self._sensor.noise.motion),
+            camera=self._sensor.camera,
+            rotation=rotation,
+            rotation_variance=self._learned(rotation_variance),
+            turn=self._turn,
+        )
+        leaving = self._population.release(rows)
+        leaving.mean, leaving.cov = manoeuvre.merged(motion)
+        self._keep_rows(~rows)
+        return Handover(leaving, motion)
+
+    def adopt(self, arriving: Handover) -> None:
+        self.table.append(arriving.table)
+        self._grow_leaves(arriving.motion)
 
     def _learned(self, rotation_variance: float) -> float:
         """What the gyro ordinarily does not know of a turn is learned with the motion's noise; a gap in it is not."""
@@ -609,15 +632,15 @@ class Mbm:
         motion = self._leaves.motion
         return motion.take(self._best) if self._clusters else motion
 
-    def _grow_leaves(self) -> None:
-        """One for each row that the table has gained."""
+    def _grow_leaves(self, motion: ModeMixture | None = None) -> None:
+        """One for each row that the table has gained; motion: what is known of these beside what the table says."""
         table, leaves = self.table, self._leaves
         new = np.arange(len(self._best), len(table))
         if not len(new):
             return
         born = Leaves(
             new,
-            manoeuvre.begun(table.mean[new], table.cov[new], self._manoeuvres),
+            motion or manoeuvre.begun(table.mean[new], table.cov[new], self._manoeuvres),
             table.existence[new],
             table.size[new],
         )
@@ -630,10 +653,13 @@ class Mbm:
         )
 
     def _drop(self, t: float) -> None:
-        """Tracks end, and with them their leaves and their part in hypotheses."""
+        """Tracks end."""
         kept = self._population.drop(t)
-        if kept is None:
-            return
+        if kept is not None:
+            self._keep_rows(kept)
+
+    def _keep_rows(self, kept: NDArray[np.bool_]) -> None:
+        """The table's other rows (n,) have gone: with them their leaves go, and their part in hypotheses."""
         row = np.cumsum(kept) - 1  # of each track that stays
         staying = kept[self._leaves.owner]
         leaves = self._leaves.take(np.flatnonzero(staying))

@@ -12,7 +12,7 @@ from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility, within
-from swarmtrack.tracking.table import TrackTable
+from swarmtrack.tracking.table import TrackIds, TrackTable
 
 SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxes jitter, drones grow slowly
 UNKNOWN_BOX_SIGMAS = 6.0  # side of a box that no detector told, in sigmas of its centre
@@ -33,15 +33,15 @@ FADED = 0.05  # share of its existence at birth, below which a tentative track e
 
 
 class Population:
-    """A table, and the ids to come: never used twice."""
+    """A table, and where new rows get their numbers."""
 
-    def __init__(self, sensor: SensorModel, parameters: CommonParameters) -> None:
+    def __init__(self, sensor: SensorModel, parameters: CommonParameters, ids: TrackIds) -> None:
         self.table = TrackTable.empty()
         self._sensor = sensor
         self._parameters = parameters
         self._reach = lifecycle.Reach(sensor.camera)
         self._gate = gate_threshold(parameters.gate_probability)
-        self._next_id = 1
+        self._ids = ids
 
     def initiate(self, t: float, points: Array) -> list[int]:
         """Confirmed tracks at known places (n, 2) px. Returns their ids."""
@@ -64,8 +64,7 @@ class Population:
         mean[:, POSITION] = measured.z
         cov[:, POSITION, POSITION] = measured.R
         cov[:, [1, 3], [1, 3]] = self._parameters.birth_speed_sigma**2
-        ids = np.arange(self._next_id, self._next_id + n)
-        self._next_id += n
+        ids = self._ids.take(n)
         no, seen, never = np.zeros(n, np.bool_), np.full(n, t), np.full(n, np.nan)
         size, likeness = measured.size.copy(), measured.likeness.copy()
         return TrackTable(
@@ -116,6 +115,12 @@ class Population:
             return None
         table.keep(stay)
         return stay
+
+    def release(self, rows: NDArray[np.bool_]) -> TrackTable:
+        """These rows (n,), which go to another table."""
+        leaving = self.table.select(rows)
+        self.table.keep(~rows)
+        return leaving
 
     def shadowed(self, t: float, measured: Measurements, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(m,) detections of the scan just judged that are no births: those inside the box of a confirmed track that

@@ -66,6 +66,11 @@ class TrackTable:
         for column in fields(self):
             setattr(self, column.name, getattr(self, column.name)[mask])
 
+    def arrange(self, rows: NDArray[np.intp]) -> None:
+        """Put the rows into this order (n,)."""
+        for column in fields(self):
+            setattr(self, column.name, getattr(self, column.name)[rows])
+
     def append(self, other: TrackTable) -> None:
         if not len(other):
             return
@@ -73,8 +78,12 @@ class TrackTable:
             joined = np.concatenate([getattr(self, column.name), getattr(other, column.name)])
             setattr(self, column.name, joined)
 
-    def shown(self) -> TrackColumns:
-        """What does not change from scan to scan, to make tracks of for any time between."""
+    def select(self, mask: NDArray[np.bool_]) -> TrackTable:
+        """A table of those whose mask (n,) is True."""
+        return TrackTable(*(getattr(self, column.name)[mask] for column in fields(self)))
+
+    def shown(self, camera: int = 0) -> TrackColumns:
+        """What does not change from scan to scan, to make tracks of for any time between. camera: in whose pixels."""
         n = len(self.id)
         status: list[TrackStatus] = [CONFIRMED] * n  # most are, and detected: only the others cost anything
         missed: list[float | None] = [None] * n
@@ -85,11 +94,24 @@ class TrackTable:
         for i in np.isfinite(self.missed_since).nonzero()[0].tolist():
             missed[i] = self.missed_since.item(i)
         size = self.size.copy()  # what was handed out does not change with the next scan
-        return TrackColumns(self.id.tolist(), status, self.existence.tolist(), list(size), missed)
+        return TrackColumns(self.id.tolist(), status, self.existence.tolist(), list(size), missed, camera)
 
     def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
         """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
         return self.shown().tracks(t, mean, cov)
+
+
+class TrackIds:
+    """The numbers of tracks: never used twice, by all trackers of a drone."""
+
+    def __init__(self) -> None:
+        self._next = 1
+
+    def take(self, n: int) -> NDArray[np.int64]:
+        """The next n."""
+        ids = np.arange(self._next, self._next + n)
+        self._next += n
+        return ids
 
 
 class TrackColumns(NamedTuple):
@@ -100,10 +122,12 @@ class TrackColumns(NamedTuple):
     probability: list[float]
     size: list[Array]
     coasting_since: list[float | None]
+    camera: int
 
     def tracks(self, t: float, mean: Array, cov: Array) -> tuple[Track, ...]:
         """As messages, with means (n, 4) and covariances (n, 4, 4) that hold at t."""
         columns = (
-            self.id, repeat(t, len(self.id)), mean, cov, self.status, self.probability, self.size, self.coasting_since
+            self.id, repeat(t, len(self.id)), mean, cov, self.status, self.probability, self.size,
+            self.coasting_since, repeat(self.camera),
         )  # fmt: skip
         return tuple(map(_track, zip(*columns, strict=False)))  # strict costs a fifth, and all have n

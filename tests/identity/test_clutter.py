@@ -99,37 +99,40 @@ def test_of_the_names_stated_among_strangers_as_many_are_right_as_their_probabil
 
 
 def test_a_box_says_by_bayes_rule_how_likely_it_is_the_drone_s_at_its_distance():
-    known = Spans(430.0)
+    known = Spans()
     box, metres = np.array([40.0, 25.0]), 8.0
     variance = spans.SPAN_SIGMA**2 + spans.BOX_SIGMA**2 + (0.4 / metres) ** 2
     x = math.log(40.0 * metres / 430.0 / SPAN)
     by_hand = math.exp(-0.5 * x * x / variance) / math.sqrt(2.0 * math.pi * variance) * math.log(80.0)
-    assert known.log_ratio(2, box, metres, 0.4) == pytest.approx(math.log(by_hand))
+    assert known.log_ratio(2, box, metres, 0.4, focal_px=430.0) == pytest.approx(math.log(by_hand))
 
 
 def test_once_a_drone_was_recognised_a_box_of_twice_its_size_is_rather_not_it():
-    known = Spans(430.0)
+    known = Spans()
     for _ in range(5):
-        known.learn(2, np.array([44.0, 25.0]), 8.0, 0.99)
-    right = known.log_ratio(2, np.array([44.0, 25.0]), 8.0, 0.4)
-    assert right - known.log_ratio(2, np.array([90.0, 37.0]), 8.0, 0.4) > 2.0
+        known.learn(2, np.array([44.0, 25.0]), 8.0, 0.99, focal_px=430.0)
+    right = known.log_ratio(2, np.array([44.0, 25.0]), 8.0, 0.4, focal_px=430.0)
+    assert right - known.log_ratio(2, np.array([90.0, 37.0]), 8.0, 0.4, focal_px=430.0) > 2.0
     # Nearer it looks as large as it must.
-    assert known.log_ratio(2, np.array([88.0, 50.0]), 4.0, 0.4) == pytest.approx(right, abs=0.2)
+    assert known.log_ratio(2, np.array([88.0, 50.0]), 4.0, 0.4, focal_px=430.0) == pytest.approx(
+        right, abs=0.2
+    )
 
 
 def test_a_size_that_was_learned_from_the_wrong_thing_never_rules_the_drone_out():
-    known = Spans(430.0)
+    known = Spans()
     for _ in range(100):
-        known.learn(2, np.array([180.0, 60.0]), 8.0, 1.0)
-    before = Spans(430.0).log_ratio(2, np.array([24.0, 15.0]), 8.0, 0.4)
+        known.learn(2, np.array([180.0, 60.0]), 8.0, 1.0, focal_px=430.0)
+    before = Spans().log_ratio(2, np.array([24.0, 15.0]), 8.0, 0.4, focal_px=430.0)
     assert (
-        known.log_ratio(2, np.array([24.0, 15.0]), 8.0, 0.4) > before + math.log(1.0 - spans.MOST_SURE) - 1e-6
+        known.log_ratio(2, np.array([24.0, 15.0]), 8.0, 0.4, focal_px=430.0)
+        > before + math.log(1.0 - spans.MOST_SURE) - 1e-6
     )
 
 
 @pytest.mark.parametrize(("size", "metres"), [((np.nan, np.nan), 8.0), ((20.0, 20.0), np.nan)])
 def test_a_size_or_a_distance_that_nobody_knows_says_nothing(size, metres):
-    assert Spans(430.0).log_ratio(2, np.array(size), metres, 1.0) == 0.0
+    assert Spans().log_ratio(2, np.array(size), metres, 1.0, focal_px=430.0) == 0.0
 
 
 # --- the scene ---
@@ -321,6 +324,6 @@ def test_a_nameless_ghost_asks_nobody_while_all_who_are_in_view_are_settled(obse
     ("u", "p", "missed"), [(600.0, 0.1, True), (800.0, 0.1, True), (1200.0, 0.1, False), (600.0, 0.9, False)]
 )
 def test_a_teammate_is_missed_that_should_be_in_the_image_or_beside_it_and_is_no_track(u, p, missed):
-    weighing = Weighing(CAMERA, 0.5)
+    weighing = Weighing([CAMERA], 0.5)
     predicted = anywhere([2])._replace(pixel=np.array([[u, 240.0]]))
     assert weighing.misses_somebody(predicted, np.array([[p]])) == missed

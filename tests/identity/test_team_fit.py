@@ -57,7 +57,7 @@ def test_a_track_may_be_a_missing_teammate_that_is_some_metres_beside_its_ray(me
     teammates, names = Teammates(1), Names()
     place = np.array([8.0, metres_aside, 0.0])
     teammates.announce(Announcement(2, "0000000a", 1, 0.0, 0.0, place, np.eye(3), 0.01 * np.eye(3)))
-    fit = TeamFit(teammates, names, Weighing(CAMERA, 0.5))
+    fit = TeamFit(teammates, names, Weighing([CAMERA], 0.5))
     still = TeamPose(0.0, np.zeros(3), np.eye(3), 0.01 * np.eye(3), 1e-4 * np.eye(3))
     fit.look([], NOBODY, np.zeros((0, 0)), 0.0)
     ahead = Track(

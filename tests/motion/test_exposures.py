@@ -18,7 +18,7 @@ def gyro():
 
 @pytest.fixture
 def waiting(gyro):
-    return WaitingScans(CameraClock(OFFSET, estimates=False), gyro)
+    return WaitingScans([CameraClock(OFFSET, estimates=False)], gyro)
 
 
 def scan(t):

@@ -14,7 +14,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.gyro_bias import SURE, GyroBias
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.tracking import create_tracker
 
 HZ, ATTITUDES_HZ = 200, 10
@@ -182,9 +182,13 @@ CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 def onboard(**how):
     return Onboard(
         1,
-        camera=CAMERA,
-        mounting=Mounting(Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
-        tracker=create_tracker("kalman", camera=CAMERA),
+        cameras=[
+            OnboardCamera(
+                CAMERA,
+                Mounting(Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
+                create_tracker("kalman", camera=CAMERA),
+            )
+        ],
         gyro=GyroHistory(),
         ego=EgoHistory(),
         identity=IdentityParameters(),

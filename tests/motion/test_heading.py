@@ -21,7 +21,7 @@ from swarmtrack.motion.heading import (
     HeadingSteps,
 )
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.tracking import create_tracker
 
 FORWARD = rotation.BODY_FROM_FORWARD_CAMERA
@@ -255,9 +255,11 @@ def test_a_drone_tells_of_its_alignment_and_is_surer_after_it():
     camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
     drone = Onboard(
         1,
-        camera=camera,
-        mounting=Mounting(Pose(FORWARD, np.zeros(3))),
-        tracker=create_tracker("kalman", camera=camera),
+        cameras=[
+            OnboardCamera(
+                camera, Mounting(Pose(FORWARD, np.zeros(3))), create_tracker("kalman", camera=camera)
+            )
+        ],
         gyro=GyroHistory(),
         ego=EgoHistory(),
         identity=IdentityParameters(),

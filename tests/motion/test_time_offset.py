@@ -19,7 +19,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import SURE, TAUS, CameraClock, OffsetEstimate, _agreed, to_use
-from swarmtrack.onboard import Onboard
+from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.simulation.trajectory import STANDARD_GRAVITY
 from swarmtrack.tracking import create_tracker
 
@@ -350,9 +350,13 @@ def test_no_stamp_pixel_or_variance_is_more_than_it_can_bear(scans):
 def onboard(**mounting):
     return Onboard(
         1,
-        camera=CAMERA,
-        mounting=Mounting(Pose(np.eye(3), np.zeros(3)), **mounting),
-        tracker=create_tracker("kalman", camera=CAMERA),
+        cameras=[
+            OnboardCamera(
+                CAMERA,
+                Mounting(Pose(np.eye(3), np.zeros(3)), **mounting),
+                create_tracker("kalman", camera=CAMERA),
+            )
+        ],
         gyro=GyroHistory(),
         ego=EgoHistory(),
         identity=IdentityParameters(),

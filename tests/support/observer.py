@@ -34,7 +34,7 @@ class Observer:
 
     def __init__(self, **parameters):
         self.identities = Identities(
-            1, camera=CAMERA, body_from_camera=FORWARD, parameters=IdentityParameters(**parameters)
+            1, cameras=[(CAMERA, FORWARD)], parameters=IdentityParameters(**parameters)
         )
         self.t = 0.0
         self.attitude = np.eye(3)

@@ -12,6 +12,7 @@ from swarmtrack.tracking import Scan, create_tracker
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.gmphd import GmPhd, GmPhdParameters, Mixture, blocks, merge, moments
 from swarmtrack.tracking.sensor_model import SensorModel
+from swarmtrack.tracking.table import TrackIds
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 H = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
@@ -27,7 +28,7 @@ AS_IN_THE_BOOK = {
 def make(**parameters):
     told = GmPhdParameters(**parameters)
     sensor = SensorModel(CAMERA, told)
-    phd = GmPhd(sensor, told)
+    phd = GmPhd(sensor, told, TrackIds())
     return Tracker(sensor, phd), phd
 
 

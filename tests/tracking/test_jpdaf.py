@@ -13,6 +13,7 @@ from swarmtrack.tracking import Scan, create_tracker
 from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.jpdaf import Jpdaf, JpdafParameters, combined
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
+from swarmtrack.tracking.table import TrackIds
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 AREA = 640.0 * 480.0
@@ -23,7 +24,7 @@ H = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 def filter_of(points, rng, **parameters):
     """A filter of confirmed tracks near these points (n, 2), each with its own covariance and existence."""
     told = JpdafParameters(gate_probability=1.0 - 1e-15, end_doubles=False, **parameters)
-    jpdaf = Jpdaf(SensorModel(CAMERA, told), told)
+    jpdaf = Jpdaf(SensorModel(CAMERA, told), told, TrackIds())
     jpdaf.initiate(0.0, points)
     A = rng.normal(0.0, 2.0, (len(points), 4, 4))
     jpdaf.table.cov = A @ A.swapaxes(1, 2) + np.eye(4)
@@ -123,7 +124,7 @@ def test_a_detection_of_next_to_no_noise_leaves_a_positive_covariance():
 def test_existence_follows_the_integrated_pda():
     """Musicki, Evans & Stankovic (1994) by hand: r Λ / (1 − r + r Λ), Λ = 1 − p_D + p_D N / λ; then a miss."""
     told = JpdafParameters(clutter_per_scan=2.0, birth_per_scan=0.02, p_detection=0.9)
-    jpdaf = Jpdaf(SensorModel(CAMERA, told), told)
+    jpdaf = Jpdaf(SensorModel(CAMERA, told), told, TrackIds())
     jpdaf.initiate(0.0, np.array([[300.0, 200.0]]))
     jpdaf.table.existence[:] = 0.3
     variance = 4.0 + 4.0  # P of a known start and R: measurement_sigma² each

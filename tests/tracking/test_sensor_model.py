@@ -14,6 +14,7 @@ from swarmtrack.tracking.noise import SurePairs
 from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import SensorModel
+from swarmtrack.tracking.table import TrackIds
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 UNKNOWN = np.nan
@@ -133,7 +134,7 @@ def learned_clutter(*, told, true, seeds=8, seconds=12.0, flock=0, p_detection=0
         rng = np.random.default_rng(seed)
         told_all = KalmanParameters(clutter_per_scan=told, measurement_sigma=1.5, **parameters)
         model = SensorModel(CAMERA, told_all)
-        tracker = Tracker(model, Kalman(model, told_all))
+        tracker = Tracker(model, Kalman(model, told_all, TrackIds()))
         position = rng.uniform([100, 100], [540, 380], (3 + flock, 2))
         velocity = rng.normal(0.0, 3.0, position.shape)
         tracker.initiate(0.0, position[:3])
@@ -191,7 +192,7 @@ def learned_noise(*, factor, seeds=8, seconds=20.0, clutter=1.0):
         rng = np.random.default_rng(seed)
         told = KalmanParameters(measurement_sigma=1.5, clutter_per_scan=clutter, acceleration_psd=1.0)
         model = SensorModel(CAMERA, told)
-        tracker = Tracker(model, Kalman(model, told))
+        tracker = Tracker(model, Kalman(model, told, TrackIds()))
         position = rng.uniform([100, 100], [540, 380], (3, 2))
         tracker.initiate(0.0, position)
         for k in range(1, int(15 * seconds)):

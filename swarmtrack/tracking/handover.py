@@ -1,0 +1,53 @@
+"""Tracks that go over from one camera's filter to another's: all that is known of them, in the pixels of the new one.
+
+Two pinhole images of one drone differ by a turn, by their intrinsics, and by how far apart the cameras sit. The filter
+that gives a track away carries it on and turns it (`Filter.release`), as it does from scan to scan; what is left is
+linear in pixels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Array
+from swarmtrack.tracking.manoeuvre import PLACE, ModeMixture
+from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.table import TrackTable
+
+
+class Handover(NamedTuple):
+    """n tracks on their way. motion: what a filter with two models knows of them; None: `table` is all."""
+
+    table: TrackTable
+    motion: ModeMixture | None
+
+    def in_pixels_of(self, camera: PinholeCamera, before: PinholeCamera) -> Handover:
+        """The same tracks for a camera that looks the same way through another lens."""
+        scale = np.array([camera.fx / before.fx, camera.fy / before.fy])
+        shift = np.array([camera.cx, camera.cy]) - scale * (before.cx, before.cy)
+        by_axis = np.repeat(scale, 2)
+        table = self.table
+        table.mean = table.mean * by_axis
+        table.mean[:, POSITION] += shift
+        table.cov = table.cov * (by_axis[:, None] * by_axis)
+        table.size = table.size * scale
+        if self.motion is None:
+            return self
+        mean, cov, mode = self.motion
+        by_axis = np.concatenate([by_axis, scale])
+        mean = mean * by_axis
+        mean[..., PLACE] += shift
+        return Handover(table, ModeMixture(mean, cov * (by_axis[:, None] * by_axis), mode))
+
+    def moved(self, by: Array, cov: Array) -> Handover:
+        """The same tracks by (n, 2) px beside where they were, and as much less certain; cov (n, 2, 2) px²."""
+        table = self.table
+        table.mean[:, POSITION] += by
+        table.cov[:, POSITION, POSITION] += cov
+        if self.motion is not None:
+            self.motion.mean[..., PLACE] += by[:, None]
+            self.motion.cov[..., PLACE, PLACE] += cov[:, None]
+        return self
