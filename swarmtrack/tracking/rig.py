@@ -9,14 +9,14 @@ With one camera nothing of this is ever done, and all is as it was.
 Exposures are not synchronised. A track goes over to the time of the scan that takes it, some hundredths of a second
 back where that was exposed before its last one.
 
-How exactly the cameras are mounted is told (`mounting_sigma`), and paid for in variance at each seam. The cameras see
-from different places, so a track also moves by parallax: as far as its size tells its distance (`parallax`).
+How exactly the cameras are mounted is told, learned in flight, and paid for in variance at each seam (`seams.py`). The
+cameras see from different places, so a track also moves by parallax: as far as its size tells its distance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
+from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -30,18 +30,26 @@ from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.lifecycle import Reach, probability_in_view
 from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.seams import FoundTurn, Seam
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
 MOST_BACK = 0.3
+# s that a track must have been with a camera, to tell how the next one is turned against it.
+SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
 SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
 # m: nobody is nearer.
 NEAREST = 0.5
+# px: outside every picture.
+FAR_PX = 1e6
+# Tracks of whom it is kept when they came; most have ended by then.
+MOST_REMEMBERED = 200
 
 
 class RigCamera(NamedTuple):
-    """camera: its lens; body_from_camera: how it sits; mounting_sigma rad per axis: how exactly that is known."""
+    """camera: its lens; body_from_camera: how it sits; mounting_sigma rad per axis: how exactly it is known how it is
+    turned."""
 
     camera: PinholeCamera
     body_from_camera: Pose
@@ -49,13 +57,13 @@ class RigCamera(NamedTuple):
     mounting_sigma: float = 0.0
 
 
-class Seam(NamedTuple):
-    """From one camera to another: rotation (3, 3), to_camera_from_camera; baseline (3,) m: where the one that takes
-    over sits beside the other, in its own axes; variance rad² per axis of the rotation."""
+class Foretold(NamedTuple):
+    """A track that has come from another camera and was not detected since: from which, the pixel (2,) where the scan
+    that comes should show it, and its covariance (2, 2) px² but for the seam."""
 
-    rotation: Array
-    baseline: Array
-    variance: float
+    giver: int
+    pixel: Array
+    cov: Array
 
 
 class Rig:
@@ -69,6 +77,19 @@ class Rig:
         self._orientations: list[Orientation | None] = [None] * len(self._cameras)
         """Of the first camera, when each tracker's state holds."""
         self._newest = 0
+        self._seams = {
+            (i, j): Seam(
+                self._from_first[j] @ self._from_first[i].T,
+                float(np.hypot(self._cameras[i].mounting_sigma, self._cameras[j].mounting_sigma)),
+            )
+            for i, j in combinations(range(len(self._cameras)), 2)
+        }
+        self._came: dict[int, float] = {}
+        """By track: when it last came from another camera, s."""
+        self._arrived: dict[int, tuple[int, int]] = {}
+        """By track that has yet to be detected, and will tell of a seam then: the cameras that it came from and to."""
+        self._foretold: dict[int, Foretold] = {}
+        """Those among them of the camera of the scan that comes."""
         self.handed_over = 0
 
     @property
@@ -85,8 +106,10 @@ class Rig:
                 total[name] = total.get(name, 0) + count
         return total if len(self._cameras) == 1 else {**total, "tracks_handed_over": self.handed_over}
 
-    def tracker(self, camera: int) -> Tracker:
-        return self._cameras[camera].tracker
+    @property
+    def found_turns(self) -> dict[tuple[int, int], FoundTurn]:
+        """By pairs of cameras between which tracks have gone: how the second is turned beside what was told."""
+        return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings}
 
     def turn_variance(self, camera: int, orientation: Orientation) -> float:
         """rad² per axis: how little is known of the turn since that camera's last scan."""
@@ -99,12 +122,41 @@ class Rig:
         for other, _ in enumerate(self._cameras):
             if other != camera:
                 self._take_over(other, camera, t, orientation)
+        self._foretold = self._arrivals_at(camera) if self._arrived else {}
 
     def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
         """Fold in a scan of a camera, after `predict`; False where it is refused, see `Tracker.update`."""
         self._orientations[camera] = orientation
         self._newest = camera
-        return self._cameras[camera].tracker.update(scan)
+        tracker = self._cameras[camera].tracker
+        accepted = tracker.update(scan)
+        if self._foretold:
+            self._learn_seams(camera, tracker)
+        return accepted
+
+    def _arrivals_at(self, camera: int) -> dict[int, Foretold]:
+        """Where tracks are foretold that have come to a camera and were not detected since."""
+        ids, mean, cov = self._cameras[camera].tracker.estimates
+        rows = {track_id: row for row, track_id in enumerate(ids.tolist())}
+        self._arrived = {id: way for id, way in self._arrived.items() if way[1] != camera or id in rows}
+        found = {}
+        for track_id, (giver, taker) in self._arrived.items():
+            if taker == camera:
+                pixel, P = mean[rows[track_id], POSITION], cov[rows[track_id], POSITION, POSITION]
+                found[track_id] = Foretold(
+                    giver, pixel.copy(), P - self._of_seam(pixel[None], giver, taker)[0]
+                )
+        return found
+
+    def _learn_seams(self, taker: int, tracker: Tracker) -> None:
+        for track_id, z, R in tracker.surely_detected:
+            foretold = self._foretold.get(track_id)
+            if foretold is None:
+                continue
+            del self._arrived[track_id]
+            giver, pixel, cov = foretold
+            camera = self._cameras[taker].camera
+            self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
 
     def tracks(self, orientation: Orientation) -> tuple[Track, ...]:
         """After a scan: those of its camera as they stand, the others carried on to its exposure."""
@@ -139,13 +191,13 @@ class Rig:
         own = self._from_first[camera]
         return own @ turn @ own.T
 
-    def seam(self, giver: int, taker: int) -> Seam:
-        """How the giver's picture becomes the taker's."""
-        one, other = self._cameras[giver], self._cameras[taker]
-        rotation = self._from_first[taker] @ self._from_first[giver].T
-        apart = other.body_from_camera.position - one.body_from_camera.position
-        baseline = other.body_from_camera.rotation.T @ apart
-        return Seam(rotation, baseline, one.mounting_sigma**2 + other.mounting_sigma**2)
+    def _seam(self, one: int, other: int) -> Seam:
+        return self._seams[min(one, other), max(one, other)]
+
+    def _turn_to(self, taker: int, giver: int) -> Array:
+        """(3, 3): the taker's axes from the giver's, as it is known by now."""
+        second_from_first = self._seam(giver, taker).second_from_first
+        return second_from_first if giver < taker else second_from_first.T
 
     def _take_over(self, giver: int, taker: int, t: float, orientation: Orientation) -> None:
         """What the giver knows and the taker should see, or is nearer to while neither sees it."""
@@ -153,34 +205,55 @@ class Rig:
         then, since = self._orientations[giver], one.tracker.t
         if then is None or since is None or since - t > MOST_BACK:
             return
-        turn, seam = rotation_between(then, orientation), self.seam(giver, taker)
-        rotation = seam.rotation @ self._own(giver, turn.matrix)
-        mean, cov = one.tracker.extrapolated(t, self._own(giver, turn.matrix), turn.variance)
-        if not len(mean):
-            return
+        turn = rotation_between(then, orientation)
+        own, seam = self._own(giver, turn.matrix), self._turn_to(taker, giver)
+        mean, cov = one.tracker.extrapolated(t, own, turn.variance)
         rows = self._wanted(mean, cov, giver, taker, seam)
         if not rows.any():
             return
-        leaving = one.tracker.release(rows, t, rotation, turn.variance + seam.variance)
+        leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
         arriving = leaving.in_pixels_of(other.camera, one.camera)
-        other.tracker.adopt(arriving.moved(*parallax(arriving, other.camera, seam.baseline)))
-        self.handed_over += int(rows.sum())
+        apart = other.body_from_camera.position - one.body_from_camera.position
+        arriving = arriving.moved(
+            *parallax(arriving, other.camera, other.body_from_camera.rotation.T @ apart)
+        )
+        pixel = arriving.table.mean[:, POSITION]
+        arriving = arriving.moved(np.zeros_like(pixel), self._of_seam(pixel, giver, taker))
+        self._note_arrivals(arriving, giver, taker, t)
+        other.tracker.adopt(arriving)
+        self.handed_over += len(pixel)
 
-    def _wanted(self, mean: Array, cov: Array, giver: int, taker: int, seam: Seam) -> NDArray[np.bool_]:
+    def _of_seam(self, pixel: Array, giver: int, taker: int) -> Array:
+        """(n, 2, 2) px² at pixels (n, 2) of the taker: by what the seam is not known."""
+        camera = self._cameras[taker].camera
+        return self._seam(giver, taker).flow_cov(pixel, camera, to_second=giver < taker)
+
+    def _note_arrivals(self, arriving: Handover, giver: int, taker: int, t: float) -> None:
+        table = arriving.table
+        for track_id, confirmed in zip(table.id.tolist(), table.confirmed.tolist(), strict=True):
+            self._arrived.pop(track_id, None)
+            if confirmed and t - self._came.get(track_id, -np.inf) > SETTLED_S:
+                self._arrived[track_id] = giver, taker
+            self._came[track_id] = t
+        if len(self._came) > MOST_REMEMBERED:
+            self._came = {track_id: came for track_id, came in self._came.items() if t - came < SETTLED_S}
+
+    def _wanted(self, mean: Array, cov: Array, giver: int, taker: int, seam: Array) -> NDArray[np.bool_]:
         """(n,) of tracks in the giver's pixels now: those that the taker should see, and of those that nobody sees the
-        ones nearer to where it looks."""
+        ones nearer to where it looks. seam (3, 3): the taker's axes from the giver's."""
         one, other = self._cameras[giver].camera, self._cameras[taker].camera
         ray = one.bearing_undistorted(mean[:, POSITION])
-        there = ray @ seam.rotation.T
+        there = ray @ seam.T
         pixel, _, ahead = other.project_undistorted(there)
-        seen_here = probability_in_view(mean, cov, one)
-        sigma = np.sqrt((cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0 + seam.variance)
+        if not ahead.any():
+            return np.asarray(ahead)
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
-        moved[:, POSITION] = np.where(ahead[:, None], pixel, 1e6)
-        spread[:, 0, 0], spread[:, 2, 2] = (sigma * other.fx) ** 2, (sigma * other.fy) ** 2
-        wanted = ahead & (probability_in_view(moved, spread, other) > 0.5)
-        nearer = (there[:, 2] > ray[:, 2]) & (seen_here < 0.5) & ahead
-        return np.asarray((wanted | nearer) & self._reach[taker].holds(moved, spread))
+        moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
+        variance = (cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0
+        spread[:, 0, 0], spread[:, 2, 2] = variance * other.fx**2, variance * other.fy**2
+        seen = probability_in_view(moved, spread, other) > 0.5
+        nearer = (there[:, 2] > ray[:, 2]) & (probability_in_view(mean, cov, one) < 0.5)
+        return np.asarray(ahead & (seen | nearer) & self._reach[taker].holds(moved, spread))
 
 
 def parallax(arriving: Handover, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:
