@@ -16,6 +16,7 @@ cameras see from different places, so a track also moves by parallax: as far as 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import chain, combinations
 from typing import NamedTuple
 
@@ -30,7 +31,7 @@ from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.lifecycle import Reach, probability_in_view
 from swarmtrack.tracking.motion_model import POSITION
-from swarmtrack.tracking.seams import FoundTurn, Seam
+from swarmtrack.tracking.seams import FoundTurn, Seam, SeamNews
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
 MOST_BACK = 0.3
@@ -41,6 +42,9 @@ SETTLED_S = 0.7
 SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
 # m: nobody is nearer.
 NEAREST = 0.5
+# Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
+BORDER, MISSED_SCANS = 0.12, 8
+TURNED, LOST_SIGHT = "turned", "lost sight"
 # px: outside every picture.
 FAR_PX = 1e6
 # Tracks of whom it is kept when they came; most have ended by then.
@@ -66,6 +70,17 @@ class Foretold(NamedTuple):
     cov: Array
 
 
+@dataclass(slots=True)
+class _Arrived:
+    """From one camera to another; since when it had been with the first, s; scans of the second which should have shown
+    it."""
+
+    giver: int
+    taker: int
+    since: float
+    scans: int = 0
+
+
 class Rig:
     """All tracks of a drone. An `orientation` is always that of the first camera."""
 
@@ -86,8 +101,9 @@ class Rig:
         }
         self._came: dict[int, float] = {}
         """By track: when it last came from another camera, s."""
-        self._arrived: dict[int, tuple[int, int]] = {}
-        """By track that has yet to be detected, and will tell of a seam then: the cameras that it came from and to."""
+        self._arrived: dict[int, _Arrived] = {}
+        """By track that has yet to be detected, and will tell of a seam then."""
+        self._said: set[tuple[int, int, str]] = set()
         self._foretold: dict[int, Foretold] = {}
         """Those among them of the camera of the scan that comes."""
         self.handed_over = 0
@@ -138,25 +154,43 @@ class Rig:
         """Where tracks are foretold that have come to a camera and were not detected since."""
         ids, mean, cov = self._cameras[camera].tracker.estimates
         rows = {track_id: row for row, track_id in enumerate(ids.tolist())}
-        self._arrived = {id: way for id, way in self._arrived.items() if way[1] != camera or id in rows}
+        self._arrived = {id: way for id, way in self._arrived.items() if way.taker != camera or id in rows}
         found = {}
-        for track_id, (giver, taker) in self._arrived.items():
-            if taker == camera:
+        for track_id, way in self._arrived.items():
+            if way.taker == camera:
                 pixel, P = mean[rows[track_id], POSITION], cov[rows[track_id], POSITION, POSITION]
-                found[track_id] = Foretold(
-                    giver, pixel.copy(), P - self._of_seam(pixel[None], giver, taker)[0]
-                )
+                of_seam = self._of_seam(pixel[None], way.giver, camera)[0]
+                found[track_id] = Foretold(way.giver, pixel.copy(), P - of_seam)
         return found
 
     def _learn_seams(self, taker: int, tracker: Tracker) -> None:
+        """From the tracks that have come to a camera, by its scan: those it shows, and those it does not."""
+        camera = self._cameras[taker].camera
         for track_id, z, R in tracker.surely_detected:
-            foretold = self._foretold.get(track_id)
-            if foretold is None:
-                continue
-            del self._arrived[track_id]
-            giver, pixel, cov = foretold
-            camera = self._cameras[taker].camera
-            self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
+            foretold = self._foretold.pop(track_id, None)
+            if foretold is not None:
+                del self._arrived[track_id]
+                giver, pixel, cov = foretold
+                self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
+        low, high = camera.ideal_bounds
+        border = BORDER * (high - low)
+        for track_id, (giver, pixel, _) in self._foretold.items():
+            way = self._arrived[track_id]
+            way.scans += bool(((pixel > low + border) & (pixel < high - border)).all())
+            if way.scans >= MISSED_SCANS:
+                del self._arrived[track_id]
+                self._seam(giver, taker).lost += 1
+
+    def take_news(self) -> list[SeamNews]:
+        """What there is to say of seams; each is returned once."""
+        news = []
+        for (first, second), seam in self._seams.items():
+            said = None if seam.fits else LOST_SIGHT
+            said = TURNED if said is None and seam.is_turned else said
+            if said is not None and (first, second, said) not in self._said:
+                self._said.add((first, second, said))
+                news.append(SeamNews(first, second, seam.found if said == TURNED else None))
+        return news
 
     def tracks(self, orientation: Orientation) -> tuple[Track, ...]:
         """After a scan: those of its camera as they stand, the others carried on to its exposure."""
@@ -231,9 +265,13 @@ class Rig:
     def _note_arrivals(self, arriving: Handover, giver: int, taker: int, t: float) -> None:
         table = arriving.table
         for track_id, confirmed in zip(table.id.tolist(), table.confirmed.tolist(), strict=True):
-            self._arrived.pop(track_id, None)
-            if confirmed and t - self._came.get(track_id, -np.inf) > SETTLED_S:
-                self._arrived[track_id] = giver, taker
+            way, since = self._arrived.pop(track_id, None), self._came.get(track_id, -np.inf)
+            if way is not None and (way.giver, way.taker) == (taker, giver):
+                # Taken back before the other camera had seen it: it never was away.
+                self._came[track_id] = way.since
+                continue
+            if confirmed and t - since > SETTLED_S:
+                self._arrived[track_id] = _Arrived(giver, taker, since)
             self._came[track_id] = t
         if len(self._came) > MOST_REMEMBERED:
             self._came = {track_id: came for track_id, came in self._came.items() if t - came < SETTLED_S}

@@ -26,6 +26,11 @@ from swarmtrack.tracking.motion_model import optical_flow
 LEAST_SIGMA = math.radians(0.15)
 # Squared Mahalanobis distance of a residual, in two dimensions: beyond it something else was detected.
 GATE = 16.0
+# A turn is news once so many crossings tell it, it is so large [rad], and by crossings alone is not zero by so many
+# squared sigmas.
+TELLING, WORTH_SAYING, SURE = 4, math.radians(0.5), 25.0
+# Cameras do not fit together once so many targets that left one did not come into the other, for each that did.
+LOST, LOST_FOR_EACH = 4, 4
 # px²: of a detection and of what was foretold, beside what they say of themselves.
 LASTING_PX2 = 1.0
 
@@ -39,15 +44,27 @@ class FoundTurn(NamedTuple):
     crossings: int
 
 
+class SeamNews(NamedTuple):
+    """How the second of two cameras sits beside the first, by crossings: turned by so much beside what was told; None:
+    targets that leave one do not come into the other, so that cables may be swapped, or a mounting is far off."""
+
+    first: int
+    second: int
+    turn: FoundTurn | None
+
+
 class Seam:
     """Between two cameras; `second_from_first` (3, 3) as it was told, ± mounting_sigma [rad] per axis."""
 
     def __init__(self, second_from_first: Array, mounting_sigma: float) -> None:
         self._told = second_from_first
-        self._information = np.eye(3) / max(mounting_sigma, LEAST_SIGMA) ** 2
+        self._prior = np.eye(3) / max(mounting_sigma, LEAST_SIGMA) ** 2
+        self._information = self._prior
         self._sum = np.zeros(3)
         self.crossings = 0
         self.refused = 0
+        self.lost = 0
+        """Targets that should have been seen after they crossed, and were not."""
         self._settle()
 
     def _settle(self) -> None:
@@ -60,6 +77,17 @@ class Seam:
     def found(self) -> FoundTurn:
         worst = float(np.linalg.eigvalsh(self._cov)[-1])
         return FoundTurn(self._angle, math.sqrt(worst), self.crossings)
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether it is sure, and worth a word, that the second camera is turned beside what was told."""
+        sure = float(self._angle @ (self._information - self._prior) @ self._angle) > SURE
+        return sure and self.crossings >= TELLING and float(np.linalg.norm(self._angle)) > WORTH_SAYING
+
+    @property
+    def fits(self) -> bool:
+        """Whether what leaves one camera comes into the other, as far as is known."""
+        return self.lost < max(LOST, LOST_FOR_EACH * self.crossings)
 
     def flow_cov(self, pixel: Array, camera: PinholeCamera, *, to_second: bool) -> Array:
         """(n, 2, 2) px² that the seam adds to tracks at pixels (n, 2) of the camera that they go to."""

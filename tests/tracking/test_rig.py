@@ -193,6 +193,43 @@ def test_a_mounting_that_is_two_degrees_off_is_found_in_flight_and_no_track_is_l
     assert flown.doubles == 0.0
 
 
+def test_a_turn_that_is_worth_a_word_is_said_once():
+    poses = [looking(-40.0), looking(40.0)]
+    rig = rig_of("mbm", *poses, sigma_deg=1.0)
+    drone = Drone(rig, poses, [[6.0, -1.0, 0.3], [7.0, 1.5, -0.6]])
+    drone.poses = [
+        poses[0],
+        Pose(poses[1].rotation @ rotation.exp([0.0, math.radians(2.0), 0.0]), np.zeros(3)),
+    ]
+    news = []
+    for rate in (0.0, *[1.0, -1.0] * 8):
+        for _ in range(15):
+            drone.turn(rate, 0.05)
+            drone.look(0)
+            drone.turn(rate, 0.016)
+            drone.look(1)
+            news += rig.take_news()
+    ((first, second, turn),) = news
+    assert (first, second) == (0, 1)
+    # Rays turn against the camera.
+    assert math.degrees(turn.angle[1]) == pytest.approx(-2.0, abs=0.5)
+
+
+def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said():
+    poses = [looking(-40.0), looking(40.0)]
+    rig = rig_of("mbm", *poses)
+    drone = Drone(rig, poses[::-1], [[6.0, -1.0, 0.3], [7.0, 1.5, -0.6]])
+    news = []
+    for rate in (0.0, *[1.0, -1.0, -1.0, 1.0] * 3):
+        for _ in range(30):
+            drone.turn(rate, 0.05)
+            drone.look(0)
+            drone.turn(rate, 0.016)
+            drone.look(1)
+            news += rig.take_news()
+    assert news == [(0, 1, None)]
+
+
 @given(
     seed=st.integers(0, 2**32 - 1),
     to_second=st.booleans(),
