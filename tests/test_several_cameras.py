@@ -34,7 +34,9 @@ def looking(azimuth_deg, place=(0.0, 0.0, 0.0)):
 class Flight:
     """Drone 1 hovers, and yaws; its teammates hover around it."""
 
-    def __init__(self, azimuths, seed=1):
+    def __init__(self, azimuths, seed=1, compass=0.0):
+        """compass rad: by how much the autopilot's heading is off."""
+        self.compass = compass
         self.poses = [looking(azimuth) for azimuth in azimuths]
         cameras = [CAMERA] * len(self.poses)
         trackers = create_trackers("mbm", cameras=cameras, **AGENT_PARAMETERS)
@@ -68,7 +70,8 @@ class Flight:
             turned = rotation.from_euler(0.0, 0.0, self.yaw)
             self.drone.tell(ImuSample(self.t, np.array([0.0, 0.0, rate]), np.full(3, np.nan)))
             if k % 10 == 0:
-                self.drone.tell(EgoPose(self.t, np.zeros(3), turned))
+                said = rotation.from_euler(0.0, 0.0, self.yaw + self.compass)
+                self.drone.tell(EgoPose(self.t, np.zeros(3), said))
             if k % SAMPLES_PER_SCAN == 0:
                 self.look(self.number % n, turned)
                 self.number += 1
@@ -174,3 +177,16 @@ def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_all_are_tracked
     times = [report.tracks.t for report, _ in flight.reports[before:]]
     assert {round(t + 0.004, 6), round(t + 0.012, 6)} <= {round(time, 6) for time in times}
     assert times == sorted(times)
+
+
+@pytest.mark.parametrize("azimuths", [(0.0, 90.0), ALL_ROUND])
+def test_a_compass_that_is_25_degrees_off_is_doubted_and_names_nobody_wrongly(azimuths):
+    flight = Flight(azimuths, compass=math.radians(25.0))
+    flight.fly(0.0, 5.0)
+    wrong = [
+        (entry.identity, nearest)
+        for _, entry, nearest, _ in flight.entries()
+        if isinstance(entry.identity, int) and entry.identity != nearest
+    ]
+    assert wrong == []
+    assert flight.drone.self_doubt

@@ -287,14 +287,15 @@ class Identities:
         places = {drone: whereabouts.latest(drone) for drone in self._teammates.announced}
         self._weighing.watch(self._names.alive, view, places)
         self._judgement.call_out(view, places)
-        self._self_doubt.look(
-            self._names.shown,
-            self._names,
-            self._names.lost.values(),
-            view=view,
-            whereabouts=whereabouts,
-            weighing=self._weighing,
-        )
+        if self._shows_most(view.number):
+            self._self_doubt.look(
+                self._names.shown,
+                self._names,
+                self._names.lost.values(),
+                view=view,
+                whereabouts=whereabouts,
+                weighing=self._weighing,
+            )
         for name in [name for name in self._names if self._self_doubt.forbids(name, self._weighing)]:
             self._names.fire(name, Event.OVERRULED)
         if self.self_doubt:
@@ -303,6 +304,14 @@ class Identities:
                 if not proofs.lasts(held.track_id, held.drone_id, view.observer.t):
                     self._names.fire(held, Event.SELF_DOUBTED)
                     held.weaken(0.0)
+
+    def _shows_most(self, camera: int) -> bool:
+        """Whether that camera shows as many tracks as any: of several, one that sees nobody would tell that nothing is
+        wrong."""
+        shown = [0] * len(self._cameras)
+        for track in self._names.alive.values():
+            shown[track.camera] += track.status is TrackStatus.CONFIRMED
+        return camera == shown.index(max(shown))
 
     def _judge(self, track: Track, matches: Mapping[int, Match], t: float, *, seen_in: int) -> None:
         """One track, by what it may be: its name is judged, or it gets one."""
