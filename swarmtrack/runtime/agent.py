@@ -36,11 +36,13 @@ from swarmtrack.runtime.live_video import LiveVideo
 from swarmtrack.runtime.outputs import JsonLines, as_seen
 from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
+from swarmtrack.runtime.seam_words import describe_seam
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
 from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity
+from swarmtrack.tracking.seams import SeamNews
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
@@ -281,6 +283,10 @@ class Agent:
                     self._team.on_heading(event)
                 case DoubtNews():
                     self._team.on_doubt(event)
+                case SeamNews():
+                    line = describe_seam(event)
+                    self.health.events.append(line)
+                    log.warning("%s", line)
 
     def _on_scan(self, report: ScanReport) -> None:
         """To whoever writes or shows it; and the publisher wakes."""

@@ -189,8 +189,15 @@ class Rig:
             said = TURNED if said is None and seam.is_turned else said
             if said is not None and (first, second, said) not in self._said:
                 self._said.add((first, second, said))
-                news.append(SeamNews(first, second, seam.found if said == TURNED else None))
+                news.append(self._news(first, second, said))
         return news
+
+    def _news(self, first: int, second: int, said: str) -> SeamNews:
+        if said == LOST_SIGHT:
+            return SeamNews(first, second, None, None)
+        seam = self._seams[first, second]
+        body_from_first = self._cameras[first].body_from_camera.rotation
+        return SeamNews(first, second, seam.found, body_from_first @ seam.second_from_first.T)
 
     def tracks(self, orientation: Orientation) -> tuple[Track, ...]:
         """After a scan: those of its camera as they stand, the others carried on to its exposure."""

@@ -45,12 +45,14 @@ class FoundTurn(NamedTuple):
 
 
 class SeamNews(NamedTuple):
-    """How the second of two cameras sits beside the first, by crossings: turned by so much beside what was told; None:
-    targets that leave one do not come into the other, so that cables may be swapped, or a mounting is far off."""
+    """How the second of two cameras sits beside the first, by crossings: turned by so much beside what was told, so
+    that body_from_second (3, 3) would fit; both None: targets that leave one do not come into the other, so that cables
+    may be swapped, or a mounting is far off."""
 
     first: int
     second: int
     turn: FoundTurn | None
+    body_from_second: Array | None
 
 
 class Seam:

@@ -209,10 +209,12 @@ def test_a_turn_that_is_worth_a_word_is_said_once():
             drone.turn(rate, 0.016)
             drone.look(1)
             news += rig.take_news()
-    ((first, second, turn),) = news
+    ((first, second, turn, body_from_second),) = news
     assert (first, second) == (0, 1)
     # Rays turn against the camera.
     assert math.degrees(turn.angle[1]) == pytest.approx(-2.0, abs=0.5)
+    roll, pitch, yaw = np.degrees(rotation.to_euler(body_from_second @ FORWARD.T))
+    assert (roll, pitch, yaw) == pytest.approx((0.0, 0.0, 42.0), abs=0.7)
 
 
 def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said():
@@ -227,7 +229,7 @@ def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said()
             drone.turn(rate, 0.016)
             drone.look(1)
             news += rig.take_news()
-    assert news == [(0, 1, None)]
+    assert news == [(0, 1, None, None)]
 
 
 @given(
