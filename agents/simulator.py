@@ -1,13 +1,16 @@
 """`python -m swarmtrack.agents.simulator`: the cameras and autopilots of a simulated swarm, on real sockets.
 
-For each drone that has an agent, a camera over HTTP (JPEGs, or with `--detector oracle` lines of detections) and an
+For each drone that has an agent, its cameras over HTTP (JPEGs, or with `--detector oracle` lines of detections) and an
 autopilot that speaks MAVLink on three UDP ports: one for the agent, one for a ground station beside it, and one for who
 asks for the truth. World time 0 is `--epoch` on this machine's monotonic clock; before it all drones hover. When
 everything listens, one line of JSON says where, where on the Earth the world's origin lies, and when world time 0 is:
 
     {"ready": true, "origin": {"lat_deg": 47.397742, "lon_deg": 8.545594, "alt_m": 488.0}, "epoch_s": 4711.5, "drones":
-    {"1": {"camera": "http://127.0.0.1:40001/1", "autopilot": "udpout:127.0.0.1:50001", "ground":
-    "udpout:127.0.0.1:50002", "truth": "udpout:127.0.0.1:50003"}, …}}
+    {"1": {"camera": "http://127.0.0.1:40001/1", "cameras": ["http://127.0.0.1:40001/1"], "autopilot":
+    "udpout:127.0.0.1:50001", "ground": "udpout:127.0.0.1:50002", "truth": "udpout:127.0.0.1:50003"}, …}}
+
+`cameras` are all of a drone, in the order of the scenario; the first one is also `camera`, the others are at `/1/1`,
+`/1/2`, … of the same server.
 
 Whoever asks an autopilot for SIM_STATE by SET_MESSAGE_INTERVAL, at any port, is told the truth about its drone. Each
 port answers whoever spoke to it last.
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
 
     from swarmtrack.clock import Clock
     from swarmtrack.geometry.geodesy import Geodetic
+    from swarmtrack.localswarm.hardware import Addresses
     from swarmtrack.localswarm.world_file import OutsideWorld
     from swarmtrack.simulation.scenarios import Scenario
 
@@ -242,9 +246,7 @@ def _simulation(
     )
 
 
-def _say_ready(
-    origin: Geodetic, epoch: float, drones: dict[int, dict[str, str]], more: dict[str, str]
-) -> None:
+def _say_ready(origin: Geodetic, epoch: float, drones: Addresses, more: dict[str, str]) -> None:
     latitude, longitude, height = origin
     place = {
         "lat_deg": round(math.degrees(latitude), 9),

@@ -218,7 +218,7 @@ def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterat
     """What the first drones of a scenario see, and what they should, once the others have left their places."""
     camera, mount = scenario.camera, scenario.body_from_camera
     renderer = Renderer(scenario.world, camera, mount)
-    truth = SwarmTruth(scenario.world, camera, mount)
+    truth = SwarmTruth(scenario.world, scenario.cameras[:1])
     for observer in list(scenario.members)[:OBSERVERS]:
         expectation = _TurnsKnown(scenario, observer)
         for frame in range(0, int(FLIGHT_S * scenario.fps), every):

@@ -35,7 +35,14 @@ from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.runtime.filed import SOMEWHERE_M
-from swarmtrack.simulation.scenarios import AnnouncedStart, Plan, Scenario, announced_starts, fly
+from swarmtrack.simulation.scenarios import (
+    AnnouncedStart,
+    Plan,
+    Scenario,
+    ScenarioCamera,
+    announced_starts,
+    fly,
+)
 from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.trajectory import SteadyYaw
 from swarmtrack.simulation.world import World
@@ -94,8 +101,7 @@ def scenario_of_seed(n: int, mode: Mode, seed: int) -> Scenario:
     announced[OBSERVER] = AnnouncedStart(world.flown(OBSERVER).position(0.0), 0.0, mode.slots_m or 0.3)
     return Scenario(
         world=world,
-        camera=CAMERA,
-        fps=FPS,
+        cameras=(ScenarioCamera(CAMERA, fps=FPS),),
         imu_rate_hz=IMU_HZ,
         detector=SEEN_AS,
         announced=announced,
@@ -142,7 +148,7 @@ class _Judge:
     """Which track is whom in truth, and how it was called."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+        self._truth = SwarmTruth(scenario.world, scenario.cameras)
         self._scorer = SwarmScorer(scenario.members, start=0.0, end=math.inf)
         self._others = set(scenario.members) - {OBSERVER}
         self._first: dict[int, float] = {}

@@ -51,14 +51,15 @@ LEAD_S = 1.0  # s that the sensors run before world time 0
 
 
 class Exposure(NamedTuple):
-    """A drone's frame number `sequence`, exposed at t and stamped `stamp` [s, world time]; and what the drone perceives
-    when its detector looks."""
+    """A drone's frame number `sequence`, exposed at t and stamped `stamp` [s, world time]; what the drone perceives
+    when its detector looks; and which of its cameras it was."""
 
     drone_id: int
     sequence: int
     t: float
     stamp: float
     perceived: Perceived
+    camera: int = 0
 
 
 Eyes = Callable[[Exposure], Detections]
@@ -70,7 +71,8 @@ def oracle_eyes(scenario: Scenario) -> Eyes:
     oracle = OracleDetector(scenario)
 
     def eyes(seen: Exposure) -> Detections:
-        return dataclasses.replace(oracle.detections(seen.drone_id, seen.sequence, seen.t), t=seen.stamp)
+        found = oracle.detections(seen.drone_id, seen.sequence, seen.t, seen.camera)
+        return dataclasses.replace(found, t=seen.stamp)
 
     return eyes
 
@@ -78,7 +80,8 @@ def oracle_eyes(scenario: Scenario) -> Eyes:
 class ObservedScan(NamedTuple):
     """What `observer` tracked in the scan exposed at t [s, world time, by its own belief].
 
-    centres (m, 2) px: what its detector had found there; exposed_t [s, world time]: when it was exposed in truth.
+    centres (m, 2) px: what its detector had found there; exposed_t [s, world time]: when it was exposed in truth;
+    camera: in which of its cameras.
     """
 
     observer: int
@@ -86,6 +89,7 @@ class ObservedScan(NamedTuple):
     tracks: TrackList
     centres: Array
     exposed_t: float
+    camera: int = 0
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -96,7 +100,7 @@ class Mistake:
     compass: float = 0.0
     """The autopilot's heading less the true one."""
     mounting: float = 0.0
-    """The yaw of the camera in the config less the true one."""
+    """The yaw of the cameras in the config less the true one."""
     tilt: tuple[float, float] = (0.0, 0.0)
     """By how much the autopilot's attitude is turned about north and east."""
     place_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -116,8 +120,9 @@ class _Drone:
     shared: int = 0
     wanted: list[int] = dataclasses.field(default_factory=list)
     """Whose pose it wants and has not asked for yet."""
-    found: dict[int, tuple[Array, float]] = dataclasses.field(default_factory=dict)
-    """By number, of the frames that are not tracked yet: centres (m, 2) px, and when it was exposed [s, world time]."""
+    found: dict[int, tuple[Array, float, int]] = dataclasses.field(default_factory=dict)
+    """By number, of the frames that are not tracked yet: centres (m, 2) px, when it was exposed [s, world time], and by
+    which camera."""
 
 
 class VirtualSwarm:
@@ -157,6 +162,8 @@ class VirtualSwarm:
         self._eyes = eyes or oracle_eyes(scenario)
         self._camera_clocks_told = camera_clocks_told
         self._share_hz = share_hz or scenario.share_hz or 0.0
+        # What happens to a drone when a camera exposes, and which of its cameras that is.
+        self._scans = {f"scan {k}" if k else "scan": k for k in range(len(scenario.cameras))}
         self._mistakes = mistakes or {}
         self._relative = relative
         self._drones = {drone_id: self._make(drone_id) for drone_id in observers or scenario.members}
@@ -165,21 +172,9 @@ class VirtualSwarm:
         scenario = self.scenario
         # The autopilot's frame begins where its drone hovers: there, as well as its config was measured.
         start = scenario.announced[drone_id]
-        mounted = scenario.body_from_camera
-        turned = _yaw(self._mistake(drone_id).mounting) @ mounted.rotation
         onboard = Onboard(
             drone_id,
-            cameras=[
-                OnboardCamera(
-                    scenario.camera,
-                    Mounting(
-                        Pose(turned, mounted.position),
-                        time_offset_s=-self.stamps_late(drone_id) if self._camera_clocks_told else 0.0,
-                        estimate_time_offset=not self._camera_clocks_told,
-                    ),
-                    create_tracker(self._tracker, camera=scenario.camera, **AGENT_PARAMETERS),
-                )
-            ],
+            cameras=[self._camera(drone_id, number) for number in range(len(scenario.cameras))],
             gyro=GyroHistory(),
             ego=EgoHistory(origin=start.position_m),
             identity=self._identity,
@@ -193,6 +188,20 @@ class VirtualSwarm:
             self._file(onboard, drone_id)
             return _Drone(onboard, imu, ego)
         return _Drone(onboard, imu, ego, announce_at=max(scenario.starts_s.get(drone_id, 0.0) - 0.5, -0.5))
+
+    def _camera(self, drone_id: int, number: int) -> OnboardCamera:
+        """As its config has it."""
+        camera = self.scenario.cameras[number]
+        told = self.scenario.told_mounting(drone_id, number)
+        turned = _yaw(self._mistake(drone_id).mounting) @ told.rotation
+        mounting = Mounting(
+            Pose(turned, told.position),
+            time_offset_s=-self.stamps_late(drone_id) if self._camera_clocks_told else 0.0,
+            estimate_time_offset=not self._camera_clocks_told,
+            sigma=camera.mounting_sigma,
+        )
+        tracker = create_tracker(self._tracker, camera=camera.lens, **AGENT_PARAMETERS)
+        return OnboardCamera(camera.lens, mounting, tracker)
 
     def _file(self, onboard: Onboard, drone_id: int) -> None:
         """Tell it what the team's file says of its teammates: their starts, and the codes that they will sway."""
@@ -239,14 +248,14 @@ class VirtualSwarm:
                 if index % int(rates["pose"]) == 0:
                     drone.onboard.tell(drone.ego.flight_state(index / rates["pose"]))
                 drone.onboard.tell(self._pose(drone_id, index))
-            elif what == "scan":
-                self._scan(drone_id, index)
+            elif what in self._scans:
+                self._scan(drone_id, self._scans[what], index)
             else:
                 self._also(drone_id, now)
             for event in drone.onboard.events():
                 if isinstance(event, ScanReport):
-                    centres, exposed_t = drone.found.pop(event.sequence)
-                    yield ObservedScan(drone_id, event.tracks.t, event.tracks, centres, exposed_t)
+                    centres, exposed_t, camera = drone.found.pop(event.sequence)
+                    yield ObservedScan(drone_id, event.tracks.t, event.tracks, centres, exposed_t, camera)
                 elif isinstance(event, PoseWanted):
                     drone.wanted.append(event.drone_id)
                 elif isinstance(event, HeadingNews | DoubtNews) and drone.announced:
@@ -259,14 +268,16 @@ class VirtualSwarm:
         return {
             "imu": self.scenario.imu_rate_hz,
             "pose": EgoParameters().rate_hz,
-            "scan": self.scenario.fps,
+            **{what: self.scenario.cameras[number].fps for what, number in self._scans.items()},
         }
 
     def _also(self, drone_id: int, now: float) -> None:
         """What happens beside what every drone has; overridden where something does."""
 
     def _due(self, what: str, index: int, rate: float) -> float:
-        return index / rate + (self._latency_s if what == "scan" else 0.0)
+        if what not in self._scans:
+            return index / rate
+        return self.scenario.cameras[self._scans[what]].exposure(index) + self._latency_s
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
         pose = self._drones[drone_id].ego.pose(index)
@@ -277,12 +288,14 @@ class VirtualSwarm:
             turned = rotation.exp(np.array([*wrong.tilt, 0.0])) @ turned
         return dataclasses.replace(pose, world_from_body=turned, position=pose.position + wrong.place_m)
 
-    def _scan(self, drone_id: int, index: int) -> None:
-        drone, t = self._drones[drone_id], index / self.scenario.fps
-        exposure = Exposure(drone_id, index, t, t + self.stamps_late(drone_id), drone.onboard)
+    def _scan(self, drone_id: int, camera: int, index: int) -> None:
+        drone, t = self._drones[drone_id], self.scenario.cameras[camera].exposure(index)
+        exposure = Exposure(drone_id, index, t, t + self.stamps_late(drone_id), drone.onboard, camera)
         found = self._eyes(exposure)
-        drone.found[index] = found.centre, t
-        drone.onboard.tell(found)
+        # A number that no frame of the drone's other cameras has.
+        sequence = index * len(self.scenario.cameras) + camera
+        drone.found[sequence] = found.centre, t, camera
+        drone.onboard.tell(dataclasses.replace(found, sequence=sequence, camera=camera))
 
     def _say(self, now: float) -> None:
         if not self.scenario.announces:

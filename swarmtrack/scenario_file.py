@@ -12,14 +12,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import AfterValidator, Field, Strict, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    Strict,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
+from swarmtrack.config import Intrinsics, Lens, Mount
 from swarmtrack.errors import ConfigError
 from swarmtrack.evaluation.swarm_verdict import Limits
 from swarmtrack.formation.plan import FormationPlan, plan_faults
+from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.errands import Errand
 from swarmtrack.simulation.scenarios import (
+    BODY_FROM_CAMERA,
     CAMERA,
     DRIFT_M,
     HOVER_S,
@@ -30,6 +41,7 @@ from swarmtrack.simulation.scenarios import (
     Plan,
     Radio,
     Scenario,
+    ScenarioCamera,
     ScenarioEvent,
     ScenarioFault,
     Station,
@@ -78,6 +90,7 @@ from swarmtrack.toml.sections import (
 
 FOLDER = Path(__file__).with_name("configs") / "scenarios"
 MAX_DRONES = 1000
+MAX_CAMERAS = 8  # of a drone
 CLIMBS_S = 8.0  # s from a take-off to the height of a slot
 FASTEST_LEADER_M_S = 5.0
 LEAST_STAR_HEIGHT_M = 2.0  # as an agent's config has it: nobody's slot is lower
@@ -107,9 +120,52 @@ FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
 
 
 class ScenarioCameraSection(Section):
-    """[camera]"""
+    """[camera], or one of [[camera]]: what every drone carries."""
 
     fps: Annotated[Positive, Field(le=1000.0)] = 15.0
+    intrinsics: Intrinsics | None = Field(
+        default=None,
+        description="the intrinsics as numbers, px; the shipped camera of 73 degrees unless told",
+    )
+    distortion: Lens | None = Field(default=None, description="the distortion that goes with intrinsics")
+    body_from_camera: Mount | None = Field(
+        default=None, description="where the camera sits; 0.1 m ahead, looking along the nose, unless told"
+    )
+    phase: Annotated[Number, Field(ge=0.0, lt=1.0)] | None = Field(
+        default=None,
+        description="by which share of a frame it exposes late; cameras share a frame evenly unless told",
+    )
+    mounting_sigma_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = Field(
+        default=0.0, description="how wrong the config is about its rotation, and says so; degrees per axis"
+    )
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> Self:
+        if self.distortion is not None and self.intrinsics is None:
+            raise ValueError("distortion without intrinsics, expected both")
+        return self
+
+    def camera(self, place: int, of: int) -> ScenarioCamera:
+        """place: among the cameras of a drone, of which there are so many."""
+        lens = CAMERA
+        if self.intrinsics is not None:
+            bent = None if self.distortion is None else self.distortion.distortion()
+            lens = PinholeCamera(**self.intrinsics.model_dump(), distortion=bent)
+        mount = BODY_FROM_CAMERA if self.body_from_camera is None else self.body_from_camera.pose()
+        phase = place / of if self.phase is None else self.phase
+        return ScenarioCamera(lens, mount, self.fps, phase, math.radians(self.mounting_sigma_deg))
+
+
+def _listed(found: object) -> object:
+    """One table [camera] as a list of one, with its own keys in what is wrong with it."""
+    if not isinstance(found, list | tuple):
+        return (ScenarioCameraSection.model_validate(found),)
+    if not 1 <= len(found) <= MAX_CAMERAS:
+        raise ValueError(f"{len(found)} cameras, expected 1 to {MAX_CAMERAS}")
+    return found
+
+
+Cameras = Annotated[tuple[ScenarioCameraSection, ...], BeforeValidator(_listed)]
 
 
 class AgentsSection(Section):
@@ -506,7 +562,7 @@ class ScenarioFile(Section):
     codes_s: tuple[NotNegative, ...] = Field(
         default=(), description="when all drones sway by their codes, world time, s"
     )
-    camera: ScenarioCameraSection = ScenarioCameraSection()
+    camera: Cameras = (ScenarioCameraSection(),)
     agents: AgentsSection = AgentsSection()
     clocks: ClocksSection = ClocksSection()
     detector: ParameterSection = ParameterSection()
@@ -701,7 +757,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         name=name,
         about=file.about,
         seconds=file.seconds,
-        fps=file.camera.fps,
+        cameras=tuple(camera.camera(place, len(file.camera)) for place, camera in enumerate(file.camera)),
         imu_rate_hz=agents.imu_rate_hz,
         tracks_hz=agents.tracks_hz,
         detector=DetectorParameters(**file.detector.parameters),

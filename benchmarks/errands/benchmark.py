@@ -73,10 +73,11 @@ def scenario_of_seed(p: Programme, seed: int) -> Scenario:
     scenario = load_scenario(NAME, seed=seed, drones=p.drones[seed % len(p.drones)])
     chance = scenario.world.chance("errand bench")
     late = {d: float(chance.uniform(-LATEST_S, LATEST_S)) for d in scenario.members}
+    fps = float(chance.uniform(*(RENDERED_FPS if p.rendered else FPS)))
     return replace(
         scenario,
         camera_offset_s=late,
-        fps=float(chance.uniform(*(RENDERED_FPS if p.rendered else FPS))),
+        cameras=tuple(replace(camera, fps=fps) for camera in scenario.cameras),
         imu_rate_hz=IMU_HZ,
         ghosts=scenario.ghosts if p.ghosts and not p.rendered else (),
     )

@@ -140,7 +140,7 @@ class FlightJudge:
 
     def __init__(self, scenario: Scenario, swarm: VirtualSwarm) -> None:
         self._swarm = swarm
-        self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+        self._truth = SwarmTruth(scenario.world, scenario.cameras)
         self._camera = scenario.camera
         self._scorer = SwarmScorer(scenario.members, start=0.0, end=scenario.seconds)
         self._judged: dict[int, int] = {}

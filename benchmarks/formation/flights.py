@@ -25,7 +25,13 @@ from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.response import ARDUPILOT, SetPoint, Triple
-from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, DRIFT_M, Scenario, announced_starts
+from swarmtrack.simulation.scenarios import (
+    BODY_FROM_CAMERA,
+    DRIFT_M,
+    Scenario,
+    ScenarioCamera,
+    announced_starts,
+)
 from swarmtrack.simulation.sensors import DetectorParameters, visible
 from swarmtrack.simulation.star import arc
 from swarmtrack.simulation.trajectory import wander
@@ -177,9 +183,9 @@ class FormationFlight(VirtualSwarm):
         seen = visible(scenario.world, LEADER + 1, scenario.camera, scenario.body_from_camera, now)
         return INTRUDER in seen
 
-    def _scan(self, drone_id: int, index: int) -> None:
+    def _scan(self, drone_id: int, camera: int, index: int) -> None:
         if drone_id != LEADER:
-            super()._scan(drone_id, index)
+            super()._scan(drone_id, camera, index)
 
 
 def leader_velocity(t: float, speed: float) -> Triple:
@@ -221,9 +227,7 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
     return Scenario(
         strangers=frozenset(drones) - frozenset(slots),
         world=world,
-        camera=CAMERA,
-        body_from_camera=BODY_FROM_CAMERA,
-        fps=FPS,
+        cameras=(ScenarioCamera(CAMERA, BODY_FROM_CAMERA, FPS),),
         imu_rate_hz=IMU_HZ,
         detector=DetectorParameters(
             p_detection=plan.p_detection, centre_sigma=2.6, size_sigma=plan.size_white, clutter_per_frame=0.1

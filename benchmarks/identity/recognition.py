@@ -67,7 +67,7 @@ def judge(
     swarm: VirtualSwarm, flown: Scenario, seconds: float, see: Callable[[Glance], None] | None = None
 ) -> Flight:
     """Let the swarm fly, and judge it by the truth of `flown`. see: told of every glance, once it is judged."""
-    truth = SwarmTruth(flown.world, flown.camera, flown.body_from_camera)
+    truth = SwarmTruth(flown.world, flown.cameras)
     scorer = SwarmScorer(flown.members, start=0.0, end=seconds)
     judged: dict[int, int] = {}
     for look in swarm.fly(seconds):
@@ -80,7 +80,9 @@ def judge(
         judged[look.observer] = index
         view = truth.view(look.observer, look.t)
         tracks = confirmed_tracks(look.tracks)
-        glance = Glance(look.observer, "virtual", index, look.t, view.in_view, view.hidden, tracks)
+        glance = Glance(
+            look.observer, "virtual", index, look.t, view.in_view, view.hidden, tracks, view.cameras
+        )
         scorer.add(glance)
         if see is not None:
             see(glance)

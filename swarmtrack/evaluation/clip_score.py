@@ -108,8 +108,14 @@ def match_hits(
     """The hits of one frame: rows (k,) of truth, columns (k,) of tracks, distance (k,) px. min_radius: px."""
     distance = np.linalg.norm(truth.centre[:, None] - tracks.centre[None], axis=2)
     radius = np.maximum(min_radius, 0.5 * truth.size.max(axis=1, initial=0.0))
-    allowed = distance <= radius[:, None]
+    return match_distances(distance, np.broadcast_to(radius[:, None], distance.shape))
+
+
+def match_distances(distance: Array, radius: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """As `match_hits`, from the distance of each truth to each track and the radius of a hit, both (n, m) px; inf
+    where a track cannot be compared with a truth."""
+    allowed = distance <= radius
     # One hit must outweigh any sum of distances, so that a second hit is never given up for a closer first one.
-    hit = 1.0 + float(radius.sum())
+    hit = 1.0 + float(radius.max(axis=1, initial=0.0).sum())
     rows, columns = most_likely_matching(np.where(allowed, hit - distance, -np.inf))
     return rows, columns, distance[rows, columns]

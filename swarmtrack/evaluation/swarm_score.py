@@ -23,7 +23,8 @@ starts that second again, and so do a new life of the observer's process and, fo
 * time to identify, of an observer: the longest, over the teammates it saw, from the later of "first in view" and
   "announcement known" to the first right name; up to the end where that never came. A stay in view below `GRACE` in
   which no name was given is no chance missed. It is taken from all glances, also those before `start`.
-* RMSE: of the matched tracks against the centres of the true boxes. Recall: matched, of the drones in view.
+* RMSE: of the matched tracks against the centres of the true boxes, in the pixels of each track's camera. Recall:
+  matched, of the drones in view.
 * false tracks: each confirmed track once, that in some glance matched no drone; per second of one observer's time.
 * switches: a drone in view is matched to another track than last time by the same process, or named by another name
   than its last name. Both at once are one.
@@ -39,7 +40,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.evaluation.clip_score import TrackPoints, TruthBoxes, match_hits
+from swarmtrack.evaluation.clip_score import match_distances
 from swarmtrack.messages import FOREIGN, Array, Identity, TrackList, TrackStatus
 
 GRACE = 1.0  # s that an observer has to recognise who came into view
@@ -48,7 +49,8 @@ MIN_HIT_RADIUS = 15.0  # px: a track further off than this, and than half the bo
 
 
 class NamedTrack(NamedTuple):
-    """A confirmed track as its observer published it; centre in undistorted pixels. proved: its name, by motion."""
+    """A confirmed track as its observer published it; centre in undistorted pixels of its camera. proved: its name, by
+    motion."""
 
     id: int
     identity: Identity
@@ -56,6 +58,7 @@ class NamedTrack(NamedTuple):
     u: float
     v: float
     proved: bool = False
+    camera: int = 0
 
 
 def confirmed_tracks(tracks: TrackList) -> tuple[NamedTrack, ...]:
@@ -68,6 +71,7 @@ def confirmed_tracks(tracks: TrackList) -> tuple[NamedTrack, ...]:
             float(named.track.mean[0]),
             float(named.track.mean[2]),
             named.proof is not None,
+            named.track.camera,
         )
         for named in tracks.tracks
         if named.track.status is TrackStatus.CONFIRMED
@@ -79,8 +83,9 @@ class Glance:
     """One observer at one instant.
 
     index: of the instant, equal for all observers (⌊t · RATE_HZ⌋); t: the exact world time of what it said [s]; boot:
-    one life of its process. in_view, hidden: true boxes (4,) [u, v, w, h] undistorted px of the drones that it can
-    see, and of those before it that it cannot. tracks: None where it said nothing.
+    one life of its process. in_view, hidden: true boxes (4,) [u, v, w, h] undistorted px of the drones that it can see,
+    and of those before it that it cannot. tracks: None where it said nothing. cameras: of an observer with several, the
+    boxes in the pixels of each, of all that are ahead of it; empty: one camera, whose boxes those two have.
     """
 
     observer: int
@@ -90,6 +95,13 @@ class Glance:
     in_view: Mapping[int, Array]
     hidden: Mapping[int, Array]
     tracks: tuple[NamedTrack, ...] | None
+    cameras: tuple[Mapping[int, Array], ...] = ()
+
+    def box(self, drone_id: int, camera: int) -> Array | None:
+        """(4,) of a drone in the pixels of a camera; None where it is not ahead of it."""
+        if self.cameras:
+            return self.cameras[camera].get(drone_id) if camera < len(self.cameras) else None
+        return self.in_view.get(drone_id, self.hidden.get(drone_id))
 
 
 class JudgedTrack(NamedTuple):
@@ -208,7 +220,7 @@ class SwarmScorer:
         acquaintances = self._lives[life]
         for drone_id in acquaintances.keys() - glance.in_view.keys():
             acquaintances[drone_id].leave(glance.t, self._known_at(life, drone_id))
-        for drone_id, box in glance.in_view.items():
+        for drone_id in glance.in_view:
             track = tracks[pairs[drone_id]] if drone_id in pairs else None
             acquaintance = acquaintances.setdefault(drone_id, _Acquaintance())
             acquaintance.arrive(glance.t)
@@ -218,7 +230,7 @@ class SwarmScorer:
             if counted and self._is_due(drone_id, acquaintance, glance.t):
                 self._switches += switched
                 named = self._as_heard(life, drone_id, track, glance.t)
-                self._count(glance, drone_id, box, named, ghosts.get(drone_id))
+                self._count(glance, drone_id, named, ghosts.get(drone_id))
         return _seen(glance, tracks, pairs)
 
     def score(self) -> SwarmScore:
@@ -262,13 +274,12 @@ class SwarmScorer:
         return track if t - self._known_at(life, drone_id) >= GRACE else track._replace(identity=None)
 
     def _count(
-        self, glance: Glance, drone_id: int, box: Array, track: NamedTrack | None, ghost: NamedTrack | None
+        self, glance: Glance, drone_id: int, track: NamedTrack | None, ghost: NamedTrack | None
     ) -> None:
         """ghost: a track that is nobody and bears the drone's ID."""
         self._drones += 1
         if track is not None:
-            error = (track.u - box[0]) ** 2 + (track.v - box[1]) ** 2
-            self._squared_errors[glance.observer].append(float(error))
+            self._squared_errors[glance.observer].append(_distance(glance, drone_id, track) ** 2)
             if track.identity is not None:
                 self._names[glance.index, drone_id].append(track.identity)
             if track.identity == drone_id:
@@ -327,42 +338,50 @@ def _match(glance: Glance, tracks: Mapping[int, NamedTrack], before: Mapping[int
     pairs = {
         drone_id: track_id
         for drone_id, track_id in before.items()
-        if drone_id in boxes and track_id in tracks and _fits(boxes[drone_id], tracks[track_id])
+        if drone_id in boxes and track_id in tracks and _fits(glance, drone_id, tracks[track_id])
     }
     for candidates in (glance.in_view, glance.hidden):
         drones = [drone_id for drone_id in candidates if drone_id not in pairs]
         free = [track for track in tracks.values() if track.id not in pairs.values()]
-        pairs.update(_nearest(drones, [candidates[drone_id] for drone_id in drones], free))
+        pairs.update(_nearest(glance, drones, free))
     return pairs
 
 
 def _nearest(
-    drones: Sequence[int], boxes: Sequence[Array], tracks: Sequence[NamedTrack]
+    glance: Glance, drones: Sequence[int], tracks: Sequence[NamedTrack]
 ) -> Iterator[tuple[int, int]]:
     """(drone, track id): as many as possible, then the smallest sum of distances."""
     if not drones or not tracks:
         return
-    truth = np.asarray(boxes, dtype=float)
-    labelled = TruthBoxes(np.array(drones), truth[:, :2], truth[:, 2:])
-    points = TrackPoints(np.array([t.id for t in tracks]), np.array([(t.u, t.v) for t in tracks]))
-    rows, columns, _ = match_hits(labelled, points, MIN_HIT_RADIUS)
+    distance = np.array([[_distance(glance, drone_id, track) for track in tracks] for drone_id in drones])
+    radius = np.array([[_radius(glance, drone_id, track) for track in tracks] for drone_id in drones])
+    rows, columns, _ = match_distances(distance, radius)
     for row, column in zip(rows, columns, strict=True):
         yield drones[row], tracks[column].id
 
 
-def _fits(box: Array, track: NamedTrack) -> bool:
-    radius = max(MIN_HIT_RADIUS, 0.5 * max(box[2], box[3]))
-    return bool(math.hypot(track.u - box[0], track.v - box[1]) <= radius)
+def _fits(glance: Glance, drone_id: int, track: NamedTrack) -> bool:
+    return _distance(glance, drone_id, track) <= _radius(glance, drone_id, track)
+
+
+def _distance(glance: Glance, drone_id: int, track: NamedTrack) -> float:
+    """px, in the track's camera; inf where the drone is not ahead of that."""
+    box = glance.box(drone_id, track.camera)
+    return math.inf if box is None else math.hypot(track.u - box[0], track.v - box[1])
+
+
+def _radius(glance: Glance, drone_id: int, track: NamedTrack) -> float:
+    """Of a hit, px."""
+    box = glance.box(drone_id, track.camera)
+    return MIN_HIT_RADIUS if box is None else max(MIN_HIT_RADIUS, 0.5 * float(max(box[2], box[3])))
 
 
 def _seen(glance: Glance, tracks: Mapping[int, NamedTrack], pairs: Mapping[int, int]) -> list[JudgedTrack]:
-    boxes = {**glance.in_view, **glance.hidden}
     drone_of = {track_id: drone_id for drone_id, track_id in pairs.items()}
     seen = []
     for track in tracks.values():
         drone_id = drone_of.get(track.id)
-        box = None if drone_id is None else boxes[drone_id]
-        error = math.nan if box is None else math.hypot(track.u - box[0], track.v - box[1])
+        error = math.nan if drone_id is None else _distance(glance, drone_id, track)
         seen.append(JudgedTrack(track, drone_id, error))
     return seen
 

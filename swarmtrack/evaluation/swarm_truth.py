@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
+from swarmtrack.simulation.scenarios import ScenarioCamera
 from swarmtrack.simulation.sensors import shown
 from swarmtrack.simulation.world import World
 
@@ -20,28 +22,44 @@ STEP_S = 0.5 / KNOTS_HZ
 
 
 class TrueView(NamedTuple):
-    """True boxes (4,) [u, v, w, h], centre and size, undistorted px: of drones in view, and of those ahead but not."""
+    """True boxes (4,) [u, v, w, h], centre and size, undistorted px: of drones in view of any camera, and of those
+    ahead of one but not in view of any, in the pixels of the first camera for which that holds. cameras: of each
+    camera, of all that are ahead of it, seen or not."""
 
     in_view: dict[int, Array]
     hidden: dict[int, Array]
+    cameras: tuple[dict[int, Array], ...]
 
 
 class SwarmTruth:
     """`simulation.sensors.visible` for every observer of a world, in undistorted pixels, with the hidden ones."""
 
-    def __init__(self, world: World, camera: PinholeCamera, body_from_camera: Pose) -> None:
+    def __init__(self, world: World, cameras: Sequence[ScenarioCamera]) -> None:
+        """cameras: of every observer, in the order in which tracks count them."""
         self._world = world
-        self._camera = camera
-        self._body_from_camera = body_from_camera
+        self._cameras = tuple(cameras)
         self._drones = list(world.drones)
         self._outlines = np.array([world.airframe(drone_id).outline() for drone_id in self._drones])
         self._knots: dict[int, Array] = {}
 
     def view(self, observer: int, t: float) -> TrueView:
         """At world time t [s]."""
-        camera = self._camera
-        camera_from_world = (self._world.pose(observer, t) @ self._body_from_camera).inverse()
-        world_points = self._points(t)
+        eye, world_points = self._world.pose(observer, t), self._points(t)
+        views = [self._seen_by(camera, observer, eye, world_points) for camera in self._cameras]
+        in_view, ahead = dict[int, Array](), dict[int, Array]()
+        for seen, others in views:
+            in_view |= {drone_id: box for drone_id, box in seen.items() if drone_id not in in_view}
+            ahead |= {drone_id: box for drone_id, box in others.items() if drone_id not in ahead}
+        hidden = {drone_id: box for drone_id, box in ahead.items() if drone_id not in in_view}
+        return TrueView(in_view, hidden, tuple({**seen, **others} for seen, others in views))
+
+    def _seen_by(
+        self, mounted: ScenarioCamera, observer: int, eye: Pose, world_points: Array
+    ) -> tuple[dict[int, Array], dict[int, Array]]:
+        """Boxes by drone, nearest first: of those in view of one camera, and of the others ahead of it. eye: of the
+        observer's body."""
+        camera = mounted.lens
+        camera_from_world = (eye @ mounted.body_from_camera).inverse()
         n, per_drone, _ = world_points.shape
         points = camera_from_world.transform(world_points.reshape(-1, 3))
         pixels, _, valid = camera.project(points)
@@ -55,12 +73,12 @@ class SwarmTruth:
                 boxes[self._drones[row]] = np.concatenate([(low + high) / 2.0, high - low])
         in_view = shown(boxes, camera)
         hidden = {drone_id: box for drone_id, box in boxes.items() if drone_id not in in_view}
-        return TrueView(self._undistorted(in_view), self._undistorted(hidden))
+        return _undistorted(camera, in_view), _undistorted(camera, hidden)
 
     def relative(self, observer: int, drone_id: int, t: float) -> Array:
-        """(6,): a drone's position less that of the observer's camera [m], and its velocity less the observer's [m/s],
-        world frame."""
-        camera = self._world.pose(observer, t) @ self._body_from_camera
+        """(6,): a drone's position less that of the observer's first camera [m], and its velocity less the observer's
+        [m/s], world frame."""
+        camera = self._world.pose(observer, t) @ self._cameras[0].body_from_camera
         before, after = (
             self._world.pose(drone_id, at).position - self._world.pose(observer, at).position
             for at in (t - STEP_S, t + STEP_S)
@@ -84,13 +102,14 @@ class SwarmTruth:
             )
         return self._knots[knot]
 
-    def _undistorted(self, boxes: dict[int, Array]) -> dict[int, Array]:
-        """The centre moves as a point does; the size stays."""
-        if self._camera.distortion is None or not boxes:
-            return boxes
-        centres = self._camera.undistort(np.array([box[:2] for box in boxes.values()]))
-        return {
-            drone_id: np.concatenate([centre, box[2:]])
-            for (drone_id, box), centre in zip(boxes.items(), centres, strict=True)
-            if np.isfinite(centre).all()
-        }
+
+def _undistorted(camera: PinholeCamera, boxes: dict[int, Array]) -> dict[int, Array]:
+    """The centre moves as a point does; the size stays."""
+    if camera.distortion is None or not boxes:
+        return boxes
+    centres = camera.undistort(np.array([box[:2] for box in boxes.values()]))
+    return {
+        drone_id: np.concatenate([centre, box[2:]])
+        for (drone_id, box), centre in zip(boxes.items(), centres, strict=True)
+        if np.isfinite(centre).all()
+    }

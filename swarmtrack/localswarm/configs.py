@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -23,8 +24,9 @@ MAX_FRAME_AGE_S = 0.15  # beyond it a frame says more of where a drone was than 
 class Sources:
     """Where a drone finds its sensors: the values of camera.source and autopilot.link.
 
-    system_id: of its autopilot, None for whichever is heard. start: drone.start as TOML, None where the scenario tells
-    it. max_frame_age_s: how late a frame may come.
+    camera: of the first one; more_cameras: of the others, in the order of the scenario. system_id: of its autopilot,
+    None for whichever is heard. start: drone.start as TOML, None where the scenario tells it. max_frame_age_s: how late
+    a frame may come.
     """
 
     camera: str
@@ -32,6 +34,11 @@ class Sources:
     system_id: int | None = None
     start: str | None = None
     max_frame_age_s: float = MAX_FRAME_AGE_S
+    more_cameras: tuple[str, ...] = ()
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        return (self.camera, *self.more_cameras)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +160,6 @@ def _formation(star: Star) -> str:
 
 
 def _drone_file(scenario: Scenario, drone_id: int, sources: Sources, radio: RadioEnds | None) -> str:
-    lens, mount = scenario.camera, scenario.body_from_camera
-    rpy = np.degrees(rotation.to_euler(mount.rotation @ rotation.BODY_FROM_FORWARD_CAMERA.T))
     start = sources.start
     if start is None:
         announced = scenario.announced[drone_id]
@@ -163,18 +168,11 @@ def _drone_file(scenario: Scenario, drone_id: int, sources: Sources, radio: Radi
             f"position_sigma_m = {announced.position_sigma_m:g} }}"
         )
     system = "" if sources.system_id is None else f"system_id = {sources.system_id}\n"
-    intrinsics = ", ".join(
-        f"{name} = {value:g}"
-        for name, value in (
-            ("fx", lens.fx), ("fy", lens.fy), ("cx", lens.cx), ("cy", lens.cy),
-            ("width", lens.width), ("height", lens.height),
-        )
-    )  # fmt: skip
-    distortion = ""
-    if lens.distortion is not None:
-        model = type(lens.distortion).__name__.lower()
-        coefficients = _numbers(lens.distortion.coefficients, digits=9)
-        distortion = f"\ndistortion = {{ model = {_text(model)}, coefficients = {coefficients} }}"
+    several = len(scenario.cameras) > 1
+    cameras = "\n".join(
+        _camera_table(scenario, drone_id, number, source, sources.max_frame_age_s, several=several)
+        for number, source in enumerate(sources.cameras)
+    )
     network = ""
     if radio is not None:
         network = f"""
@@ -193,15 +191,41 @@ id = {drone_id}
 # A pose that is right whenever the agent (re)starts: by the autopilot, from where the drone was measured to stand.
 start = {start}
 
-[camera]
-source = {_text(sources.camera)}
-intrinsics = {{ {intrinsics} }}{distortion}
-body_from_camera = {{ rpy_deg = {_numbers(rpy)}, position_m = {_numbers(mount.position)} }}
-max_age_s = {sources.max_frame_age_s}
-
+{cameras}
 [autopilot]
 link = {_text(sources.autopilot)}
 {system}{network}"""
+
+
+def _camera_table(
+    scenario: Scenario, drone_id: int, number: int, source: str, max_age_s: float, *, several: bool
+) -> str:
+    """[camera], or of several one [[camera]]."""
+    camera = scenario.cameras[number]
+    lens, mount = camera.lens, scenario.told_mounting(drone_id, number)
+    rpy = np.degrees(rotation.to_euler(mount.rotation @ rotation.BODY_FROM_FORWARD_CAMERA.T))
+    intrinsics = ", ".join(
+        f"{name} = {value:g}"
+        for name, value in (
+            ("fx", lens.fx), ("fy", lens.fy), ("cx", lens.cx), ("cy", lens.cy),
+            ("width", lens.width), ("height", lens.height),
+        )
+    )  # fmt: skip
+    distortion = ""
+    if lens.distortion is not None:
+        model = type(lens.distortion).__name__.lower()
+        coefficients = _numbers(lens.distortion.coefficients, digits=9)
+        distortion = f"\ndistortion = {{ model = {_text(model)}, coefficients = {coefficients} }}"
+    sigma = ""
+    if camera.mounting_sigma > 0.0:
+        sigma = f"mounting_sigma_deg = {math.degrees(camera.mounting_sigma):g}\n"
+    return f"""\
+{"[[camera]]" if several else "[camera]"}
+source = {_text(source)}
+intrinsics = {{ {intrinsics} }}{distortion}
+body_from_camera = {{ rpy_deg = {_numbers(rpy)}, position_m = {_numbers(mount.position)} }}
+{sigma}max_age_s = {max_age_s}
+"""
 
 
 def _text(value: str) -> str:

@@ -283,11 +283,14 @@ class _SwarmFlight:
             seconds += WORD_S
             self._spectator.note(f"waiting for {what}: {count} drones, {seconds:.0f} s …")
 
-    def _sources(self, drones: dict[str, dict[str, str]]) -> dict[int, Sources]:
+    def _sources(self, drones: dict[str, dict[str, Any]]) -> dict[int, Sources]:
         """Where each agent finds its sensors. drones: as the simulator says it."""
         outside = self._flown.outside
         if outside is None:
-            return {int(n): Sources(one["camera"], one["autopilot"]) for n, one in drones.items()}
+            return {
+                int(n): Sources(one["camera"], one["autopilot"], more_cameras=tuple(one["cameras"][1:]))
+                for n, one in drones.items()
+            }
         return {
             drone_id: Sources(
                 drones[str(drone_id)]["camera"],

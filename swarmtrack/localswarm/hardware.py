@@ -31,6 +31,7 @@ from swarmtrack.simulation.senses import DroneSenses
 from swarmtrack.simulation.sensors import ImuParameters
 from swarmtrack.simulation.star import Star
 from swarmtrack.simulation.truth import DroneTruth
+from swarmtrack.simulation.world import frame_numbers
 
 TICK = 0.002  # s: autopilots that have something to say within it are served together
 # Cameras expose in so many groups: one after another for the processor, together for the world.
@@ -46,6 +47,12 @@ AUTOPILOT_PORTS = {"autopilot": 0, "ground": 1000, "truth": 2000}
 ARDUPILOT_GPS, PX4_GPS = (0.8, 1.2), (0.9, 1.78)
 HOLDS_S = 1.0  # in LOITER, before a follower is engaged
 AUTOPILOT_FAULTS = (FaultKind.IMU_GAP, FaultKind.AUTOPILOT_REBOOT)
+
+
+Cameras = dict[tuple[int, int], "CameraHardware"]
+"""By drone and number."""
+Addresses = dict[int, dict[str, str | list[str]]]
+"""Where each drone's parts are: `cameras`, of which the first one is also `camera`, and the ports of its autopilot."""
 
 
 class CameraClient:
@@ -93,22 +100,27 @@ class OwnTime:
 
 
 class CameraHardware:
-    """Exposes on time, as long as somebody watches; a picture is shown when it is made.
+    """One camera of a drone. Exposes on time, as long as somebody watches; a picture is shown when it is made.
 
-    make: what is sent of the exposure (index, t), t in world time. An exposure that falls due while the last one is
-    still being made is skipped, as in a camera that cannot keep its rate. So is one of which nobody told the truth.
+    make: what is sent of the exposure (drone, camera, index, t), t in world time. An exposure that falls due while the
+    last one is still being made is skipped, as in a camera that cannot keep its rate. So is one of which nobody told
+    the truth.
     """
 
     def __init__(
         self,
         drone_id: int,
+        number: int,
         scenario: Scenario,
         time: WorldTime,
-        make: Callable[[int, int, float], Awaitable[bytes]],
+        make: Callable[[int, int, int, float], Awaitable[bytes]],
     ) -> None:
+        """number: which of the drone's cameras it is."""
         self._drone_id = drone_id
-        self._fps = scenario.fps
-        self._phase = (drone_id % SHUTTER_GROUPS) / SHUTTER_GROUPS
+        self._number = number
+        camera = scenario.cameras[number]
+        self._fps = camera.fps
+        self._phase = (drone_id % SHUTTER_GROUPS) / SHUTTER_GROUPS + camera.phase
         self._stalls = tuple(f for f in scenario.faults if f.kind is FaultKind.CAMERA_STALL)
         self._time = time
         self._make = make
@@ -125,7 +137,7 @@ class CameraHardware:
             if any(stall.concerns(self._drone_id, t) for stall in self._stalls):
                 continue
             try:
-                part = await self._make(self._drone_id, index, t)
+                part = await self._make(self._drone_id, self._number, index, t)
             except NotTold:
                 continue
             for watcher in self._watchers:
@@ -159,23 +171,27 @@ class CameraRenderer:
         self._encode = functools.partial(
             cv2.imencode, ".jpg", params=[cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
         )
-        self._renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+        self._renderers = [
+            Renderer(scenario.world, camera.lens, camera.body_from_camera, number=number)
+            for number, camera in enumerate(scenario.cameras)
+        ]
         self._scenario = scenario
         self._epoch = epoch
         self._workers = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="renderer")
 
-    async def make(self, drone_id: int, index: int, t: float) -> bytes:
+    async def make(self, drone_id: int, camera: int, index: int, t: float) -> bytes:
         loop = asyncio.get_running_loop()
-        jpeg = await loop.run_in_executor(self._workers, self._photograph, drone_id, index, t)
+        jpeg = await loop.run_in_executor(self._workers, self._photograph, drone_id, camera, index, t)
         head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n"
         stamp = self._epoch + t + self._scenario.camera_offset_s.get(drone_id, 0.0)
         return f"{head}X-Timestamp: {stamp:.6f}\r\n\r\n".encode() + jpeg + b"\r\n"
 
-    def _photograph(self, drone_id: int, index: int, t: float) -> bytes:
-        image = self._renderer.image(drone_id, t, index)
+    def _photograph(self, drone_id: int, camera: int, index: int, t: float) -> bytes:
+        image = self._renderers[camera].image(drone_id, t, index)
         birds = self._scenario.extra_clutter(drone_id, t)
         if birds:
-            draw_birds(image, birds, self._scenario.world.chance("birds", drone_id, index))
+            chance = self._scenario.world.chance("birds", *frame_numbers(drone_id, camera, index))
+            draw_birds(image, birds, chance)
         return bytes(self._encode(image)[1])
 
     def close(self) -> None:
@@ -192,10 +208,11 @@ class OracleCamera:
         self._oracle = OracleDetector(scenario)
         self._stamps_late = scenario.camera_offset_s
         self._epoch = epoch
-        self._sequences: dict[int, int] = {}  # of each camera's first frame
+        # Of each camera's first frame, by drone and camera.
+        self._sequences: dict[tuple[int, int], int] = {}
 
-    async def make(self, drone_id: int, index: int, t: float) -> bytes:
-        found = self._oracle.detections(drone_id, index, t)
+    async def make(self, drone_id: int, camera: int, index: int, t: float) -> bytes:
+        found = self._oracle.detections(drone_id, index, t, camera)
         rows = [
             [*(round(value, 3) for value in (*centre, *size)), round(score, 4)]
             for centre, size, score in zip(
@@ -203,7 +220,7 @@ class OracleCamera:
             )
         ]
         stamp = self._epoch + t + self._stamps_late.get(drone_id, 0.0)
-        sequence = index - self._sequences.setdefault(drone_id, index)
+        sequence = index - self._sequences.setdefault((drone_id, camera), index)
         line = {"t_s": round(stamp, 6), "sequence": sequence, "detections": rows}
         await asyncio.sleep(DETECTION_TIME)
         return json.dumps(line).encode() + b"\n"
@@ -373,7 +390,7 @@ async def simulate(
     port: int,
     flown: Mapping[str, Any],
     clock: Clock,
-    on_ready: Callable[[dict[int, dict[str, str]], str | None], None],
+    on_ready: Callable[[Addresses, str | None], None],
 ) -> None:
     """Run it all until cancelled.
 
@@ -387,7 +404,7 @@ async def simulate(
     followers = Followers()
     images = OracleCamera(scenario, epoch) if oracle else CameraRenderer(scenario, epoch)
     time = OwnTime(clock, epoch)
-    cameras = {n: CameraHardware(n, scenario, time, images.make) for n in scenario.members}
+    cameras = make_cameras(scenario, time, images.make)
     autopilots = {n: make_autopilot(scenario, n, epoch, clock.now()) for n in scenario.members}
     async with AsyncExitStack() as stack:
         stack.callback(images.close)
@@ -401,10 +418,10 @@ async def simulate(
             truth=followers.lines if guided else None,
         )
         ports: list[AutopilotPort] = []
-        addresses: dict[int, dict[str, str]] = {}
+        addresses: Addresses = {}
         for n, autopilot in autopilots.items():
             siblings: list[AutopilotPort] = []
-            addresses[n] = {"camera": f"{images.scheme}://{authority(http)}/{n}"}
+            addresses[n] = camera_addresses(images.scheme, http, scenario, n)
             for k, (name, above) in enumerate(AUTOPILOT_PORTS.items()):
                 transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
                     functools.partial(AutopilotPort, autopilot, k, clock, siblings),
@@ -415,8 +432,8 @@ async def simulate(
             ports += siblings
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(keep_speaking(ports, clock), name="autopilots")
-            for n, camera in cameras.items():
-                tasks.create_task(camera.run(), name=f"camera {n}")
+            for (n, k), camera in cameras.items():
+                tasks.create_task(camera.run(), name=f"camera {k} of {n}")
             for fault in scenario.faults:
                 if fault.kind in AUTOPILOT_FAULTS and epoch + fault.at_s > clock.now():
                     tasks.create_task(play(fault, autopilots, epoch, clock), name=str(fault.kind))
@@ -440,9 +457,29 @@ async def tell_truth(drones: Mapping[int, GuidedDrone], followers: Followers, ti
         await asyncio.sleep(TRUTH_EVERY)
 
 
+def make_cameras(
+    scenario: Scenario, time: WorldTime, make: Callable[[int, int, int, float], Awaitable[bytes]]
+) -> Cameras:
+    """All of everybody who has an agent."""
+    return {
+        (n, k): CameraHardware(n, k, scenario, time, make)
+        for n in scenario.members
+        for k in range(len(scenario.cameras))
+    }
+
+
+def camera_addresses(
+    scheme: str, server: tuple[Any, ...], scenario: Scenario, drone_id: int
+) -> dict[str, str | list[str]]:
+    """Where a drone's cameras are served."""
+    first = f"{scheme}://{authority(server)}/{drone_id}"
+    cameras = [first, *(f"{first}/{k}" for k in range(1, len(scenario.cameras)))]
+    return {"camera": first, "cameras": [*cameras]}
+
+
 async def serve_cameras(
     stack: AsyncExitStack,
-    cameras: dict[int, CameraHardware],
+    cameras: Cameras,
     content_type: str,
     address: tuple[str, int],
     *,
@@ -450,16 +487,21 @@ async def serve_cameras(
     flown: Mapping[str, Any],
     truth: Callable[[], AsyncIterator[bytes]] | None = None,
 ) -> tuple[Any, ...]:
-    """Serve each at /ID, at / what is flown and when, and at /truth its lines; returns the socket's address."""
+    """Serve each at /ID/NUMBER, the first one of a drone at /ID as well; at / what is flown and when, and at /truth its
+    lines; returns the socket's address."""
     from aiohttp import web
 
     async def introduce(_: web.Request) -> web.Response:
         return web.json_response({**flown, "world_time_s": time.now()})
 
     async def watch(request: web.Request) -> web.StreamResponse:
-        camera = cameras.get(int(request.match_info["drone"]))
+        drone, number = (int(request.match_info.get(key, 0)) for key in ("drone", "camera"))
+        camera = cameras.get((drone, number))
         if camera is None:
-            raise web.HTTPNotFound(text=f"no such drone here, known: {', '.join(map(str, cameras))}\n")
+            drones = {n: None for n, _ in cameras}
+            if drone not in drones:
+                raise web.HTTPNotFound(text=f"no such drone here, known: {', '.join(map(str, drones))}\n")
+            raise web.HTTPNotFound(text=f"no such camera, known: 0 to {len(cameras) // len(drones) - 1}\n")
         assert request.transport is not None
         request.transport.get_extra_info("socket").setsockopt(
             socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER
@@ -486,6 +528,7 @@ async def serve_cameras(
     application.router.add_get("/", introduce)
     application.router.add_get("/truth", follow)
     application.router.add_get(r"/{drone:\d{1,5}}", watch)
+    application.router.add_get(r"/{drone:\d{1,5}}/{camera:\d}", watch)
     # Without its cancellation, the handler of a client that left would wait for a camera that is stalled.
     runner = web.AppRunner(application, access_log=None, shutdown_timeout=0.1, handler_cancellation=True)
     await runner.setup()

@@ -17,11 +17,13 @@ from typing import Any
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SwarmtrackError, ungrouped
 from swarmtrack.localswarm.hardware import (
-    CameraHardware,
+    Addresses,
     CameraRenderer,
     OracleCamera,
     OwnTime,
     authority,
+    camera_addresses,
+    make_cameras,
     serve_cameras,
 )
 from swarmtrack.localswarm.truth_feed import Followers, said, told
@@ -144,7 +146,7 @@ async def simulate_outside(
     port: int,
     flown: Mapping[str, Any],
     clock: Clock,
-    on_ready: Callable[[float, dict[int, dict[str, str]], str], None],
+    on_ready: Callable[[float, Addresses, str], None],
 ) -> None:
     """As `hardware.simulate`, without autopilots; on_ready is told the epoch, and where the truth is passed on, too.
 
@@ -161,7 +163,7 @@ async def simulate_outside(
         outside.begin(epoch)
         images = OracleCamera(scenario, epoch) if oracle else CameraRenderer(scenario, epoch)
         stack.callback(images.close)
-        cameras = {n: CameraHardware(n, scenario, outside.time, images.make) for n in scenario.members}
+        cameras = make_cameras(scenario, outside.time, images.make)
         http = await serve_cameras(
             stack,
             cameras,
@@ -171,12 +173,12 @@ async def simulate_outside(
             flown=flown,
             truth=outside.followers.lines,
         )
-        for n, camera in cameras.items():
-            tasks.create_task(camera.run(), name=f"camera {n}")
+        for (n, k), camera in cameras.items():
+            tasks.create_task(camera.run(), name=f"camera {k} of {n}")
         tasks.create_task(outside.watch(), name="watch")
-        addresses = {
+        addresses: Addresses = {
             n: {
-                "camera": f"{images.scheme}://{authority(http)}/{n}",
+                **camera_addresses(images.scheme, http, scenario, n),
                 "autopilot": world.outsiders[n].link,
             }
             for n in scenario.members

@@ -112,7 +112,7 @@ class Watch:
         self._start, self._end = 0.0, seconds
         self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
         """Tenths of a second that an agent may pass over, publishing at its rate."""
-        self._truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+        self._truth = SwarmTruth(scenario.world, scenario.cameras)
         self._formation = None if scenario.star is None else FormationWatch(scenario, scenario.star)
         self._last_start = math.nan
         self._known: dict[int, dict[int, float]] = {drone_id: {} for drone_id in scenario.members}
@@ -249,6 +249,7 @@ class Watch:
                 track.u_px,
                 track.v_px,
                 track.id in proved,
+                getattr(track, "camera", 0),
             )
             for track in message.tracks
             if track.status == "confirmed"
@@ -328,6 +329,7 @@ class Watch:
                 view.in_view,
                 view.hidden,
                 statement.tracks,
+                view.cameras,
             )
         )
 

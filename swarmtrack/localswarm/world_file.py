@@ -31,7 +31,7 @@ from swarmtrack.scenario_file import DroneId, PlannedFlight
 from swarmtrack.sensors.mavlink.address import parse_address
 from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.followed import KEPT_S, FollowedDrone
-from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA, HOVER_S, Scenario, fly
+from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA, HOVER_S, Scenario, ScenarioCamera, fly
 from swarmtrack.simulation.sensors import DetectorParameters
 from swarmtrack.simulation.world import World
 from swarmtrack.team_config import TeamOrigin
@@ -274,9 +274,7 @@ def _scenario(name: str, file: WorldFile, seed: int | None, outsiders: dict[int,
         name=name,
         about=file.world.about,
         seconds=file.world.seconds,
-        camera=camera,
-        body_from_camera=body_from_camera,
-        fps=file.camera.fps,
+        cameras=(ScenarioCamera(camera, body_from_camera, file.camera.fps),),
         imu_rate_hz=file.agents.imu_rate_hz,
         tracks_hz=file.agents.tracks_hz,
         detector=DetectorParameters(**file.detector.parameters),

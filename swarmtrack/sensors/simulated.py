@@ -53,6 +53,7 @@ class SimulationAddress:
     seed: int = 1
     drones: int | None = None  # how many fly; None: as many as the scenario says
     drone: int | None = None  # None: the ID in the config
+    camera: int = 0  # which of the drone's, in the order of the scenario
     fps: float = 15.0
     latency_ms: float = 30.0  # from exposure to delivery
     imu_hz: float = 200.0
@@ -84,7 +85,7 @@ def parse_address(address: str) -> SimulationAddress:
     for key, low, high in (("fps", 0.1, 1000.0), ("imu_hz", 1.0, 10000.0), ("latency_ms", 0.0, 60000.0)):
         if key in numbers and not low <= numbers[key] <= high:
             raise SourceError(f"{address}: {key}: {numbers[key]:g}, expected {low:g} to {high:g}")
-    for key in ("seed", "drone", "drones"):
+    for key in ("seed", "drone", "drones", "camera"):
         if key in numbers and (numbers[key] != int(numbers[key]) or numbers[key] < 0):
             raise SourceError(f"{address}: {key}: {numbers[key]:g}, expected a whole number from 0")
     if numbers.get("seconds", 1.0) <= 0.0:
@@ -94,6 +95,7 @@ def parse_address(address: str) -> SimulationAddress:
         seed=int(numbers.get("seed", 1)),
         drones=int(numbers["drones"]) if "drones" in numbers else None,
         drone=int(numbers["drone"]) if "drone" in numbers else None,
+        camera=int(numbers.get("camera", 0)),
         fps=numbers.get("fps", 15.0),
         latency_ms=numbers.get("latency_ms", 30.0),
         imu_hz=numbers.get("imu_hz", 200.0),
@@ -112,7 +114,8 @@ class Simulation:
         self._drone_id = drone_id
         self._seed = address.seed
         # Drawing needs textures, which take a while to make: the flight must not begin unseen meanwhile.
-        renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+        mounted = scenario.cameras[address.camera]
+        renderer = Renderer(scenario.world, mounted.lens, mounted.body_from_camera, number=address.camera)
         self.epoch = clock.now() if address.epoch_s is None else address.epoch_s
         timing = _Timing(clock, sleep, self.epoch, math.inf if address.seconds is None else address.seconds)
         self.camera = SimulatedCamera(
@@ -120,6 +123,7 @@ class Simulation:
             drone_id,
             timing,
             fps=address.fps,
+            phase=mounted.phase,
             latency=address.latency_ms / 1000.0,
             stamps_late=scenario.camera_offset_s.get(drone_id, 0.0),
         )
@@ -172,6 +176,9 @@ def open_simulation(
     if chosen not in scenario.world.drones:
         flying = ", ".join(str(drone) for drone in scenario.world.drones)
         raise SourceError(f"{address}: drone {chosen} does not fly in it, expected one of {flying}")
+    if parsed.camera >= len(scenario.cameras):
+        known = len(scenario.cameras) - 1
+        raise SourceError(f"{address}: camera: {parsed.camera}, expected 0 to {known}")
     return Simulation(scenario, chosen, parsed, clock, sleep)
 
 
@@ -203,6 +210,7 @@ class SimulatedCamera:
         timing: _Timing,
         *,
         fps: float,
+        phase: float,
         latency: float,
         stamps_late: float = 0.0,
     ) -> None:
@@ -212,6 +220,7 @@ class SimulatedCamera:
         self._drone_id = drone_id
         self._timing = timing
         self._fps = fps
+        self._phase = phase
         self._latency = latency
         self._stamps_late = stamps_late
         self._delivered: deque[float] = deque(maxlen=31)  # times of exposure
@@ -223,11 +232,11 @@ class SimulatedCamera:
         """The newest frame whose latency has passed, or else the next. Skipped ones are never drawn."""
         timing = self._timing
         # As of a camera that was just switched on: the exposures before are not ours.
-        last = max(math.ceil((timing.world_time() - RESOLUTION) * self._fps), 0) - 1
+        last = max(math.ceil((timing.world_time() - RESOLUTION) * self._fps - self._phase), 0) - 1
         while not self._closed:
-            due = math.floor((timing.world_time() - self._latency + RESOLUTION) * self._fps)
+            due = math.floor((timing.world_time() - self._latency + RESOLUTION) * self._fps - self._phase)
             index = max(last + 1, due)
-            t = index / self._fps
+            t = (index + self._phase) / self._fps
             if t >= timing.seconds:
                 return
             self._dropped += index - last - 1

@@ -12,6 +12,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Detections
 from swarmtrack.simulation.sensors import Instant, detect
+from swarmtrack.simulation.world import frame_numbers
 
 if TYPE_CHECKING:
     from swarmtrack.simulation.scenarios import Ghost, Scenario
@@ -26,23 +27,25 @@ class OracleDetector:
         self._scenario = scenario
         self._instant = lru_cache(maxsize=INSTANTS)(lambda t: Instant(scenario.world, t))
 
-    def detections(self, drone_id: int, index: int, t: float) -> Detections:
-        """Of the frame number `index`, exposed and stamped at world time t."""
+    def detections(self, drone_id: int, index: int, t: float, camera: int = 0) -> Detections:
+        """Of the frame number `index` of a camera by its number, exposed and stamped at world time t. Which camera it
+        was is not said: who listens knows whom."""
         scenario = self._scenario
+        lens, mount = scenario.cameras[camera].lens, scenario.cameras[camera].body_from_camera
+        frame = frame_numbers(drone_id, camera, index)
         clutter = scenario.detector.clutter_per_frame + scenario.extra_clutter(drone_id, t)
         found = detect(
-            self._instant(t).visible(drone_id, scenario.camera, scenario.body_from_camera),
-            scenario.camera,
+            self._instant(t).visible(drone_id, lens, mount),
+            lens,
             dataclasses.replace(scenario.detector, clutter_per_frame=clutter),
-            scenario.world.chance("detector", drone_id, index),
+            scenario.world.chance("detector", *frame),
             t=t,
             sequence=index,
         )
         if not scenario.ghosts:
             return found
-        eye = scenario.world.pose(drone_id, t) @ scenario.body_from_camera
-        chance = scenario.world.chance("ghosts seen", drone_id, index)
-        return _haunted(found, scenario.ghosts, scenario.camera, eye, chance)
+        eye = scenario.world.pose(drone_id, t) @ mount
+        return _haunted(found, scenario.ghosts, lens, eye, scenario.world.chance("ghosts seen", *frame))
 
 
 def _haunted(

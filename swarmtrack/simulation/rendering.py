@@ -28,7 +28,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Image
 from swarmtrack.simulation.airframe import SolidModel, solid_model
 from swarmtrack.simulation.scenery import SHIFT, Backdrop, Scenery
-from swarmtrack.simulation.world import World
+from swarmtrack.simulation.world import World, frame_numbers
 
 FAR = 1000.0  # m: where only turning moves the image
 NEAR = 0.2  # m: whatever reaches nearer to the camera is not drawn
@@ -48,9 +48,17 @@ class Renderer:
     """Draws the frames of one kind of camera in one world. Holds textures and scenery, no state."""
 
     def __init__(
-        self, world: World, camera: PinholeCamera, body_from_camera: Pose, optics: Optics | None = None
+        self,
+        world: World,
+        camera: PinholeCamera,
+        body_from_camera: Pose,
+        optics: Optics | None = None,
+        *,
+        number: int = 0,
     ) -> None:
+        """number: which of the drones' cameras it is; no two have the same noise."""
         self.world = world
+        self._number = number
         self.camera = camera
         self.body_from_camera = body_from_camera
         self.optics = optics or Optics()
@@ -85,7 +93,8 @@ class Renderer:
         for other, pose in others:
             path = self.world.drones[other]
             motion = self._image_motion(ends, np.stack([path.position(t - half), path.position(t + half)]))
-            phases = self.world.chance("rotors", drone_id, other, sequence).uniform(0.0, math.pi, 4)
+            turns = self.world.chance("rotors", drone_id, *frame_numbers(other, self._number, sequence))
+            phases = turns.uniform(0.0, math.pi, 4)
             self._draw_drone(image, self._models[other], eye, pose, phases=phases, motion=motion)
         return self._with_noise(image, drone_id, sequence)
 
@@ -147,7 +156,7 @@ class Renderer:
     def _with_noise(self, image: Image, drone_id: int, sequence: int) -> Image:
         # Fresh normal numbers for every pixel would cost more than all the drawing: a random window of one big
         # sheet has the same statistics and no visible repetition.
-        rng = self.world.chance("noise", drone_id, sequence)
+        rng = self.world.chance("noise", *frame_numbers(drone_id, self._number, sequence))
         row, column = rng.integers(0, 65, 2)
         window = self._grain[row : row + self.camera.height, column : column + self.camera.width]
         return np.asarray(cv2.add(image, np.ascontiguousarray(window), dtype=cv2.CV_8U), dtype=np.uint8)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
@@ -142,19 +143,38 @@ class AnnouncedStart:
     position_sigma_m: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ScenarioCamera:
+    """One of the cameras that every drone carries.
+
+    phase: the share of a frame, 0 to 1, by which its exposures are later than those of a camera at phase 0.
+    mounting_sigma: by how much a drone's config is wrong about its rotation, rad per axis, and says that it may be.
+    """
+
+    lens: PinholeCamera = CAMERA
+    body_from_camera: Pose = BODY_FROM_CAMERA
+    fps: float = 15.0
+    phase: float = 0.0
+    mounting_sigma: float = 0.0
+
+    def exposure(self, index: int) -> float:
+        """World time of frame number `index`, s."""
+        return (index + self.phase) / self.fps
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Scenario:
-    """A world, the camera that every drone in it carries, and what its agents and their machines are like.
+    """A world, the cameras that every drone in it carries, and what its agents and their machines are like.
 
-    origin: where the world's origin lies on the Earth, its height above mean sea level.
-    seconds is its natural length. starts_s: when a drone's agent is started, in world time; 0: before the flight
-    begins. utc_offset_s: how wrong its companion's wall clock is. autopilot_skew: how much faster than true time its
-    autopilot's clock runs (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. camera_offset_s:
-    by how much its camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an
-    ArduPilot that was switched on at world time 0. announces: whether the drones tell each other anything; where they
-    do not, all know `announced` from a file, and codes_s is when all sway by their codes [s]. share_hz: how often they
-    tell how they move; None: never. star: who follows whom by sight; None: nobody. ghosts are for
-    detectors that are not shown pictures; the pictures have houses, poles and trees.
+    origin: where the world's origin lies on the Earth, its height above mean sea level. seconds is its natural
+    length. starts_s: when a drone's agent is started, in world time; 0: before the flight begins. utc_offset_s: how
+    wrong its companion's wall clock is. autopilot_skew: how much faster than true time its autopilot's clock runs
+    (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. camera_offset_s: by how much its
+    camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an ArduPilot that was
+    switched on at world time 0. All cameras of a drone stamp alike. announces: whether the drones tell each other
+    anything; where they do not, all know `announced` from a file, and codes_s is when all sway by their codes [s].
+    share_hz: how often they tell how they move; None: never. star: who follows whom by sight; None: nobody. ghosts
+    are for detectors that are not shown pictures; the pictures have houses, poles and trees.
     """
 
     world: World
@@ -162,9 +182,7 @@ class Scenario:
     name: str = "unnamed"
     about: str = ""
     seconds: float = 30.0
-    camera: PinholeCamera = CAMERA
-    body_from_camera: Pose = BODY_FROM_CAMERA
-    fps: float = 15.0
+    cameras: tuple[ScenarioCamera, ...] = (ScenarioCamera(),)
     imu_rate_hz: float = 200.0
     tracks_hz: float = 100.0
     detector: DetectorParameters = field(default_factory=DetectorParameters)
@@ -188,6 +206,30 @@ class Scenario:
     @property
     def seed(self) -> int:
         return self.world.seed
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The lens of the first camera."""
+        return self.cameras[0].lens
+
+    @property
+    def body_from_camera(self) -> Pose:
+        """Where the first camera sits."""
+        return self.cameras[0].body_from_camera
+
+    @property
+    def fps(self) -> float:
+        """Of the first camera."""
+        return self.cameras[0].fps
+
+    def told_mounting(self, drone_id: int, camera: int) -> Pose:
+        """body_from_camera as the drone's config has it, of a camera by its number: as well as it was measured."""
+        mounted = self.cameras[camera]
+        if mounted.mounting_sigma == 0.0:
+            return mounted.body_from_camera
+        error = mounted.mounting_sigma * self.world.chance("mounting", drone_id, camera).standard_normal(3)
+        true = mounted.body_from_camera
+        return Pose(true.rotation @ rotation.exp(error), true.position)
 
     @property
     def members(self) -> tuple[int, ...]:

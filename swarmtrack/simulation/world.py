@@ -51,6 +51,11 @@ class OwnDrone(Drawn, Protocol):
         ...
 
 
+def frame_numbers(drone_id: int, camera: int, index: int) -> tuple[int, ...]:
+    """What `World.chance` is asked with for one frame: those of the first camera are as if it were the only one."""
+    return (drone_id, index) if camera == 0 else (drone_id, index, camera)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
     """Drones, by their ID, on their trajectories; `seed` decides everything that is left to chance."""

@@ -74,7 +74,7 @@ def scans_of(judge: FlightJudge, truth: SwarmTruth, stays: list[tuple[float, flo
 def test_named_again_counts_from_the_detection_and_only_after_a_time_away() -> None:
     scenario = scenario_of_seed(Programme(drones=(2,)), 1)
     judge = FlightJudge(scenario, VirtualSwarm(scenario))
-    truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+    truth = SwarmTruth(scenario.world, scenario.cameras)
     stays = [
         (0.0, 5.0, 1.0),
         (6.0, 9.0, 8.0),
@@ -90,7 +90,7 @@ def test_named_again_counts_from_the_detection_and_only_after_a_time_away() -> N
 def test_a_name_on_a_house_is_told_with_its_probability_even_while_its_drone_has_no_track() -> None:
     scenario = scenario_of_seed(Programme(drones=(2,)), 1)
     judge = FlightJudge(scenario, VirtualSwarm(scenario))
-    view = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera).view(1, 0.0)
+    view = SwarmTruth(scenario.world, scenario.cameras).view(1, 0.0)
     u, v, *size = view.in_view[2]
     for off_px, probability, coasting_since in ((0.0, 1.0, None), (90.0, 0.97, None), (90.0, 0.99, -0.5)):
         track = Track(
@@ -107,9 +107,7 @@ def test_a_name_on_a_house_is_told_with_its_probability_even_while_its_drone_has
 def test_in_drawn_pictures_the_agents_detector_looks_where_its_drone_expects_a_teammate(monkeypatch) -> None:
     scenario = scenario_of_seed(Programme(drones=(2,), rendered=True), 4)
     in_the_air = 15.0
-    box = (
-        SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera).view(1, in_the_air).in_view[2]
-    )
+    box = SwarmTruth(scenario.world, scenario.cameras).view(1, in_the_air).in_view[2]
     expected = np.array([[*box[:2], 5.0, 5.0, *box[2:]]])
     monkeypatch.setattr(benchmark, "PerceivedExpectation", Expects)
     eyes = benchmark.rendered_eyes(scenario)
@@ -138,7 +136,9 @@ class Expects:
 
 def test_a_rendered_flight_is_flown_once_and_not_compared(monkeypatch) -> None:
     def short(p: Programme, seed: int) -> Scenario:
-        return dataclasses.replace(scenario_of_seed(p, seed), seconds=2.0, fps=5.0)
+        scenario = scenario_of_seed(p, seed)
+        slow = tuple(dataclasses.replace(camera, fps=5.0) for camera in scenario.cameras)
+        return dataclasses.replace(scenario, seconds=2.0, cameras=slow)
 
     monkeypatch.setattr(benchmark, "scenario_of_seed", short)
     programme = Programme(drones=(2,), rendered=True)

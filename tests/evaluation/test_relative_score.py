@@ -39,7 +39,7 @@ def test_honest_covariances_have_a_mean_of_one(too_small):
 
 def test_the_truth_is_what_the_drones_fly():
     scenario = load_scenario("crossing", seed=1)
-    truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+    truth = SwarmTruth(scenario.world, scenario.cameras)
     for t in (3.0, 7.3, 12.9):
         own, other = (scenario.world.flown(drone).motion(t) for drone in (1, 2))
         camera = own.position + own.attitude @ scenario.body_from_camera.position

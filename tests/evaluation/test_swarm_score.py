@@ -14,6 +14,7 @@ from swarmtrack.evaluation.swarm_verdict import Limits, Verdict
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.localswarm.processes import ProcessDied
 from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.scenarios import ScenarioCamera
 from swarmtrack.simulation.sensors import visible
 
 TEAM = (1, 2, 3, 4)
@@ -314,7 +315,7 @@ def test_a_glance_says_who_its_tracks_are_and_how_far_off():
 @pytest.mark.parametrize("name", ["crossing", "fast-yaw", "thirty"])
 def test_the_truth_for_many_is_that_for_one(name):
     scenario = load_scenario(name)
-    truth = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera)
+    truth = SwarmTruth(scenario.world, scenario.cameras)
     for t in (-0.93, 7.01, 12.345):
         for observer in scenario.members[:3]:
             expected = visible(scenario.world, observer, scenario.camera, scenario.body_from_camera, t)
@@ -329,8 +330,8 @@ def test_the_truth_is_in_undistorted_pixels():
     scenario = load_scenario("hover-triangle")
     lens = RadTan((-0.2, 0.03, 0.0, 0.0))
     bent = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480, lens)
-    straight = SwarmTruth(scenario.world, scenario.camera, scenario.body_from_camera).view(1, 0.0)
-    view = SwarmTruth(scenario.world, bent, scenario.body_from_camera).view(1, 0.0)
+    straight = SwarmTruth(scenario.world, scenario.cameras).view(1, 0.0)
+    view = SwarmTruth(scenario.world, [ScenarioCamera(bent, scenario.body_from_camera)]).view(1, 0.0)
     assert view.in_view.keys() == straight.in_view.keys() == {2, 3}
     for drone, box in view.in_view.items():
         # The middle of a bent box is not quite the bent middle; the lens itself moves it by tens of pixels.

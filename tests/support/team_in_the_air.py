@@ -127,7 +127,7 @@ class Team:
         self._folder = folder
         self._scenario_file = scenario_file
         self._scenario = load_scenario(scenario_file, seed=SEED)
-        self._truth = SwarmTruth(self._scenario.world, self._scenario.camera, self._scenario.body_from_camera)
+        self._truth = SwarmTruth(self._scenario.world, self._scenario.cameras)
         self._name = f"test-{secrets.token_hex(4)}"
         self._processes: list[Lines] = []
         self._sources: Mapping[int, Sources] = {}
