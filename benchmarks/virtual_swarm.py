@@ -41,7 +41,7 @@ from swarmtrack.runtime.filed import coded_motion, filed_announcement
 from swarmtrack.simulation.oracle import OracleDetector
 from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters
-from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracker
+from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_trackers
 
 RADIO_S = 0.05  # s from a question to the announcement it asked for
 REPORT_S, SOONEST_REPORT_S = 1.0, 0.1  # s between two reports of sightings, of the same and of others
@@ -172,9 +172,14 @@ class VirtualSwarm:
         scenario = self.scenario
         # The autopilot's frame begins where its drone hovers: there, as well as its config was measured.
         start = scenario.announced[drone_id]
+        lenses = [camera.lens for camera in scenario.cameras]
+        trackers = create_trackers(self._tracker, cameras=lenses, **AGENT_PARAMETERS)
         onboard = Onboard(
             drone_id,
-            cameras=[self._camera(drone_id, number) for number in range(len(scenario.cameras))],
+            cameras=[
+                OnboardCamera(camera.lens, self._mounting(drone_id, number), tracker)
+                for number, (camera, tracker) in enumerate(zip(scenario.cameras, trackers, strict=True))
+            ],
             gyro=GyroHistory(),
             ego=EgoHistory(origin=start.position_m),
             identity=self._identity,
@@ -189,19 +194,16 @@ class VirtualSwarm:
             return _Drone(onboard, imu, ego)
         return _Drone(onboard, imu, ego, announce_at=max(scenario.starts_s.get(drone_id, 0.0) - 0.5, -0.5))
 
-    def _camera(self, drone_id: int, number: int) -> OnboardCamera:
-        """As its config has it."""
-        camera = self.scenario.cameras[number]
+    def _mounting(self, drone_id: int, number: int) -> Mounting:
+        """Of one of its cameras, as its config has it."""
         told = self.scenario.told_mounting(drone_id, number)
         turned = _yaw(self._mistake(drone_id).mounting) @ told.rotation
-        mounting = Mounting(
+        return Mounting(
             Pose(turned, told.position),
             time_offset_s=-self.stamps_late(drone_id) if self._camera_clocks_told else 0.0,
             estimate_time_offset=not self._camera_clocks_told,
-            sigma=camera.mounting_sigma,
+            sigma=self.scenario.cameras[number].mounting_sigma,
         )
-        tracker = create_tracker(self._tracker, camera=camera.lens, **AGENT_PARAMETERS)
-        return OnboardCamera(camera.lens, mounting, tracker)
 
     def _file(self, onboard: Onboard, drone_id: int) -> None:
         """Tell it what the team's file says of its teammates: their starts, and the codes that they will sway."""
