@@ -217,6 +217,11 @@ class Tracker:
         table = self._filter.table
         return table.id, table.mean, table.cov
 
+    @property
+    def sizes(self) -> Array:
+        """(n, 2) px, width and height of all tracks, NaN while unknown."""
+        return self._filter.table.size
+
     def extrapolated(self, t: float, rotation: Array, rotation_variance: float) -> tuple[Array, Array]:
         """Means (n, 4) and covariances (n, 4, 4) of all tracks carried on to t; the tracker itself is unchanged."""
         dt = 0.0 if self._t is None else t - self._t

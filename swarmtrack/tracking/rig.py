@@ -254,15 +254,20 @@ class Rig:
             return
         leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
         arriving = leaving.in_pixels_of(other.camera, one.camera)
-        apart = other.body_from_camera.position - one.body_from_camera.position
+        baseline = self._baseline(giver, taker)
         arriving = arriving.moved(
-            *parallax(arriving, other.camera, other.body_from_camera.rotation.T @ apart)
+            *parallax(arriving.table.mean[:, POSITION], arriving.table.size, other.camera, baseline)
         )
         pixel = arriving.table.mean[:, POSITION]
         arriving = arriving.moved(np.zeros_like(pixel), self._of_seam(pixel, giver, taker))
         self._note_arrivals(arriving, giver, taker, t)
         other.tracker.adopt(arriving)
         self.handed_over += len(pixel)
+
+    def _baseline(self, giver: int, taker: int) -> Array:
+        """(3,) m: where the taker sits beside the giver, in its own axes."""
+        one, other = (self._cameras[k].body_from_camera for k in (giver, taker))
+        return other.rotation.T @ (other.position - one.position)
 
     def _of_seam(self, pixel: Array, giver: int, taker: int) -> Array:
         """(n, 2, 2) px² at pixels (n, 2) of the taker: by what the seam is not known."""
@@ -292,25 +297,28 @@ class Rig:
         pixel, _, ahead = other.project_undistorted(there)
         if not ahead.any():
             return np.asarray(ahead)
+        size = self._cameras[giver].tracker.sizes * (other.fx / one.fx, other.fy / one.fy)
+        by, by_cov = parallax(pixel, size, other, self._baseline(giver, taker))
+        pixel = pixel + by
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
         moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
         variance = (cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0
-        spread[:, 0, 0], spread[:, 2, 2] = variance * other.fx**2, variance * other.fy**2
+        spread[:, 0, 0] = variance * other.fx**2 + by_cov[:, 0, 0]
+        spread[:, 2, 2] = variance * other.fy**2 + by_cov[:, 1, 1]
         seen = probability_in_view(moved, spread, other) > 0.5
         nearer = (there[:, 2] > ray[:, 2]) & (probability_in_view(mean, cov, one) < 0.5)
         return np.asarray(ahead & (seen | nearer) & self._reach[taker].holds(moved, spread))
 
 
-def parallax(arriving: Handover, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:
-    """By how far (n, 2) px tracks move that are looked at from `baseline` (3,) m beside, camera axes, and the
-    covariance (n, 2, 2) px² of that: a box tells the distance within a factor, without one it is hardly known."""
-    table = arriving.table
-    n = len(table)
+def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:
+    """By how far (n, 2) px tracks at pixels (n, 2), their boxes (n, 2) px wide and high, move that are looked at from
+    `baseline` (3,) m beside, camera axes, and the covariance (n, 2, 2) px² of that: a box tells the distance within a
+    factor, without one it is hardly known."""
+    n = len(pixel)
     if not baseline.any():
         return np.zeros((n, 2)), np.zeros((n, 2, 2))
-    pixel = table.mean[:, POSITION]
     ray = camera.bearing_undistorted(pixel)
-    distance = np.maximum(SPAN * camera.fx / table.size[:, 0], NEAREST)
+    distance = np.maximum(SPAN * camera.fx / size[:, 0], NEAREST)
     distance = np.where(np.isnan(distance), UNKNOWN_DISTANCE, distance)
     seen, _, ahead = camera.project_undistorted(distance[:, None] * ray - baseline)
     by = np.where(ahead[:, None], seen - pixel, 0.0)
