@@ -265,7 +265,7 @@ def toml(value):
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    section=st.sampled_from([*DroneConfig.model_fields, "extends"]),
+    section=st.sampled_from([*DroneConfig.model_fields, "camera", "extends"]),
     key=st.text(st.sampled_from("abmopd_"), min_size=1) | st.sampled_from(["id", "name", "source", "start"]),
     value=values,
 )

@@ -29,7 +29,7 @@ def sample(kind, message, key_id=1):
 
 
 def described(boot=BOOT, drone_id=1, key_id=1):
-    return sample(Kind.CAMERA, camera_message(drone_id, boot, LENS, FORWARD), key_id)
+    return sample(Kind.CAMERA, camera_message(drone_id, boot, [LENS], [FORWARD]), key_id)
 
 
 @pytest.fixture

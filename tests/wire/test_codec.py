@@ -210,7 +210,7 @@ def ranged() -> bytes:
 
 
 def described() -> bytes:
-    return codec.encode(camera_message(7, "0123abcd", CAMERA, MOUNTING))
+    return codec.encode(camera_message(7, "0123abcd", [CAMERA], [MOUNTING]))
 
 
 def placed(**changes: Any) -> TracksMessage:
