@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from pathlib import Path
 
@@ -9,7 +10,6 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.config import CameraSection, DroneConfig, load_config
 from swarmtrack.diagnosis.findings import fault
 from swarmtrack.diagnosis.formation_drawing import as_svg, as_text
-from swarmtrack.diagnosis.mounting import looks
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan
@@ -86,8 +86,10 @@ def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
     print(f"{name:10} {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
     print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
     if len(parts.lenses) > 1:
-        way = looks(parts.door.perceived.mountings[number].rotation)
-        print(f"looks      {way}, ±{section.mounting_sigma_deg:g}°")
+        ahead, right, down = parts.door.perceived.mountings[number].rotation[:, 2]
+        azimuth, up = math.degrees(math.atan2(right, ahead)), -math.degrees(math.asin(down))
+        way = f"{azimuth:+.0f}° from the nose, clockwise, {up:+.0f}° up"
+        print(f"looks      {way}, known to {section.mounting_sigma_deg:g}°")
 
 
 def draw_formation(path: Path) -> str:
