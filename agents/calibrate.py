@@ -50,6 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reach",
         f"search offsets up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
     )
+    extrinsics.add_argument(
+        "--camera",
+        type=int,
+        default=1,
+        metavar="N",
+        help="which one, where the config has several (default: 1)",
+    )
     add_file(extrinsics, "--write", "write the result into this config, if it is good")
     add_flag(extrinsics, "--json", "print JSON")
     add_size_command(steps)
@@ -77,23 +84,28 @@ def run(args: argparse.Namespace) -> int:
 async def _extrinsics(args: argparse.Namespace) -> int:
     from swarmtrack.calibration.extrinsics import doubts, toml_lines, write_into
     from swarmtrack.clock import SystemClock
-    from swarmtrack.config import mount_camera
     from swarmtrack.doctor.watching import SensorWatch
+    from swarmtrack.errors import SourceError
     from swarmtrack.motion.hand_eye import compare, solve
-    from swarmtrack.runtime.assembly import make_simulation, simulated_mount
+    from swarmtrack.runtime.assembly import make_simulation, mount
 
     config = _config(args)
     recorded = args.video is not None
     clock = RecordedTime() if recorded else SystemClock()
     simulation = make_simulation(config, clock)
-    mounted = simulated_mount(config, simulation) if simulation else mount_camera(config.camera)
+    number = args.camera - 1
+    if not 0 <= number < len(config.cameras):
+        raise SourceError(f"--camera {args.camera}: expected 1 to {len(config.cameras)}")
+    # The others are not looked at.
+    config = config.model_copy(update={"cameras": (config.cameras[number],)})
+    mounted = mount(config.camera, simulation)
     seconds = args.seconds or (1e6 if recorded else SECONDS)
     reach = args.reach or (RECORDED_REACH if recorded else LIVE_REACH)
-    watch = SensorWatch(config, mounted, clock, simulation)
+    watch = SensorWatch(config, [mounted], clock, simulation)
     progress = asyncio.create_task(_tell(watch, seconds if args.seconds or not recorded else None))
     watched = await watch.run(seconds)
     progress.cancel()
-    motion, heard = watch.motion, watch.heard
+    motion, heard = watch.motion(0), watch.heard
     found = agreement = None
     if motion is not None and motion.found and len(heard.samples) > 10:
         turns, gyro = motion.turns(), heard.gyro()
@@ -109,7 +121,7 @@ async def _extrinsics(args: argparse.Namespace) -> int:
     else:
         _say(found, problems, lines, mounted)
     if args.write is not None and not problems:
-        write_into(args.write, lines)
+        write_into(args.write, lines, number)
         print(f"written into {args.write}", file=sys.stderr)
     return FAILED if problems else DONE
 
@@ -151,7 +163,8 @@ async def _tell(watch: SensorWatch, seconds: float | None) -> None:
                 f"{name} {'█' * min(int(20 * rate), 12):12}"
                 for name, rate in zip(("roll", "pitch", "yaw"), about, strict=True)
             )
-            turns = len(watch.motion.found) if watch.motion else 0
+            motion = watch.motion(0)
+            turns = len(motion.found) if motion else 0
             of = f" of {seconds:.0f}" if seconds else ""
             live.update(f"{tick / 2:5.1f}{of} s   {axes}   {turns} frames used")
             await asyncio.sleep(0.5)
@@ -161,7 +174,7 @@ def _nothing(watched: Any, frames: int) -> int:
     from swarmtrack.diagnosis.sources import check_autopilot, check_camera
 
     print("calibrate extrinsics: too little data for a result:", file=sys.stderr)
-    for finding in check_camera(watched.camera) + check_autopilot(watched.autopilot):
+    for finding in check_camera(watched.cameras[0].facts) + check_autopilot(watched.autopilot):
         print(
             f"  {finding.check}: {finding.found}{' -> ' if finding.remedy else ''}{finding.remedy}",
             file=sys.stderr,

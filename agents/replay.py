@@ -144,7 +144,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_pictures(recordings: list[Recording]) -> None:
     """Raises RecordingError where a detector would have nothing to look at."""
-    from swarmtrack.replay.replayer import IMAGES_TOPIC
+    from swarmtrack.recording.outputs import IMAGES_TOPIC
 
     for recording in recordings:
         if not any(True for _ in recording.messages({IMAGES_TOPIC})):

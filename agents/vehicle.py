@@ -109,7 +109,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         cv2.setNumThreads(1)  # its pool costs more than it gains on images of this size
 
     async def fly() -> None:
-        agent = Agent(parts, console=Console(parts.lens, quiet=arguments.quiet or _IS_SERVICE))
+        agent = Agent(parts, console=Console(*parts.lenses, quiet=arguments.quiet or _IS_SERVICE))
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, agent.stop)

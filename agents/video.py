@@ -119,7 +119,7 @@ async def _track(config: Path, out: Path, frames: int) -> int:
     from swarmtrack.runtime.console import Console
 
     parts = assemble(load_config(config), SystemClock())
-    agent = Agent(parts, console=Console(parts.lens, quiet=True))
+    agent = Agent(parts, console=Console(*parts.lenses, quiet=True))
     columns = TextColumn("tracking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     screen = Screen(stderr=True)
     with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as progress:

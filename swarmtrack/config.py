@@ -20,6 +20,7 @@ from pydantic import (
     Field,
     PrivateAttr,
     Strict,
+    field_serializer,
     field_validator,
     model_validator,
 )
@@ -30,10 +31,11 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Distortion, Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.messages import MOST_CAMERAS
 from swarmtrack.motion.heading import HeadingSigma
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.team_config import TeamSection, resolve_plan, roster_problems, switch_problems, take_own_start
-from swarmtrack.toml.layers import Layer, Layers, Problem, Table, merge, read_layers
+from swarmtrack.toml.layers import Key, Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.toml.sections import (
     Count,
     Number,
@@ -47,6 +49,7 @@ from swarmtrack.toml.sections import (
     Vector,
     check_drone_ids,
     found,
+    key_text,
     one_of,
     parameter_problems,
     validated,
@@ -176,7 +179,8 @@ class Mount(Section):
 
 
 class CameraSection(Section):
-    """[camera]: where frames come from, what the lens does, how the camera sits on the drone."""
+    """[camera]: where frames come from, what the lens does, how the camera sits on the drone. Of several cameras, up to
+    eight, each has a table `[[camera]]` with the same keys (docs/calibration.md)."""
 
     source: Text = Field(
         description="v4l2:///dev/video0, file://, images://, rtsp://, http://, detections:// or sim://"
@@ -207,6 +211,11 @@ class CameraSection(Section):
     max_age_s: Positive = Field(
         default=0.5, description="a frame older than this when its turn comes is skipped, s since exposure"
     )
+    mounting_sigma_deg: Angle = Field(
+        default=1.0,
+        description="standard deviation of how the camera is turned on the drone, degrees per axis: what a track "
+        "becomes less certain by when it goes over from one camera to another; counts only with several",
+    )
 
     @model_validator(mode="after")
     def _one_calibration(self) -> CameraSection:
@@ -228,6 +237,19 @@ class CameraSection(Section):
     @property
     def detects_by_itself(self) -> bool:
         return self.source.strip().lower().startswith("detections:")
+
+    @property
+    def mounting_sigma(self) -> float:
+        """rad"""
+        return math.radians(self.mounting_sigma_deg)
+
+
+def _one_or_several(entry: dict[str, Any]) -> None:
+    """The schema of an entry that is a table, or an array of tables."""
+    one = entry.pop("items")
+    several = {"type": "array", "items": one, "minItems": 1, "maxItems": MOST_CAMERAS}
+    entry.pop("type")
+    entry["anyOf"] = [one, several]
 
 
 class HeadingSigmas(Section):
@@ -564,13 +586,13 @@ class LayeredConfig(Section):
         """The files that it was read from."""
         return self._layers
 
-    def problem(self, key: tuple[str, ...], text: str) -> str:
+    def problem(self, key: Key, text: str) -> str:
         """A sentence on an entry, with the file and line that count: `FILE:LINE: KEY: text`."""
-        named = f"{'.'.join(key)}: {text}"
+        named = f"{key_text(key)}: {text}"
         return str(self._layers.problem(key, named)) if self._layers else named
 
     @contextmanager
-    def blamed(self, *key: str) -> Iterator[None]:
+    def blamed(self, *key: str | int) -> Iterator[None]:
         """Errors inside that the user can mend become a ConfigError on this entry, with its file and line.
 
         An error that names another entry of the same table (`network.listen: found …`) is reported on that one.
@@ -584,7 +606,7 @@ class LayeredConfig(Section):
             if colon and " " not in named and named.startswith(f"{key[0]}."):
                 key, text = tuple(named.split(".")), str(error)
             else:
-                text = f"{'.'.join(key)}: {error}"
+                text = f"{key_text(key)}: {error}"
             raise ConfigError([str(self._layers.problem(key, text)) if self._layers else text]) from error
 
 
@@ -593,7 +615,11 @@ class DroneConfig(LayeredConfig):
 
     team: TeamSection = TeamSection()
     drone: Vehicle = Field(description="a table [drone] with at least id")
-    camera: CameraSection = Field(description="a table [camera] with source and calibration")
+    cameras: tuple[CameraSection, ...] = Field(
+        alias="camera",
+        description="a table [camera] with source and calibration, or one [[camera]] for each of several",
+        json_schema_extra=_one_or_several,
+    )
     autopilot: AutopilotSection = AutopilotSection()
     detector: DetectorSection = DetectorSection()
     tracker: TrackerSection = TrackerSection()
@@ -603,6 +629,35 @@ class DroneConfig(LayeredConfig):
     recording: RecordingSection = RecordingSection()
     motion: MotionSection = MotionSection()
     formation: TeamFormation = TeamFormation()
+
+    @field_validator("cameras", mode="before")
+    @classmethod
+    def _one_is_several(cls, said: object) -> object:
+        """A table [camera] is the same as one [[camera]]."""
+        if isinstance(said, dict | CameraSection):
+            return (said,)
+        if not isinstance(said, list | tuple):
+            raise ValueError(
+                f"{found(said)}, expected a table [camera], or one [[camera]] for each of several"
+            )
+        if not 1 <= len(said) <= MOST_CAMERAS:
+            raise ValueError(f"found {len(said)} cameras, expected 1 to {MOST_CAMERAS}")
+        return said
+
+    @field_serializer("cameras")
+    def _as_written(self, cameras: tuple[CameraSection, ...]) -> Any:
+        """One camera as the table that it is in most files."""
+        tables = [camera.model_dump(mode="json", by_alias=True) for camera in cameras]
+        return tables[0] if len(tables) == 1 else tables
+
+    @property
+    def camera(self) -> CameraSection:
+        """The first one, where only that makes sense."""
+        return self.cameras[0]
+
+    def camera_key(self, number: int, *entries: str) -> tuple[str | int, ...]:
+        """Where an entry of a camera stands in the files."""
+        return ("camera", *([number] if len(self.cameras) > 1 else []), *entries)
 
     @property
     def flies_in_formation(self) -> bool:
@@ -645,7 +700,8 @@ def config_of(layers: Layers) -> DroneConfig:
     problems += switch_problems(layers)
 
     def among(config: DroneConfig) -> Iterable[Problem]:
-        return formation_problems(
+        yield from _camera_problems(config, layers)
+        yield from formation_problems(
             config.formation, config.drone.id, config.team.airframe_span_m, config.autopilot.link, layers
         )
 
@@ -715,9 +771,10 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
     ]
     resolve_plan(table, folder)
     for section, key, resolve in rules:
-        entries = table.get(section)
-        if isinstance(entries, dict) and isinstance(entries.get(key), str):
-            entries[key] = resolve(entries[key])
+        said = table.get(section)
+        for entries in said if isinstance(said, list) else [said]:
+            if isinstance(entries, dict) and isinstance(entries.get(key), str):
+                entries[key] = resolve(entries[key])
 
 
 def _beside(address: str, schemes: tuple[str, ...], folder: str) -> str:
@@ -749,6 +806,25 @@ def _start_problems(layers: Layers) -> list[Problem]:
         )
     key = ("drone", "start", "from")
     return [layers.problem(key, f'drone.start.from: "{source}" {want}') for want in wants]
+
+
+def _camera_problems(config: DroneConfig, layers: Layers) -> Iterator[Problem]:
+    """What several cameras have against each other."""
+    first = config.camera
+    for k, camera in enumerate(config.cameras[1:], start=1):
+        key = config.camera_key(k, "source")
+        same = [i for i, other in enumerate(config.cameras[:k]) if other.source == camera.source]
+        if same:
+            other = key_text(config.camera_key(same[0], "source"))
+            text = f"{found(camera.source)} is that of {other}, expected another for each camera"
+            yield layers.problem(key, f"{key_text(key)}: {text}")
+        elif camera.detects_by_itself != first.detects_by_itself:
+            wanted = "detections:// as of the first camera" if first.detects_by_itself else "pictures"
+            text = f"{found(camera.source)}, expected {wanted}: all cameras detect by themselves, or none"
+            yield layers.problem(key, f"{key_text(key)}: {text}")
+        elif camera.simulated or first.simulated:
+            text = f"{found(camera.source)}, expected no sim:// beside other cameras: it simulates one camera"
+            yield layers.problem(key, f"{key_text(key)}: {text}")
 
 
 def _telling_problems(layers: Layers) -> list[Problem]:

@@ -24,6 +24,9 @@ Image = NDArray[np.uint8]
 # rad per axis: of an autopilot that does not say how well it knows its tilt. Names allow for as much.
 ASSUMED_TILT = 0.02
 
+# Of one drone, at most.
+MOST_CAMERAS = 8
+
 FOREIGN: Literal["foreign"] = "foreign"
 Identity = int | Literal["foreign"] | None
 """A drone's ID, `FOREIGN` (not of the team), or None (unknown)."""
@@ -122,7 +125,8 @@ class FlightState:
 class Frame:
     """One image. t: middle of the exposure; image (h, w) grey or (h, w, 3) BGR, uint8, as the camera gave it.
 
-    `sequence` counts what the camera exposed, so a jump by more than one is a dropped frame.
+    `sequence` counts what the camera exposed, so a jump by more than one is a dropped frame. camera: which of the
+    drone's, by its place in the config.
     """
 
     t: float
@@ -130,6 +134,7 @@ class Frame:
     sequence: int
     image: Image
     stamp: StampKind
+    camera: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -314,10 +319,11 @@ class TrackList:
 
 
 class ScanReport(NamedTuple):
-    """What came of one scan: its frame's sequence number, and the tracks at its exposure."""
+    """What came of one scan: its frame's sequence number, the tracks at its exposure, and which camera it was."""
 
     sequence: int
     tracks: TrackList
+    camera: int = 0
 
 
 class HeadingNews(NamedTuple):

@@ -75,7 +75,7 @@ from swarmtrack.relative.states import RelativeStates
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
-from swarmtrack.tracking.rig import Rig, RigCamera
+from swarmtrack.tracking.rig import NOTHING_EXPECTED, ExpectedTracks, Rig, RigCamera
 from swarmtrack.tracking.scan import make_scan
 from swarmtrack.tracking.seams import SeamNews
 
@@ -279,16 +279,34 @@ class Onboard:
             return ()
         return self._rig.at(t, self.gyro.orientation(t))
 
+    def expected(self, t: float, camera: int) -> ExpectedTracks:
+        """Where one of the cameras should see the tracks at t, that of its last scan at the earliest."""
+        if self._rig.t is None:
+            return NOTHING_EXPECTED
+        own = self._cameras[camera].tracker.t
+        t = t if own is None else max(t, own)
+        return self._rig.expected(camera, t, self.gyro.orientation(t))
+
     def ego_pose(self, t: float) -> TeamPose | None:
         """Where this drone itself was at t, in the team frame, and how well it knows that: not at all while it doubts
         it."""
         pose = self._ego.at(t)
         return pose if pose is None else self._as_sure_as_it_is(pose)
 
-    def camera_pose(self, t: float) -> Pose | None:
-        """world_from_camera at t, in the team frame; None where the drone does not know."""
+    def camera_pose(self, t: float, camera: int = 0) -> Pose | None:
+        """world_from_camera at t of one of the cameras, in the team frame; None where the drone does not know."""
         ego = self._ego.at(t)
-        return None if ego is None else ego.pose @ self._mounting.body_from_camera
+        return None if ego is None else ego.pose @ self._cameras[camera].mounting.body_from_camera
+
+    @property
+    def lenses(self) -> tuple[PinholeCamera, ...]:
+        """Of all cameras, in the order of the config."""
+        return tuple(each.camera for each in self._cameras)
+
+    @property
+    def mountings(self) -> tuple[Pose, ...]:
+        """body_from_camera of all cameras."""
+        return tuple(each.mounting.body_from_camera for each in self._cameras)
 
     @property
     def body_from_camera(self) -> Pose:
@@ -499,7 +517,7 @@ class Onboard:
         labelled = self._identities.label(tracks)
         if observer is not None:
             labelled = self._in_metres(labelled, scan, observer, number)
-        self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled)))
+        self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled), number))
 
     def _in_metres(
         self, tracks: tuple[IdentifiedTrack, ...], scan: Scan, observer: TeamPose, number: int

@@ -265,7 +265,7 @@ def toml(value):
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    section=st.sampled_from([*DroneConfig.model_fields, "extends"]),
+    section=st.sampled_from([*DroneConfig.model_fields, "camera", "extends"]),
     key=st.text(st.sampled_from("abmopd_"), min_size=1) | st.sampled_from(["id", "name", "source", "start"]),
     value=values,
 )
@@ -347,3 +347,84 @@ def test_a_span_that_no_airframe_has_is_named(write, span):
     assert found.startswith("drone.toml:")
     assert "team.airframe_span_m: " in found
     assert "expected" in found
+
+
+# --- several cameras --------------------------------------------------------------------
+
+
+def cameras(*changes):
+    """A config with a [[camera]] for each of these texts, all of one kind but for their sources."""
+    tables = [
+        CAMERA.replace("[camera]", "[[camera]]").replace("video0", f"video{k}") + change
+        for k, change in enumerate(changes)
+    ]
+    return "[drone]\nid = 7\n" + "".join(tables)
+
+
+def test_each_camera_has_a_table_of_its_own(write):
+    config = load_config(
+        write(cameras("max_age_s = 0.2\n", "mounting_sigma_deg = 0.25\ntime_offset_s = 0.01\n"))
+    )
+    first, second = config.cameras
+    assert config.camera is first
+    assert [one.source for one in config.cameras] == ["v4l2:///dev/video0", "v4l2:///dev/video1"]
+    assert (first.max_age_s, second.max_age_s) == (0.2, 0.5)
+    assert (first.mounting_sigma, second.mounting_sigma) == pytest.approx(np.radians([1.0, 0.25]))
+    assert mount_camera(second).time_offset_s == 0.01
+
+
+def test_one_camera_may_be_written_either_way(write):
+    one, other = load_config(write(MINIMAL)), load_config(write(cameras("")))
+    assert one.model_dump() == other.model_dump()
+    assert one.model_dump(mode="json", by_alias=True)["camera"]["source"] == "v4l2:///dev/video0"
+    several = load_config(write(cameras("", ""))).model_dump(mode="json", by_alias=True)
+    assert [table["source"] for table in several["camera"]] == ["v4l2:///dev/video0", "v4l2:///dev/video1"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (cameras("", "max_age = 0.1\n"), "11: camera[1].max_age: unknown key, did you mean"),
+        (cameras("", "max_age_s = -1\n"), "11: camera[1].max_age_s: -1, expected greater than 0"),
+        (cameras("", "mounting_sigma_deg = 0\n"), "11: camera[1].mounting_sigma_deg: 0, expected"),
+        (cameras("", "distortion = 3\n"), "11: camera[1].distortion: 3, expected a table"),
+        (
+            cameras("", "").replace("video1", "video0"),
+            '9: camera[1].source: "v4l2:///dev/video0" is that of camera[0].source, expected another',
+        ),
+        (
+            cameras("", "").replace("v4l2:///dev/video1", "detections://127.0.0.1:1/a"),
+            '9: camera[1].source: "detections://127.0.0.1:1/a", expected pictures: all cameras detect by',
+        ),
+        (
+            cameras("", "").replace("v4l2:///dev/video0", "detections://127.0.0.1:1/a"),
+            '9: camera[1].source: "v4l2:///dev/video1", expected detections:// as of the first camera',
+        ),
+        (cameras("", "").replace("v4l2:///dev/video0", "sim://x"), "9: camera[1].source: "),
+        (cameras(*[""] * 9), "camera: found 9 cameras, expected 1 to 8"),
+        ("camera = []\n[drone]\nid = 7\n", "camera: found 0 cameras, expected 1 to 8"),
+        (
+            "camera = 3\n[drone]\nid = 7\n",
+            "1: camera: 3, expected a table [camera], or one [[camera]] for each",
+        ),
+        ("camera = [3]\n[drone]\nid = 7\n", "camera[0]: 3, expected a table"),
+    ],
+)
+def test_a_mistake_in_one_of_several_cameras_names_it(write, text, expected):
+    (problem,) = problems_of(write(text))
+    assert problem.startswith("drone.toml:")
+    assert expected in problem
+
+
+def test_paths_of_each_camera_begin_at_the_file_that_names_them(write, tmp_path):
+    text = '[drone]\nid = 7\n[[camera]]\nsource = "images://left"\ncalibration = "a.yaml"\n'
+    text += '[[camera]]\nsource = "images://right"\ncalibration = "b.yaml"\n'
+    config = load_config(write(text, "team/drone.toml"))
+    assert [camera.source for camera in config.cameras] == [
+        f"images://{tmp_path}/team/left",
+        f"images://{tmp_path}/team/right",
+    ]
+    assert [camera.calibration for camera in config.cameras] == [
+        tmp_path / "team" / "a.yaml",
+        tmp_path / "team" / "b.yaml",
+    ]

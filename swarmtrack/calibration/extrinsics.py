@@ -78,14 +78,14 @@ def toml_lines(found: HandEye, position_m: Array) -> list[str]:
     ]
 
 
-def write_into(path: Path, lines: list[str]) -> None:
-    """Put lines `key = …` into the [camera] of a config, over those of the same keys. The file stays as it was where
-    that makes no valid config: SourceError."""
+def write_into(path: Path, lines: list[str], number: int = 0) -> None:
+    """Put lines `key = …` into the [camera] of a config, over those of the same keys; of several into that one, by its
+    place. The file stays as it was where that makes no valid config: SourceError."""
     try:
         before = path.read_text(encoding="utf-8")
     except OSError as error:
         raise SourceError(f"{path}: {error.strerror}, expected a config to write into") from None
-    after = with_lines(before, lines)
+    after = with_lines(before, lines, number)
     unfinished = path.with_name(f".{path.name}.new.toml")
     try:
         unfinished.write_text(after, encoding="utf-8")
@@ -101,13 +101,13 @@ def write_into(path: Path, lines: list[str]) -> None:
             os.unlink(unfinished)
 
 
-def with_lines(text: str, lines: list[str]) -> str:
-    """A config's text with lines `key = …` in its [camera]."""
+def with_lines(text: str, lines: list[str], number: int = 0) -> str:
+    """A config's text with lines `key = …` in its [camera], or in that one of its [[camera]] by its place."""
     rows = text.splitlines()
-    heads = [i for i, row in enumerate(rows) if re.match(r"\s*\[\s*camera\s*\]", row)]
-    if not heads:
-        return "\n".join([*rows, "", "[camera]", *lines, ""])
-    begin = heads[0] + 1
+    heads = [i for i, row in enumerate(rows) if re.match(r"\s*(\[\s*camera\s*\]|\[\[\s*camera\s*\]\])", row)]
+    if number >= len(heads):
+        return "\n".join([*rows, "", "[[camera]]" if number else "[camera]", *lines, ""])
+    begin = heads[number] + 1
     end = next((i for i in range(begin, len(rows)) if rows[i].lstrip().startswith("[")), len(rows))
     body = rows[begin:end]
     for line in lines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +20,19 @@ from swarmtrack.wire.tracks import RelativeMessage, TrackMessage, TracksMessage,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DroneCamera:
-    """A drone's lens, and how it is mounted: body_from_camera, body FRD, camera x right, y down, z forward [m]."""
+    """A drone's lens, and how it is mounted: body_from_camera, body FRD, camera x right, y down, z forward [m].
+
+    others: its second camera, its third and so on, where it has several.
+    """
 
     lens: PinholeCamera
     body_from_camera: Pose
+    others: tuple[DroneCamera, ...] = ()
+
+    @property
+    def all(self) -> tuple[DroneCamera, ...]:
+        """Its cameras, as `Target.camera` counts them."""
+        return (self, *self.others)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +71,8 @@ class Target:
     direction_camera, direction_body (3,): unit vectors from the camera, along its own axes and the body's; None while
     the drone's camera is not known. direction_sigma [rad]: their standard deviation along the worst axis.
     direction_world (3,): from `relative`, or by `Sight.turned`; None without either. relative: None while nothing tells
-    the distance, and for all that have no drone's name.
+    the distance, and for all that have no drone's name. camera: which of the drone's cameras it is in the pixels of,
+    from 0; a target that goes over from one to another stays the same track.
     """
 
     id: int
@@ -78,6 +89,7 @@ class Target:
     direction_sigma: float | None
     direction_world: Array | None
     relative: Relative | None
+    camera: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,16 +142,17 @@ class DroneHealth:
 
 def camera_of(message: CameraMessage) -> DroneCamera:
     """Raises DecodeError."""
-    return DroneCamera(camera_from(message.lens), mounting_from(message))
+    others = tuple(DroneCamera(camera_from(one.lens), mounting_from(one)) for one in message.others)
+    return DroneCamera(camera_from(message.lens), mounting_from(message), others)
 
 
 def sight_of(
     drone_id: int, message: TracksMessage, camera: DroneCamera | None, arrived: float, axes: Axes
 ) -> Sight:
-    """A message as its reader wants it. camera: of that drone, None while it is not known. arrived [s]."""
+    """A message as its reader wants it. camera: of that drone, its first with all others; None while it is not known.
+    arrived [s]."""
     relatives = {said.track_id: _relative(said, axes) for said in message.relatives}
-    pixels = np.array([(track.u_px, track.v_px) for track in message.tracks]).reshape(-1, 2)
-    rays = [None] * len(pixels) if camera is None else list(camera.lens.bearing_undistorted(pixels))
+    cameras = () if camera is None else camera.all
     return Sight(
         drone_id=drone_id,
         t_utc_s=message.t_utc_s,
@@ -149,18 +162,20 @@ def sight_of(
         sequence=message.sequence,
         axes=axes,
         targets=tuple(
-            _target(track, relatives.get(track.id), camera, ray, axes)
-            for track, ray in zip(message.tracks, rays, strict=True)
+            _target(track, relatives.get(track.id), number, cameras[number : number + 1], axes)
+            for number, track in ((message.camera_of(i), track) for i, track in enumerate(message.tracks))
         ),
     )
 
 
 def _target(
-    track: TrackMessage, relative: Relative | None, camera: DroneCamera | None, ray: Array | None, axes: Axes
+    track: TrackMessage, relative: Relative | None, number: int, known: Sequence[DroneCamera], axes: Axes
 ) -> Target:
+    """number: of its camera; known: that one, or empty."""
     cov = track_cov(track)
-    body = sigma = None
-    if camera is not None and ray is not None:
+    ray = body = sigma = None
+    for camera in known:
+        (ray,) = camera.lens.bearing_undistorted(np.array([(track.u_px, track.v_px)]))
         body = axes.body_from_frd @ camera.body_from_camera.rotation @ ray
         # Off the axis a pixel is a smaller angle: on the safe side.
         spread = float(np.linalg.eigvalsh(cov[::2, ::2])[-1])
@@ -183,6 +198,7 @@ def _target(
         direction_sigma=sigma,
         direction_world=world,
         relative=relative,
+        camera=number,
     )
 
 

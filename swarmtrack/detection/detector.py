@@ -55,8 +55,15 @@ class Look(NamedTuple):
     comparison: Comparison | None
 
 
+class _Memory(NamedTuple):
+    """Where to look next in the frames of one camera, and what was seen in its last ones."""
+
+    attention: AttentionWindows
+    motion: MotionCue | None
+
+
 class Detector:
-    """Finds drones in single frames with an ONNX model.
+    """Finds drones in single frames with an ONNX model; those of several cameras in any order.
 
     model: a shipped model's name or a file. score_threshold: instead of the model's own. input_scale: enlarge images
     before looking, for drones of few pixels (the time grows with its square). providers: ONNX Runtime's, by short name,
@@ -101,8 +108,9 @@ class Detector:
         )
         self._input_scale = input_scale
         self._look = look
-        self._attention = AttentionWindows(attention, self._net.fixed_size)
-        self._motion = MotionCue() if motion else None
+        self._attention_parameters = attention
+        self._with_motion = motion
+        self._memories: dict[int, _Memory] = {}
         self._limit = max_detections
         self._seconds = np.zeros((LATENCY_FRAMES, 3))  # ring of (pre, infer, post)
         self._frames = self._found = self._refused = self._broken = self._windows = 0
@@ -140,11 +148,12 @@ class Detector:
         scale = self._net.scale_of(width, height, self._input_scale)
         windows = [Window(0, 0, width, height, scale)]
         comparison = None
+        memory = self._memory(frame.camera)
         if expectation is not None:
             if self._look == "guided" or (self._look == "auto" and scale < 1.0):
-                windows = self._attention.next((width, height), scale, expectation.boxes(frame.t))
-            if self._motion is not None:
-                comparison = self._motion.compare(frame.t, expectation)
+                windows = memory.attention.next((width, height), scale, expectation.boxes(frame.t))
+            if memory.motion is not None:
+                comparison = memory.motion.compare(frame.t, expectation)
         return Look(frame, tuple(windows), comparison)
 
     def look(self, look: Look) -> Detections | None:
@@ -179,7 +188,16 @@ class Detector:
             score,
             coverage=seen,
             likeness=None if score is found.score else found.score,
+            camera=frame.camera,
         )
+
+    def _memory(self, camera: int) -> _Memory:
+        """What it remembers of the frames of one camera."""
+        memory = self._memories.get(camera)
+        if memory is None:
+            attention = AttentionWindows(self._attention_parameters, self._net.fixed_size)
+            memory = self._memories[camera] = _Memory(attention, MotionCue() if self._with_motion else None)
+        return memory
 
     def _look_through(self, look: Look) -> tuple[Candidates, Array, Array]:
         """What is in the windows, in pixels of the image, its scores (n,) with the odds of motion, and the seconds (3,)
@@ -198,8 +216,9 @@ class Detector:
         found = parts[0] if len(parts) == 1 else merged(parts, limit=self._limit)
         began = self._clock.now()
         score = found.score
-        if self._motion is not None:
-            found, score = self._motion.weigh(look.frame, found, threshold, look.comparison)
+        motion = self._memory(look.frame.camera).motion
+        if motion is not None:
+            found, score = motion.weigh(look.frame, found, threshold, look.comparison)
         spent[2] += self._clock.now() - began
         return found, score, spent
 

@@ -33,34 +33,42 @@ class Expectation(Protocol):
 
 
 class PerceivedExpectation:
-    """By the tracks and the gyro of one drone."""
+    """By the tracks and the gyro of one drone, for one of its cameras."""
 
-    def __init__(self, perceived: Perceived) -> None:
+    def __init__(self, perceived: Perceived, camera: int = 0) -> None:
+        """camera: for the frames of which of the drone's, by its place in the config."""
         self._perceived = perceived
+        self._camera = camera
+        self._lens = perceived.lenses[camera]
 
     def boxes(self, exposed: float) -> Array:
         perceived = self._perceived
-        if perceived.scan_t is None:
+        found = perceived.expected(exposed + self._offset_s, self._camera)
+        if not len(found.centre):
             return np.empty((0, 6))
-        tracks = perceived.carried(max(exposed + perceived.camera_clock.used_s, perceived.scan_t))
-        if not tracks:
-            return np.empty((0, 6))
-        centre = perceived.camera.distort(np.array([track.mean[::2] for track in tracks]))
-        sigma = np.sqrt([np.diagonal(track.cov)[::2] for track in tracks])
-        boxes = np.concatenate([centre, 3.0 * sigma, [track.size for track in tracks]], axis=1)
+        centre = self._lens.distort(found.centre)
+        boxes = np.concatenate([centre, 3.0 * found.sigma, found.size], axis=1)
         return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
 
     def pixels_at(self, then: float, now: float) -> PixelMapping | None:
         """By the gyro alone."""
-        gyro, camera = self._perceived.gyro, self._perceived.camera
-        offset = self._perceived.camera_clock.used_s
+        gyro, camera, offset = self._perceived.gyro, self._lens, self._offset_s
         turn = rotation_between(gyro.orientation(now + offset), gyro.orientation(then + offset))
         if camera.fx * math.sqrt(turn.variance) > BLURRED_PX:
             return None
         matrix = turn.matrix
+        if self._camera:
+            # The gyro's axes are the first camera's.
+            mountings = self._perceived.mountings
+            own = mountings[self._camera].rotation.T @ mountings[0].rotation
+            matrix = own @ matrix @ own.T
 
         def earlier(pixels: Array) -> Array:
             rays = camera.bearing(pixels) @ matrix.T
             return camera.project(rays)[0]
 
         return earlier
+
+    @property
+    def _offset_s(self) -> float:
+        return self._perceived.camera_clocks[self._camera].used_s

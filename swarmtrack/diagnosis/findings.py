@@ -8,7 +8,7 @@ from __future__ import annotations
 import enum
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -34,6 +34,11 @@ class Finding:
     found: str
     remedy: str = ""
     fault: str = ""
+
+
+def of_camera(number: int, finding: Finding) -> Finding:
+    """The same of one of several cameras, by its place in the config: people count them from 1."""
+    return replace(finding, check=f"{finding.check} {number + 1}")
 
 
 class Fault(NamedTuple):

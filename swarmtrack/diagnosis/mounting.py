@@ -65,8 +65,8 @@ def check_calibration(facts: MountFacts) -> list[Finding]:
     return findings or [ok("calibration", words)]
 
 
-def check_mount(facts: MountFacts) -> list[Finding]:
-    """Where the camera sits and looks."""
+def check_mount(facts: MountFacts, *, several: bool = False) -> list[Finding]:
+    """Where the camera sits and looks. several: it is one of many, which may well look back."""
     if facts.mounted is None:
         return []
     findings = []
@@ -80,7 +80,8 @@ def check_mount(facts: MountFacts) -> list[Finding]:
     if distance > FARTHEST_MOUNT:
         findings.append(fault("mount.position", metres=distance))
     where = looks(pose.rotation)
-    if pose.rotation[0, 2] < -0.5 or pose.rotation[2, 2] < -0.7 or pose.rotation[2, 1] < -0.5:
+    backwards = pose.rotation[0, 2] < -0.5 and not several
+    if backwards or pose.rotation[2, 2] < -0.7 or pose.rotation[2, 1] < -0.5:
         findings.append(fault("mount.backwards", where=where))
     return findings or [ok("mount", f"the camera looks {where}, {100.0 * distance:.0f} cm from the middle")]
 

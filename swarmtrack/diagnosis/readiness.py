@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
-from swarmtrack.diagnosis.findings import Finding, Level, fault
+from swarmtrack.diagnosis.findings import Finding, Level, fault, of_camera
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, check_autopilot, check_camera
 from swarmtrack.messages import LinkStatus
 
@@ -25,7 +27,7 @@ class Readiness(NamedTuple):
 
 def judge(
     *,
-    camera: CameraFacts,
+    cameras: Sequence[CameraFacts],
     autopilot: AutopilotFacts,
     detector: LinkStatus | None,
     network: LinkStatus,
@@ -38,7 +40,14 @@ def judge(
     clones: boots of other agents that speak as this drone. doubts_itself: what it sees does not fit its own pose.
     unmeasured_m: the sigma [m] that the start is taken to have; None where it was written.
     """
-    findings: list[Finding] = check_camera(camera)
+    findings: list[Finding] = []
+    for number, camera in enumerate(cameras):
+        found = check_camera(camera)
+        if len(cameras) > 1:
+            # Which one does not stand in its sentence.
+            named = [of_camera(number, finding) for finding in found]
+            found = [replace(finding, found=f"{finding.check}: {finding.found}") for finding in named]
+        findings += found
     if autopilot.wanted:
         findings += check_autopilot(autopilot)
     reasons = [finding.found for finding in findings if finding.level is Level.FAILURE]

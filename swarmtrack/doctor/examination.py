@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
+from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
 from swarmtrack.diagnosis import mounting, sources, surroundings
-from swarmtrack.diagnosis.findings import Finding, skipped
+from swarmtrack.diagnosis.findings import Finding, of_camera, skipped
 from swarmtrack.diagnosis.mounting import MountFacts
 from swarmtrack.diagnosis.surroundings import DetectorFacts
 from swarmtrack.doctor import machine, team
 from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.runtime.assembly import make_simulation, simulated_mount
+from swarmtrack.runtime.assembly import make_simulation, mount
 from swarmtrack.runtime.perception import make_detector
 
 if TYPE_CHECKING:
@@ -31,43 +31,54 @@ NETWORK_SECONDS = 5.0  # at most: whoever is there has answered by then
 async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Finding]:
     """Look for so many seconds. Raises SwarmtrackError only where a simulation is asked for that does not exist."""
     simulation = make_simulation(config, clock)
-    mount = _mount(config, simulation)
-    mounted = mount.mounted
+    mounts = [_mount(section, simulation) for section in config.cameras]
     network = asyncio.create_task(team.ask(config, clock, min(seconds, NETWORK_SECONDS)))
-    watched = await SensorWatch(config, mounted, clock, simulation).run(seconds)
-    findings = [] if mounted is None else sources.check_camera(watched.camera)
-    findings += mounting.check_calibration(mount)
-    if mounted is not None:
-        findings += mounting.check_mount(mount)
+    watched = await SensorWatch(config, [facts.mounted for facts in mounts], clock, simulation).run(seconds)
+    several = len(mounts) > 1
+
+    def named(number: int, found: list[Finding]) -> list[Finding]:
+        return [of_camera(number, finding) for finding in found] if several else found
+
+    findings = []
+    for number, (facts, seen) in enumerate(zip(mounts, watched.cameras, strict=True)):
+        found = [] if facts.mounted is None else sources.check_camera(seen.facts)
+        found += mounting.check_calibration(facts)
+        if facts.mounted is not None:
+            found += mounting.check_mount(facts, several=several)
+        findings += named(number, found)
     findings += sources.check_autopilot(watched.autopilot)
     findings += sources.check_door(config.autopilot.link, signed=config.autopilot.signing_key is not None)
     if watched.autopilot.wanted and not watched.autopilot.refused:
         findings += sources.check_imu(watched.imu)
         findings += sources.check_pose(watched.pose)
-    findings += mounting.check_motion(watched.motion, mounted)
-    fps = dict(watched.camera.status.counters).get("fps") if watched.camera.status else None
-    detector = await asyncio.to_thread(_detector, config, clock, mounted, watched.newest, fps)
+    for number, (facts, seen) in enumerate(zip(mounts, watched.cameras, strict=True)):
+        findings += named(number, mounting.check_motion(seen.motion, facts.mounted))
+    rates = [dict(seen.facts.status.counters).get("fps") for seen in watched.cameras if seen.facts.status]
+    fps = sum(rate for rate in rates if rate is not None) if any(rates) else next(iter(rates), None)
+    newest = next((seen.newest for seen in watched.cameras if seen.newest is not None), None)
+    detector = await asyncio.to_thread(_detector, config, clock, mounts[0].mounted, newest, fps)
     findings += surroundings.check_detector(detector)
     heard = await network
     findings += surroundings.check_network(heard)
     findings += surroundings.check_tracks(heard)
     findings += surroundings.check_disk(machine.disk(config))
     findings += surroundings.check_heat(await asyncio.to_thread(machine.heat))
-    return (
-        findings
-        if mounted is not None
-        else [skipped("camera", "not opened without a calibration"), *findings]
-    )
+    missing = [
+        of_camera(number, skipped("camera", text)) if several else skipped("camera", text)
+        for number, facts in enumerate(mounts)
+        if facts.mounted is None
+        for text in ["not opened without a calibration"]
+    ]
+    return [*missing, *findings]
 
 
-def _mount(config: DroneConfig, simulation: Simulation | None) -> MountFacts:
-    if simulation is not None:
-        return MountFacts(simulated_mount(config, simulation))
-    mount = config.camera.body_from_camera
+def _mount(section: CameraSection, simulation: Simulation | None) -> MountFacts:
+    sits = section.body_from_camera
     try:
-        return MountFacts(mount_camera(config.camera), rpy_deg=None if mount is None else mount.rpy_deg)
+        mounted = mount(section, simulation)
     except CalibrationError as error:
         return MountFacts(None, str(error))
+    return MountFacts(mounted, rpy_deg=None if sits is None or simulation is not None else sits.rpy_deg)
 
 
 def _detector(

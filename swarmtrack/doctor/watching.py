@@ -1,9 +1,10 @@
-"""Looks at a drone's camera and autopilot for some seconds, and notes the facts."""
+"""Looks at a drone's cameras and autopilot for some seconds, and notes the facts."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.clock import Clock
-from swarmtrack.config import DroneConfig, MountedCamera
+from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
 from swarmtrack.diagnosis.mounting import MotionFacts
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts, PoseFacts
 from swarmtrack.errors import SwarmtrackError
@@ -68,64 +69,49 @@ class SampleCollector(AutopilotListener):
         )
 
 
-class WatchedSensors(NamedTuple):
-    """What came of watching both. newest: the camera's last frame."""
+class WatchedCamera(NamedTuple):
+    """What came of watching one camera. newest: its last frame."""
 
-    camera: CameraFacts
-    autopilot: AutopilotFacts
-    imu: ImuFacts
-    pose: PoseFacts
+    facts: CameraFacts
     motion: MotionFacts
     newest: Frame | None
 
 
-class SensorWatch:
-    """Camera and autopilot of a config, opened together; either may be missing or broken."""
+class WatchedSensors(NamedTuple):
+    """What came of watching all. cameras: in the order of the config."""
+
+    cameras: tuple[WatchedCamera, ...]
+    autopilot: AutopilotFacts
+    imu: ImuFacts
+    pose: PoseFacts
+
+
+class CameraWatch:
+    """One camera of a config; it may be missing or broken."""
 
     def __init__(
         self,
-        config: DroneConfig,
+        section: CameraSection,
         mounted: MountedCamera | None,
         clock: Clock,
-        simulation: Simulation | None = None,
+        simulation: Simulation | None,
     ) -> None:
-        self._config = config
+        self._section = section
         self._mounted = mounted
-        self._camera_refused = self._autopilot_refused = ""
+        self._refused = ""
         self._camera: Camera | DetectionSource | None = None
-        self._autopilot: Autopilot | None = None
         if mounted is not None:
             try:
-                self._camera = make_camera(config, mounted, clock, simulation)
+                self._camera = make_camera(section, mounted, clock, simulation)
             except SwarmtrackError as error:
-                self._camera_refused = str(error)
-        try:
-            self._autopilot = make_autopilot(config, clock, simulation)
-        except SwarmtrackError as error:
-            self._autopilot_refused = str(error)
-        self.heard = SampleCollector()
+                self._refused = str(error)
         self.motion = None if mounted is None else ImageMotion(mounted.camera)
         self._frames = 0
         self._stamps: set[StampKind] = set()
         self._newest: Frame | None = None
 
-    async def run(self, seconds: float) -> WatchedSensors:
-        """Watch for so long, or until a recording ends."""
-        tasks = [asyncio.create_task(self._watch_camera()), asyncio.create_task(self._listen())]
-        try:
-            # A recording's end ends neither the other source nor, by itself, the look at it.
-            await asyncio.wait(tasks, timeout=seconds)
-            return await self._facts(seconds)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            if self._camera is not None:
-                with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(1.5):
-                        await self._camera.close()
-
-    async def _watch_camera(self) -> None:
+    async def run(self, *, beside_gyro: bool) -> None:
+        """Until cancelled, or until a recording ends. beside_gyro: there is something to compare its motion with."""
         if isinstance(self._camera, DetectionSource):
             async for _ in self._camera.detections():
                 self._frames += 1
@@ -134,22 +120,24 @@ class SensorWatch:
                 self._frames += 1
                 self._stamps.add(frame.stamp)
                 self._newest = frame
-                if self._autopilot is not None and self.motion is not None:
+                if beside_gyro and self.motion is not None:
                     await asyncio.to_thread(self.motion.see, frame.t, frame.image)
 
-    async def _listen(self) -> None:
-        if self._autopilot is not None:
-            await self._autopilot.run(self.heard)
+    async def close(self) -> None:
+        if self._camera is not None:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(1.5):
+                    await self._camera.close()
 
-    async def _facts(self, seconds: float) -> WatchedSensors:
-        section = self._config.camera
+    async def watched(self, seconds: float, heard: SampleCollector) -> WatchedCamera:
+        """What it came to in so many seconds, beside what the autopilot said."""
+        section, frame = self._section, self._newest
         address = None if section.simulated else parse_address(section.source)
-        frame, heard = self._newest, self.heard
-        camera = CameraFacts(
+        facts = CameraFacts(
             seconds=seconds,
             max_age_s=section.max_age_s,
             status=None if self._camera is None else self._camera.status(),
-            refused=self._camera_refused,
+            refused=self._refused,
             asked_hz=_asked_hz(section.source) if address and address.scheme == "v4l2" else None,
             frames=self._frames,
             size=None if frame is None else (frame.image.shape[1], frame.image.shape[0]),
@@ -157,6 +145,79 @@ class SensorWatch:
             shade=None if frame is None else _shade(frame),
             live=address is None or address.scheme not in RECORDINGS,
         )
+        return WatchedCamera(facts, await asyncio.to_thread(self._compared, heard), frame)
+
+    def _compared(self, heard: SampleCollector) -> MotionFacts:
+        """Image against gyro."""
+        if self.motion is None or self._mounted is None:
+            return MotionFacts("without a calibration the image tells no angles")
+        if len(heard.samples) < LEAST_GYRO_SAMPLES:
+            return MotionFacts("no gyro")
+        if not self.motion.found:
+            return MotionFacts("nothing in the picture could be followed" if self._frames else "no frames")
+        turns, gyro = self.motion.turns(), heard.gyro()
+        agreement = compare(
+            turns,
+            gyro,
+            self._mounted.body_from_camera.rotation.T,
+            reach=0.2,
+            centre=self._mounted.time_offset_s,
+        )
+        if agreement is None:
+            return MotionFacts("too few frames with the gyro around them")
+        found = solve(turns, gyro, reach=0.2, centre=self._mounted.time_offset_s)
+        return MotionFacts("", agreement, found)
+
+
+class SensorWatch:
+    """Cameras and autopilot of a config, opened together; any may be missing or broken."""
+
+    def __init__(
+        self,
+        config: DroneConfig,
+        mounted: Sequence[MountedCamera | None],
+        clock: Clock,
+        simulation: Simulation | None = None,
+    ) -> None:
+        """mounted: of each camera of the config; None where it is not known."""
+        self._config = config
+        self._cameras = [
+            CameraWatch(section, one, clock, simulation)
+            for section, one in zip(config.cameras, mounted, strict=True)
+        ]
+        self._autopilot_refused = ""
+        self._autopilot: Autopilot | None = None
+        try:
+            self._autopilot = make_autopilot(config, clock, simulation)
+        except SwarmtrackError as error:
+            self._autopilot_refused = str(error)
+        self.heard = SampleCollector()
+
+    def motion(self, camera: int) -> ImageMotion | None:
+        """How the picture of a camera has moved so far."""
+        return self._cameras[camera].motion
+
+    async def run(self, seconds: float) -> WatchedSensors:
+        """Watch for so long, or until recordings end."""
+        beside_gyro = self._autopilot is not None
+        tasks = [asyncio.create_task(camera.run(beside_gyro=beside_gyro)) for camera in self._cameras]
+        tasks.append(asyncio.create_task(self._listen()))
+        try:
+            # A recording's end ends neither the other sources nor, by itself, the look at it.
+            await asyncio.wait(tasks, timeout=seconds)
+            return await self._facts(seconds)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            await asyncio.gather(*(camera.close() for camera in self._cameras))
+
+    async def _listen(self) -> None:
+        if self._autopilot is not None:
+            await self._autopilot.run(self.heard)
+
+    async def _facts(self, seconds: float) -> WatchedSensors:
+        heard = self.heard
         link = self._config.autopilot.link
         autopilot = AutopilotFacts(
             seconds=seconds,
@@ -172,8 +233,8 @@ class SensorWatch:
             np.array([pose.t for pose in heard.poses]),
             np.array([pose.world_from_body for pose in heard.poses]).reshape(-1, 3, 3),
         )
-        motion = await asyncio.to_thread(self._compared)
-        return WatchedSensors(camera, autopilot, imu, self._pose_facts(), motion, frame)
+        cameras = [await camera.watched(seconds, heard) for camera in self._cameras]
+        return WatchedSensors(tuple(cameras), autopilot, imu, self._pose_facts())
 
     def _pose_facts(self) -> PoseFacts:
         heading = self._config.autopilot.heading_sigma_deg
@@ -187,27 +248,6 @@ class SensorWatch:
         if last is None:
             return known
         return replace(known, position_sigma=last.position_sigma, vertical_sigma=last.vertical_sigma)
-
-    def _compared(self) -> MotionFacts:
-        """Image against gyro."""
-        if self.motion is None or self._mounted is None:
-            return MotionFacts("without a calibration the image tells no angles")
-        if len(self.heard.samples) < LEAST_GYRO_SAMPLES:
-            return MotionFacts("no gyro")
-        if not self.motion.found:
-            return MotionFacts("nothing in the picture could be followed" if self._frames else "no frames")
-        turns, gyro = self.motion.turns(), self.heard.gyro()
-        agreement = compare(
-            turns,
-            gyro,
-            self._mounted.body_from_camera.rotation.T,
-            reach=0.2,
-            centre=self._mounted.time_offset_s,
-        )
-        if agreement is None:
-            return MotionFacts("too few frames with the gyro around them")
-        found = solve(turns, gyro, reach=0.2, centre=self._mounted.time_offset_s)
-        return MotionFacts("", agreement, found)
 
 
 def _asked_hz(source: str) -> float | None:

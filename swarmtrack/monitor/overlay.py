@@ -18,14 +18,19 @@ SIGMAS = 3.0  # of an ellipse
 
 
 def boxes(view: VideoMessage, tracks: TracksMessage | None) -> list[dict[str, Any]]:
-    """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad)."""
+    """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad). A picture is
+    always the first camera's, so tracks of the others are not in it."""
     if tracks is None or not tracks.tracks:
         return []
     try:
         camera = camera_from(view.lens)
     except DecodeError:
         return []
-    shown = [track for track in tracks.tracks if track.status != "tentative"]
+    shown = [
+        track
+        for index, track in enumerate(tracks.tracks)
+        if track.status != "tentative" and tracks.camera_of(index) == 0
+    ]
     ideal = np.array([(track.u_px, track.v_px) for track in shown]).reshape(-1, 2)
     velocity = np.array([(track.vu_px_s, track.vv_px_s) for track in shown]).reshape(-1, 2)
     centre = camera.distort(ideal)

@@ -29,9 +29,10 @@ from swarmtrack.monitor.timeline import Blob, BlobFile, TimelineEvent, Tracked
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
+from swarmtrack.recording.outputs import FRAMES_TOPIC, IMAGES_TOPIC
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
-from swarmtrack.replay.replayer import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
+from swarmtrack.replay.replayer import jpeg_of
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.transport import keys
@@ -84,6 +85,7 @@ class DroneRecording:
         self.boot = recording.preface["boot"]
         self._offset = utc_offset(recording)
         settings, _ = read_settings(recording)
+        self._cameras = settings.cameras
         self._camera = settings.mounted.camera
         self._body_from_camera = settings.mounted.body_from_camera
         self._lens = lens_message(self._camera)
@@ -129,7 +131,9 @@ class DroneRecording:
             self._on_sign_of_life(t)
             self._health.append((t, codec.encode(health)))
         elif topic == FRAMES_TOPIC:
-            self._frame_t = float(msgspec.json.decode(message.data)["t_s"])
+            exact = msgspec.json.decode(message.data)
+            if not exact.get("camera"):
+                self._frame_t = float(exact["t_s"])
         elif topic == IMAGES_TOPIC:
             jpeg = jpeg_of(message.data)
             if jpeg is not None and math.isfinite(self._frame_t) and _is_due(self._pictures, t):
@@ -173,9 +177,13 @@ class DroneRecording:
             for entry in tracks.tracks
             if isinstance(entry.identity, int) and entry.track.coasting_since is None
         ]
-        camera = ObserverCamera.of(observer, self._camera, self._body_from_camera)
-        rays = rays_to([(drone_id, track) for drone_id, track, _ in named], camera)
-        view = OwnView.of(observer, self._body_from_camera, zip(rays, (p for *_, p in named), strict=True))
+        seen = []
+        for number, mounted in enumerate(self._cameras):
+            in_it = [one for one in named if one[1].camera == number]
+            camera = ObserverCamera.of(observer, mounted.camera, mounted.body_from_camera)
+            rays = rays_to([(drone_id, track) for drone_id, track, _ in in_it], camera)
+            seen += list(zip(rays, (p for *_, p in in_it), strict=True))
+        view = OwnView.of(observer, self._body_from_camera, seen)
         self._reports.append((t, view.report(self.drone_id, said.boot, said.sequence, ())))
 
     def _view(self, exposed: float) -> VideoMessage:

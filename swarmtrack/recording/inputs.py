@@ -37,7 +37,8 @@ from swarmtrack.messages import (
 
 class Entry(NamedTuple):
     """One attribute of a message under its key. shape: of an array, -1 for however many; form: of a nested message;
-    added: to the form, later: earlier records lack it, and mean the attribute's default."""
+    added: to the form, later: earlier records lack it, and mean the attribute's default. sparse: and so do later ones
+    where it is 0."""
 
     attribute: str
     key: str
@@ -45,6 +46,7 @@ class Entry(NamedTuple):
     type: str = "number"
     form: Form | None = None
     added: bool = False
+    sparse: bool = False
 
 
 class Form(NamedTuple):
@@ -120,6 +122,7 @@ FORMS: tuple[Form, ...] = (
             Entry("covariance", "covariance_px2", (-1, 2, 2)),
             Entry("coverage", "coverage"),
             Entry("likeness", "likeness", (-1,), added=True),
+            Entry("camera", "camera", type="integer", added=True, sparse=True),
         ),
     ),
     Form(
@@ -239,7 +242,11 @@ def numbers(array: Any) -> Any:
 
 
 def _fields(form: Form, message: Any) -> dict[str, Any]:
-    return {entry.key: _field(entry, getattr(message, entry.attribute)) for entry in form.entries}
+    return {
+        entry.key: _field(entry, getattr(message, entry.attribute))
+        for entry in form.entries
+        if not entry.sparse or getattr(message, entry.attribute)
+    }
 
 
 def _field(entry: Entry, value: Any) -> Any:

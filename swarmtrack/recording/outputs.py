@@ -17,9 +17,15 @@ from swarmtrack.recording.inputs import numbers, plain
 TRACKS_TOPIC = "/tracks"
 ASKED_TOPIC = "/asked"
 SETPOINTS_TOPIC = "/setpoints"
+FRAMES_TOPIC, IMAGES_TOPIC = "/camera/frames", "/camera/image"
 
 _ENCODER = msgspec.json.Encoder()
 _DECODER = msgspec.json.Decoder(dict[str, Any])
+
+
+def image_topic(camera: int) -> str:
+    """Of the pictures of a camera, by its place in the config."""
+    return IMAGES_TOPIC if camera == 0 else f"/camera/{camera + 1}/image"
 
 
 def digest(tracks: TrackList) -> str:
@@ -29,7 +35,9 @@ def digest(tracks: TrackList) -> str:
     for entry in tracks.tracks:
         track = entry.track
         since = -1.0 if track.coasting_since is None else track.coasting_since
-        words = f"{track.id} {track.status} {entry.identity}".encode()
+        # As ever while there is one camera.
+        camera = f" {track.camera}" if track.camera else ""
+        words = f"{track.id} {track.status} {entry.identity}{camera}".encode()
         state.update(
             words + struct.pack("<dddd", track.t, track.probability, entry.identity_probability, since)
         )
@@ -57,6 +65,7 @@ def encode_report(report: ScanReport) -> bytes:
         {
             "t_s": tracks.t,
             "sequence": int(report.sequence),
+            **_other_camera(report.camera),
             "digest": digest(tracks),
             "relative_digest": relative_digest(tracks),
             "tracks": [_track_record(entry) for entry in tracks.tracks],
@@ -78,7 +87,7 @@ def decode_report(data: bytes) -> RecordedReport:
         record = _DECODER.decode(data)
         t = float(record["t_s"])
         entries = tuple(_identified(part) for part in record["tracks"])
-        report = ScanReport(record["sequence"], TrackList(t, t, entries))
+        report = ScanReport(record["sequence"], TrackList(t, t, entries), int(record.get("camera", 0)))
         return RecordedReport(record["digest"], record.get("relative_digest"), report)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{TRACKS_TOPIC}: a record that is no swarmtrack.Tracks: {error}") from None
@@ -152,6 +161,7 @@ def _track_record(entry: IdentifiedTrack) -> dict[str, Any]:
     track = entry.track
     return {
         "id": int(track.id),
+        **_other_camera(track.camera),
         "t_s": float(track.t),
         "identity": entry.identity,
         "identity_probability": float(entry.identity_probability),
@@ -163,6 +173,11 @@ def _track_record(entry: IdentifiedTrack) -> dict[str, Any]:
         "coasting_since_s": None if track.coasting_since is None else float(track.coasting_since),
         "relative": None if entry.relative is None else _relative_record(entry.relative),
     }
+
+
+def _other_camera(camera: int) -> dict[str, int]:
+    """Nothing of the first one: that is the only one of most drones."""
+    return {"camera": camera} if camera else {}
 
 
 def _relative_record(state: RelativeState) -> dict[str, Any]:
@@ -187,6 +202,7 @@ def _identified(record: dict[str, Any]) -> IdentifiedTrack:
         probability=float(record["probability"]),
         size=np.array(record["size_px"], dtype=np.float64).reshape(2),
         coasting_since=record["coasting_since_s"],
+        camera=int(record.get("camera", 0)),
     )
     found = record.get("relative")
     relative = None if found is None else _relative(found)

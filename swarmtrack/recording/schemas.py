@@ -48,11 +48,13 @@ TRACKS = table(
     "swarmtrack.Tracks",
     t_s=NUMBER,
     sequence=INTEGER,
+    camera=INTEGER,
     digest=TEXT,
     tracks=array(
         table(
             "swarmtrack.Track",
             id=INTEGER,
+            camera=INTEGER,
             t_s=NUMBER,
             identity={},  # a drone's ID, "foreign" or null
             identity_probability=NUMBER,
@@ -82,5 +84,5 @@ SETPOINTS = table(
     digest=TEXT,
 )
 SAID = table("swarmtrack.Said", drone_id=INTEGER, boot=TEXT, sequence=INTEGER, t_s=NUMBER)
-FRAME = table("swarmtrack.Frame", sequence=INTEGER, t_s=NUMBER, t_sigma_s=NUMBER)
+FRAME = table("swarmtrack.Frame", sequence=INTEGER, camera=INTEGER, t_s=NUMBER, t_sigma_s=NUMBER)
 HEALTH: Schema = {"title": "swarmtrack.Health", "type": "object"}

@@ -38,12 +38,18 @@ BOXES_OF_OLD = BoxWidth(
 
 @dataclass(frozen=True, slots=True)
 class FlightSettings:
-    """start: team_from_body, None where the autopilot says it; box_width: what the detector said of its boxes."""
+    """cameras: in the order of the config. start: team_from_body, None where the autopilot says it; box_width: what the
+    detector said of its boxes."""
 
     config: DroneConfig
-    mounted: MountedCamera
+    cameras: tuple[MountedCamera, ...]
     start: Pose | None
     box_width: BoxWidth | None = None
+
+    @property
+    def mounted(self) -> MountedCamera:
+        """The first camera, where only that makes sense."""
+        return self.cameras[0]
 
 
 def preface(settings: FlightSettings, boot: str, now: float, utc: float) -> dict[str, str]:
@@ -74,23 +80,14 @@ def versions() -> dict[str, str]:
 
 
 def attachments(settings: FlightSettings) -> tuple[Attachment, ...]:
-    """The config as its files say it, the same with all defaults, and the numbers of camera and start."""
-    lens, mount = settings.mounted.camera, settings.mounted.body_from_camera
-    distortion = lens.distortion and {
-        "model": type(lens.distortion).__name__.lower(),
-        "coefficients": list(lens.distortion.coefficients),
-    }
+    """The config as its files say it, the same with all defaults, and the numbers of the cameras and of the start."""
     start = settings.start
+    first, *others = map(_camera_record, settings.cameras)
     calibration = {
-        "intrinsics": {
-            **{name: float(getattr(lens, name)) for name in ("fx", "fy", "cx", "cy")},
-            **{name: int(getattr(lens, name)) for name in ("width", "height")},
-        },
-        "distortion": distortion,
-        "body_from_camera": _pose_record(mount),
-        "time_offset_s": settings.mounted.time_offset_s,
+        **first,
         "start": None if start is None else _pose_record(start),
         "box_width": None if settings.box_width is None else asdict(settings.box_width),
+        **({"other_cameras": others} if others else {}),
     }
     layers = settings.config.layers
     return (
@@ -122,22 +119,50 @@ def read_settings(
         for key in sorted(section.keys() - known):
             del section[key]
             notes.append(f"tracker.{key} was recorded for another tracker: {name} has none")
-    config = config_of(Layers([recorded, asked], merge(table, asked.table)))
+    _by_camera(asked.table, table)
+    merged = merge(table, asked.table)
+    if isinstance(table.get("camera"), list):
+        merged["camera"] = table["camera"]
+    config = config_of(Layers([recorded, asked], merged))
     try:
-        mounted = _mounted(calibration)
+        mounted = [_mounted(record) for record in (calibration, *calibration.get("other_cameras", ()))]
+        if len(mounted) != len(config.cameras):
+            raise ValueError(f"{len(mounted)} cameras, the config has {len(config.cameras)}")
         start = None if calibration["start"] is None else _pose(calibration["start"])
         box_width = _box_width(calibration, config)
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(
             f"{recorded.path}: {CALIBRATION}: {error!r}, expected what an agent writes"
         ) from None
-    if "camera" in asked.table and not config.camera.simulated:
-        mounted = mount_camera(config.camera)
-    elif "time_offset_s" in asked.table.get("camera", {}):
-        mounted = mounted._replace(time_offset_s=config.camera.time_offset_s or 0.0)
+    changes = asked.table.get("camera", {})
+    for number, changed in enumerate(changes if isinstance(changes, list) else [changes]):
+        section = config.cameras[number]
+        if changed and not section.simulated:
+            mounted[number] = mount_camera(section)
+        elif "time_offset_s" in changed:
+            mounted[number] = mounted[number]._replace(time_offset_s=section.time_offset_s or 0.0)
     if "start" in asked.table.get("drone", {}):
         start = None if config.drone.start.source is not None else config.drone.start.pose()
-    return FlightSettings(config, mounted, start, box_width), notes
+    return FlightSettings(config, tuple(mounted), start, box_width), notes
+
+
+def _by_camera(asked: Table, recorded: Table) -> None:
+    """`camera.2.KEY` of a recording with several cameras, in the order of the config as the config has it; `camera.KEY`
+    is said of all. Raises ConfigError."""
+    cameras, changes = recorded.get("camera"), asked.get("camera")
+    if not isinstance(cameras, list) or not isinstance(changes, dict):
+        return
+    of_each: list[Table] = [{} for _ in cameras]
+    for key, value in changes.items():
+        if not key.isdecimal():
+            for one in of_each:
+                one[key] = value
+        elif 1 <= int(key) <= len(cameras) and isinstance(value, dict):
+            of_each[int(key) - 1].update(value)
+        else:
+            raise ConfigError([f"--set camera.{key}: expected camera.N.KEY with N from 1 to {len(cameras)}"])
+    recorded["camera"] = [merge(one, change) for one, change in zip(cameras, of_each, strict=True)]
+    asked["camera"] = of_each
 
 
 def _layer_of(changes: Sequence[str]) -> Layer:
@@ -162,6 +187,23 @@ def _layer_of(changes: Sequence[str]) -> Layer:
         return Layer(Path("--set"), text, tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise ConfigError([f"--set: {error}, expected each key once"]) from None
+
+
+def _camera_record(mounted: MountedCamera) -> dict[str, Any]:
+    lens = mounted.camera
+    return {
+        "intrinsics": {
+            **{name: float(getattr(lens, name)) for name in ("fx", "fy", "cx", "cy")},
+            **{name: int(getattr(lens, name)) for name in ("width", "height")},
+        },
+        "distortion": lens.distortion
+        and {
+            "model": type(lens.distortion).__name__.lower(),
+            "coefficients": list(lens.distortion.coefficients),
+        },
+        "body_from_camera": _pose_record(mounted.body_from_camera),
+        "time_offset_s": mounted.time_offset_s,
+    }
 
 
 def _mounted(record: dict[str, Any]) -> MountedCamera:

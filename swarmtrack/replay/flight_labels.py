@@ -26,9 +26,10 @@ from swarmtrack.messages import Announcement, Array, AutopilotRebooted, EgoPose,
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.recording import inputs
 from swarmtrack.recording.merge import shifts
+from swarmtrack.recording.outputs import FRAMES_TOPIC, IMAGES_TOPIC
 from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings, read_settings
-from swarmtrack.replay.replayer import FRAMES_TOPIC, IMAGES_TOPIC, jpeg_of
+from swarmtrack.replay.replayer import jpeg_of
 from swarmtrack.runtime.perception import make_ego_history
 
 TOPICS = {
@@ -233,11 +234,13 @@ def _read(recording: Recording, shift: float) -> RecordedDrone:
 
 
 def _pictures(recording: Recording) -> Iterator[tuple[float, int, bytes]]:
-    """Time on the drone's clock, number and JPEG of every recorded picture."""
+    """Time on the drone's clock, number and JPEG of every recorded picture of the first camera."""
     exact = None
     for message in recording.messages({FRAMES_TOPIC, IMAGES_TOPIC}):
         if message.topic == FRAMES_TOPIC:
             exact = msgspec.json.decode(message.data)
+            if exact.get("camera"):
+                exact = None
         elif exact is not None:
             jpeg = jpeg_of(message.data)
             if jpeg is not None:

@@ -100,8 +100,8 @@ class FlightWidths:
         if here is None:
             self.skipped["the observer's own pose is not known"] += 1
             return
-        camera = observer.settings.mounted.camera
-        eye = here.pose @ observer.settings.mounted.body_from_camera
+        mounted = observer.settings.cameras[seen.camera]
+        camera, eye = mounted.camera, here.pose @ mounted.body_from_camera
         if abs(camera_roll(eye.rotation)) > MOST_ROLL:
             self.skipped["the camera banks"] += 1
             return
@@ -164,7 +164,7 @@ def _looks(observer: RecordedDrone) -> Iterator[tuple[Detections, float]]:
     for message in observer.recording.messages({topic}):
         _, event = inputs.decode(topic, message.data)
         if isinstance(event, Detections) and len(event):
-            yield event, event.t + observer.settings.mounted.time_offset_s
+            yield event, event.t + observer.settings.cameras[event.camera].time_offset_s
 
 
 def _read_truth(recordings: Sequence[Recording]) -> dict[int, TruePath]:

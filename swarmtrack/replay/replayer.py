@@ -18,6 +18,7 @@ from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
 from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, StampKind, TrackList
 from swarmtrack.recording import inputs, outputs
+from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.runtime.door import Door
@@ -26,7 +27,6 @@ from swarmtrack.runtime.perception import make_follower, make_onboard
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
 
-FRAMES_TOPIC, IMAGES_TOPIC = "/camera/frames", "/camera/image"
 ANSWER_EVERY = 10
 FRAMES_KEPT = 64  # read, and their detections not met yet
 
@@ -130,12 +130,14 @@ class Replayer:
         follower = make_follower(settings.config)
         self._follows = follower is not None
         self._door = Door(
-            make_onboard(settings.config, settings.mounted, settings.start, box_width), follower
+            make_onboard(settings.config, settings.cameras, settings.start, box_width), follower
         )
         self._gyro_delay_s = settings.config.motion.gyro_delay_s
         self._detector = detector
-        self._expectation = PerceivedExpectation(self._door.perceived)
-        self._topics = TOPICS if detector is None else TOPICS | {FRAMES_TOPIC, IMAGES_TOPIC}
+        perceived = self._door.perceived
+        self._expectations = [PerceivedExpectation(perceived, k) for k in range(len(settings.cameras))]
+        self._image_topics = {image_topic(k) for k in range(len(settings.cameras))}
+        self._topics = TOPICS if detector is None else TOPICS | {FRAMES_TOPIC} | self._image_topics
         self._watcher = watcher
         self._answer_every = 1 if every_answer or watcher is not None else ANSWER_EVERY
         self._result = Replayed()
@@ -146,7 +148,8 @@ class Replayer:
         self._hash = hashlib.blake2b(digest_size=16)
         self._last_n = 0
         self._exact_times: dict[str, Any] | None = None
-        self._frames: dict[int, Frame] = {}
+        self._frames: dict[tuple[int, int], Frame] = {}
+        """By camera, and by the frame's number."""
 
     def run(self) -> Replayed:
         """Raises RecordingError where nothing of it can be replayed."""
@@ -202,7 +205,7 @@ class Replayer:
             if recorded.relative_digest is not None:
                 self._states.recorded.append(recorded.relative_digest)
             self._result.recorded_scans.append(recorded.report)
-        elif topic in (FRAMES_TOPIC, IMAGES_TOPIC):
+        elif topic == FRAMES_TOPIC or topic in self._image_topics:
             try:
                 self._take_frame(topic, message.data)
             except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
@@ -250,10 +253,10 @@ class Replayer:
         if self._detector is None or not isinstance(event, Detections):
             yield event
             return
-        frame = self._frames.pop(event.sequence, None)
+        frame = self._frames.pop((event.camera, event.sequence), None)
         if frame is None:
             return
-        detections = self._detector.look(self._detector.plan(frame, self._expectation))
+        detections = self._detector.look(self._detector.plan(frame, self._expectations[frame.camera]))
         if detections is not None:
             yield detections
 
@@ -270,7 +273,7 @@ class Replayer:
             return
         exact, self._exact_times = self._exact_times, None
         jpeg = jpeg_of(data)
-        if exact is None or jpeg is None:
+        if exact is None or jpeg is None or topic != image_topic(int(exact.get("camera", 0))):
             return
         try:
             check_pixels(jpeg)
@@ -281,11 +284,17 @@ class Replayer:
             return
         pixels = np.asarray(image, np.uint8)
         frame = Frame(
-            float(exact["t_s"]), float(exact["t_sigma_s"]), int(exact["sequence"]), pixels, StampKind.MEDIA
+            float(exact["t_s"]),
+            float(exact["t_sigma_s"]),
+            int(exact["sequence"]),
+            pixels,
+            StampKind.MEDIA,
+            int(exact.get("camera", 0)),
         )
-        self._frames[frame.sequence] = frame
+        self._frames[frame.camera, frame.sequence] = frame
         while len(self._frames) > FRAMES_KEPT:
-            del self._frames[min(self._frames)]
+            # The one that was read first.
+            del self._frames[next(iter(self._frames))]
 
 
 def jpeg_of(data: bytes) -> bytes | None:

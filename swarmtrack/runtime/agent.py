@@ -7,7 +7,7 @@ import logging
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from swarmtrack.detection.expectation import PerceivedExpectation
@@ -19,6 +19,7 @@ from swarmtrack.messages import (
     DoubtNews,
     EgoPose,
     FlightState,
+    Frame,
     HeadingNews,
     ImuSample,
     Input,
@@ -33,19 +34,20 @@ from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.live_video import LiveVideo
-from swarmtrack.runtime.outputs import JsonLines, as_seen
+from swarmtrack.runtime.outputs import JsonLines, as_seen, video_paths
 from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
 from swarmtrack.runtime.seam_words import describe_seam
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
+from swarmtrack.runtime.turns import FairTurns, NewestFrames, in_order
 from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity
+from swarmtrack.toml.sections import key_text
 from swarmtrack.tracking.seams import SeamNews
 
 if TYPE_CHECKING:
-    from swarmtrack.detection.detector import Detector
     from swarmtrack.runtime.annotated_video import AnnotatedVideo
 
 log = logging.getLogger(__name__)
@@ -61,8 +63,8 @@ class Agent:
         config, output = parts.config, parts.config.output
         self._config = config
         self._clock, self._wall, self._paced = parts.clock, parts.wall, parts.paced
-        self._camera, self._detector, self._autopilot = parts.camera, parts.detector, parts.autopilot
-        self._lens, self._start = parts.lens, parts.start
+        self._cameras, self._detector, self._autopilot = parts.cameras, parts.detector, parts.autopilot
+        self._lenses, self._start = parts.lenses, parts.start
         self._door, self._recorder = parts.door, parts.recorder
         self._transport, self._renewal = parts.transport, parts.renewal
         self._simulated = parts.simulated_teammates
@@ -70,9 +72,8 @@ class Agent:
         self._supervisor = supervisor or Notifier()
         self._watchdog = Watchdog(self._supervisor)
         with config.blamed("output"):
-            self._jsonl = JsonLines(output.jsonl) if output.jsonl else None
-            alone = config.network.transport == "memory"
-            self._video = _open_video(output.video, lossless=parts.paced is not None, alone=alone)
+            self._jsonl = JsonLines(output.jsonl, cameras=len(parts.cameras)) if output.jsonl else None
+            self._videos = _open_videos(parts)
         health_file = health_path(output.health)
         self._health_file = HealthFile(health_file) if health_file else None
         self._notices = make_notices(parts)
@@ -97,8 +98,11 @@ class Agent:
             hz=output.tracks_hz,
         )
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
+        perceived = parts.door.perceived
+        self._expectations = [PerceivedExpectation(perceived, k) for k in range(len(parts.cameras))]
+        self._turns = FairTurns()
         self._stop = asyncio.Event()
-        self._all_stale = False
+        self._all_stale = [False] * len(parts.cameras)
 
     def stop(self) -> None:
         """Ask for a clean end."""
@@ -113,7 +117,7 @@ class Agent:
             self._team.describe_camera()
             await self._transport.open()
             async with asyncio.TaskGroup() as tasks:
-                camera = tasks.create_task(self._feed_camera(warm), name="camera")
+                cameras = tasks.create_task(self._feed_cameras(warm), name="cameras")
                 others = [
                     tasks.create_task(self._feed_autopilot(), name="autopilot"),
                     tasks.create_task(self._team.listen(), name="peers"),
@@ -128,8 +132,8 @@ class Agent:
                     tasks.create_task(self._fly_in_formation(), name="formation"),
                 ]
                 stop = tasks.create_task(self._stop.wait(), name="stop")
-                await asyncio.wait({camera, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
-                for task in (camera, stop, *others):
+                await asyncio.wait({cameras, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+                for task in (cameras, stop, *others):
                     task.cancel()
         finally:
             self._supervisor.stopping()
@@ -195,68 +199,105 @@ class Agent:
 
     def _warm_up(self) -> None:
         if self._detector is not None:
-            self._detector.warm_up(self._lens.width, self._lens.height)
+            for width, height in sorted({(lens.width, lens.height) for lens in self._lenses}):
+                self._detector.warm_up(width, height)
 
-    async def _feed_camera(self, warm: asyncio.Future[None]) -> None:
-        """Everything that was detected into Onboard; returns where a recording ends."""
+    async def _feed_cameras(self, warm: asyncio.Future[None]) -> None:
+        """Everything that was detected into Onboard; returns where recordings end, all of them."""
         await asyncio.shield(warm)
-        async for detections in self._detections():
-            self._tracks.on_detections()
-            self.tell(detections)
-            if self._video:
-                await self._video.drain()
+        feeds = self._detections()
+        if len(feeds) == 1:
+            await self._feed(feeds[0])
+        else:
+            async with asyncio.TaskGroup() as tasks:
+                for number, feed in enumerate(feeds, start=1):
+                    tasks.create_task(self._feed(feed), name=f"camera {number}")
         # Nothing more will come: what still waits for a gyro sample is tracked now.
         self._door.tracks(self._clock.now() + 1.0)
         self._carry_off()
 
-    def _detections(self) -> AsyncIterator[Detections]:
-        """From a source that detects by itself, or from a camera and our detector."""
-        camera, detector = self._camera, self._detector
-        if isinstance(camera, DetectionSource):
-            return self._receive(camera)
-        assert detector is not None
-        return self._detect(camera, detector)
+    async def _feed(self, detected: AsyncIterator[Detections]) -> None:
+        async for detections in detected:
+            self._tracks.on_detections()
+            self.health.on_detections(detections.camera)
+            self.tell(detections)
+            for video in self._videos:
+                await video.drain()
 
-    async def _receive(self, source: DetectionSource) -> AsyncIterator[Detections]:
+    def _detections(self) -> list[AsyncIterator[Detections]]:
+        """From sources that detect by themselves, or from cameras and our detector: what comes side by side."""
+        sources = [camera for camera in self._cameras if isinstance(camera, DetectionSource)]
+        if sources:
+            return [self._receive(number, source) for number, source in enumerate(sources)]
+        cameras = [camera for camera in self._cameras if not isinstance(camera, DetectionSource)]
+        if len(cameras) == 1:
+            return [self._detect(cameras[0].frames())]
+        if self._paced is not None:
+            return [self._detect(in_order(cameras))]
+        return [self._detect_in_turn(number, camera) for number, camera in enumerate(cameras)]
+
+    async def _receive(self, number: int, source: DetectionSource) -> AsyncIterator[Detections]:
         async for detections in source.detections():
-            if self._is_fresh(detections.t):
-                self._live.offer(detections.t, detections.sequence, None)
-                yield detections
+            if self._is_fresh(detections.t, number):
+                if number == 0:
+                    self._live.offer(detections.t, detections.sequence, None)
+                yield replace(detections, camera=number) if number else detections
 
-    async def _detect(self, camera: Camera, detector: Detector) -> AsyncIterator[Detections]:
-        """Every frame through the detector, in its thread."""
-        loop, expectation = asyncio.get_running_loop(), PerceivedExpectation(self._door.perceived)
-        async for frame in camera.frames():
+    async def _detect(self, frames: AsyncIterator[Frame]) -> AsyncIterator[Detections]:
+        """Every frame through the detector."""
+        async for frame in frames:
             if self._paced is not None:
                 self._paced.set(frame.t)
-            if not self._is_fresh(frame.t):
-                continue
-            if self._recorder is not None:
-                self._recorder.frame(frame)
-            self._live.offer(frame.t, frame.sequence, frame.image)
-            began = self._wall.now()
-            self._watchdog.look_began(began)
-            look = detector.plan(frame, expectation)
-            detections = await loop.run_in_executor(self._worker, detector.look, look)
-            self._watchdog.look_ended()
-            self.health.detector.add(self._wall.now() - began)
-            if detections is None:
-                continue
-            if self._video:
-                self._video.keep(frame)
-            yield detections
+            detections = await self._look_at(frame)
+            if detections is not None:
+                yield detections
 
-    def _is_fresh(self, exposed: float) -> bool:
-        """Whether what was exposed then is young enough to be used now; what is not is counted."""
-        age, limit = self._clock.now() - exposed, self._config.camera.max_age_s
+    async def _detect_in_turn(self, number: int, camera: Camera) -> AsyncIterator[Detections]:
+        """The frames of one of several live cameras, as often as its turn comes."""
+        frames = NewestFrames(camera)
+        try:
+            while not frames.ended:
+                await frames.arrived()
+                async with self._turns.turn(number):
+                    frame = await frames.take()
+                    seen = None if frame is None else await self._look_at(replace(frame, camera=number))
+                if seen is not None:
+                    yield seen
+        finally:
+            frames.close()
+
+    async def _look_at(self, frame: Frame) -> Detections | None:
+        """A frame through the detector, in its thread; None where that came to nothing."""
+        detector = self._detector
+        assert detector is not None
+        if not self._is_fresh(frame.t, frame.camera):
+            return None
+        if self._recorder is not None:
+            self._recorder.frame(frame)
+        if frame.camera == 0:
+            self._live.offer(frame.t, frame.sequence, frame.image)
+        began = self._wall.now()
+        self._watchdog.look_began(began)
+        look = detector.plan(frame, self._expectations[frame.camera])
+        detections = await asyncio.get_running_loop().run_in_executor(self._worker, detector.look, look)
+        self._watchdog.look_ended()
+        self.health.detector.add(self._wall.now() - began)
+        if detections is not None and self._videos:
+            self._videos[frame.camera].keep(frame)
+        return detections
+
+    def _is_fresh(self, exposed: float, number: int) -> bool:
+        """Whether what a camera exposed then is young enough to be used now; what is not is counted."""
+        age, limit = self._clock.now() - exposed, self._config.cameras[number].max_age_s
         if age <= limit:
             self.health.exposure_to_detector.add(age)
-            self._all_stale = False
+            self._all_stale[number] = False
             return True
-        self.health.drops["stale_frames"] += 1
-        if not self._all_stale:
-            log.warning("camera: skipped what is %.2f s old, expected camera.max_age_s = %g", age, limit)
-        self._all_stale = True
+        self.health.on_stale_frame(number)
+        if not self._all_stale[number]:
+            name = key_text(self._config.camera_key(number))
+            log.warning("%s: skipped what is %.2f s old, expected %s.max_age_s = %g", name, age, name, limit)
+        self._all_stale[number] = True
         return False
 
     def tell(self, event: Input) -> None:
@@ -293,14 +334,15 @@ class Agent:
         self.health.on_scan()
         self._console.see(report)
         self._notices.see(report)
-        written = self._jsonl or self._video
-        seen = as_seen(report, self._lens) if written else []
+        written = self._jsonl or self._videos
+        seen = as_seen(report, *self._lenses) if written else []
         if self._jsonl:
             self._jsonl.write(report, seen)
             self.health.drops["jsonl_lines"] = self._jsonl.failed
-        if self._video:
-            self._video.write(report, seen)
-            self.health.drops["video_frames"] = self._video.dropped
+        if self._videos:
+            own = [track for track in seen if track.entry.track.camera == report.camera]
+            self._videos[report.camera].write(report, own)
+            self.health.drops["video_frames"] = sum(video.dropped for video in self._videos)
         self._tracks.on_scan()
 
     async def _publish_tracks(self, warm: asyncio.Future[None]) -> None:
@@ -335,12 +377,13 @@ class Agent:
         teammates = ", ".join(map(str, sorted(self._door.perceived.teammates))) or "none"
         facts.append(f"announced teammates: {teammates}")
         output = self._config.output
-        facts += [f"written: {path}" for path in (output.jsonl, output.video) if path]
+        videos = video_paths(output.video, len(self._cameras)) if output.video else []
+        facts += [f"written: {path}" for path in (output.jsonl, *videos) if path]
         self._console.summary(facts)
 
     async def _close(self) -> None:
         """Within CLOSE_TIMEOUT, whatever hangs."""
-        closing = [self._transport.close(), self._camera.close()]
+        closing = [self._transport.close(), *(camera.close() for camera in self._cameras)]
         closing += [transport.close() for transport, _ in self._simulated]
         with suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT):
@@ -353,8 +396,8 @@ class Agent:
         self._live.close()
         if self._jsonl:
             self._jsonl.close()
-        if self._video:
-            self._video.close()
+        for video in self._videos:
+            video.close()
         if self._health_file:
             self._health_file.close()
 
@@ -365,12 +408,12 @@ def make_health(parts: Parts, formation: FormationPilot | None = None) -> Health
     return Health(
         config.drone.id,
         parts.boot,
-        Connections(parts.camera, parts.transport, autopilot, parts.detector, parts.recorder, formation),
+        Connections(parts.cameras, parts.transport, autopilot, parts.detector, parts.recorder, formation),
         parts.door.perceived,
         Expected(
             config.autopilot.imu_rate_hz if autopilot else None,
             config.output.tracks_hz,
-            config.camera.max_age_s,
+            tuple(camera.max_age_s for camera in config.cameras),
             config.drone.start.position_sigma_m if config.drone.start.has_unknown_sigma else None,
         ),
         clock=parts.clock,
@@ -433,10 +476,14 @@ def make_teamwork(
     )
 
 
-def _open_video(path: Path | None, *, lossless: bool, alone: bool) -> AnnotatedVideo | None:
+def _open_videos(parts: Parts) -> list[AnnotatedVideo]:
+    """One for each camera, or none."""
+    path = parts.config.output.video
     if path is None:
-        return None
+        return []
     # Here, not above: OpenCV is nothing that an agent without pictures should pay for.
     from swarmtrack.runtime.annotated_video import AnnotatedVideo  # noqa: PLC0415
 
-    return AnnotatedVideo(path, lossless=lossless, alone=alone)
+    lossless, alone = parts.paced is not None, parts.config.network.transport == "memory"
+    paths = video_paths(path, len(parts.cameras))
+    return [AnnotatedVideo(one, lossless=lossless, alone=alone) for one in paths]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from swarmtrack.clock import Clock, ManualClock
-from swarmtrack.config import DroneConfig, MountedCamera, mount_camera
+from swarmtrack.config import CameraSection, DroneConfig, MountedCamera, mount_camera
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.formation.plan import range_faults, view_faults
 from swarmtrack.formation_config import field_of_view
@@ -55,8 +56,9 @@ class Parts:
     paced: ManualClock | None
     """The flight's clock where its frames set it: a recording, processed as fast as it goes. None: it is the wall's."""
     boot: str
-    lens: PinholeCamera
-    camera: Camera | DetectionSource
+    lenses: tuple[PinholeCamera, ...]
+    cameras: list[Camera | DetectionSource]
+    """In the order of the config, as `lenses` and `Detections.camera`."""
     autopilot: Autopilot | None
     detector: Detector | None
     """None where the camera detects by itself."""
@@ -76,6 +78,20 @@ class Parts:
     agreed: list[AgreedMotion]
     """How they move without saying it: by codes and by a plan."""
 
+    @property
+    def lens(self) -> PinholeCamera:
+        """The first camera's."""
+        return self.lenses[0]
+
+    @property
+    def camera(self) -> Camera | DetectionSource:
+        """The first one."""
+        return self.cameras[0]
+
+    @camera.setter
+    def camera(self, instead: Camera | DetectionSource) -> None:
+        self.cameras[0] = instead
+
 
 def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = None) -> Parts:
     """Make the parts; nothing is opened or connected yet.
@@ -90,13 +106,13 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
             paced = ManualClock(wall.now(), wall.utc())
         clock: Clock = paced or wall
         simulation = make_simulation(config, clock)
-    if simulation is not None:
-        mounted = simulated_mount(config, simulation)
-    else:
-        with config.blamed("camera", "calibration"):
-            mounted = mount_camera(config.camera)
-    with config.blamed("camera", "source"):
-        camera = make_camera(config, mounted, clock, simulation)
+    mounted, cameras = [], []
+    for number, section in enumerate(config.cameras):
+        with config.blamed(*config.camera_key(number, "calibration")):
+            one = mount(section, simulation)
+        with config.blamed(*config.camera_key(number, "source")):
+            cameras.append(make_camera(section, one, clock, simulation))
+        mounted.append(one)
     if config.camera.detects_by_itself:
         with config.blamed("output", "video"):
             _refuse_video(config)
@@ -110,7 +126,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     with config.blamed("network"):
         transport, renewal = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
-    check_formation(config, mounted, detector)
+    check_formation(config, mounted[0], detector)
     box_width = None if detector is None else detector.description.box_width
     recorder = _recorder(
         config, mounted, start, box_width, boot, clock=clock, wall=wall, waits=paced is not None
@@ -121,8 +137,8 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         wall=wall,
         paced=paced,
         boot=boot,
-        lens=mounted.camera,
-        camera=camera,
+        lenses=tuple(one.camera for one in mounted),
+        cameras=cameras,
         autopilot=autopilot,
         detector=detector,
         door=Door(make_onboard(config, mounted, start, box_width), make_follower(config)),
@@ -153,7 +169,13 @@ def check_formation(config: DroneConfig, mounted: MountedCamera, detector: Detec
 
 
 def _as_fast_as_it_goes(config: DroneConfig) -> bool:
-    return ("pace", "fast") in parse_address(config.camera.source).query
+    fast = [("pace", "fast") in parse_address(camera.source).query for camera in config.cameras]
+    if len(set(fast)) > 1:
+        number = fast.index(not fast[0])
+        key, wanted = config.camera_key(number, "source"), "pace=fast" if fast[0] else "no pace=fast"
+        text = f"found {config.cameras[number].source}, expected {wanted}, as of the first camera"
+        raise ConfigError([config.problem(key, text)])
+    return fast[0]
 
 
 def make_simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
@@ -164,21 +186,24 @@ def make_simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
     return open_simulation(config.camera.source, config.drone.id, clock)
 
 
-def simulated_mount(config: DroneConfig, simulation: Simulation) -> MountedCamera:
+def mount(section: CameraSection, simulation: Simulation | None) -> MountedCamera:
+    """The calibrated camera that a table [camera] describes, or that is simulated."""
+    if simulation is None:
+        return mount_camera(section)
     camera = simulation.camera
-    return MountedCamera(camera.camera, camera.body_from_camera, config.camera.time_offset_s or 0.0)
+    return MountedCamera(camera.camera, camera.body_from_camera, section.time_offset_s or 0.0)
 
 
 def make_camera(
-    config: DroneConfig, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
+    section: CameraSection, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
 ) -> Camera | DetectionSource:
     if simulation is not None:
         return simulation.camera
-    if config.camera.detects_by_itself:
-        return DetectionStream(parse_address(config.camera.source), clock=clock)
+    if section.detects_by_itself:
+        return DetectionStream(parse_address(section.source), clock=clock)
     from swarmtrack.sensors.cameras import open_camera  # noqa: PLC0415
 
-    return open_camera(config.camera.source, clock=clock, size=(mounted.camera.width, mounted.camera.height))
+    return open_camera(section.source, clock=clock, size=(mounted.camera.width, mounted.camera.height))
 
 
 def _refuse_video(config: DroneConfig) -> None:
@@ -280,7 +305,7 @@ def credentials_of(config: DroneConfig, clock: Clock) -> Credentials | None:
 
 def _recorder(
     config: DroneConfig,
-    mounted: MountedCamera,
+    mounted: Sequence[MountedCamera],
     start: Pose | None,
     box_width: BoxWidth | None,
     boot: str,
@@ -294,7 +319,7 @@ def _recorder(
     from swarmtrack.recording.settings import FlightSettings  # noqa: PLC0415
     from swarmtrack.runtime.flight_recorder import FlightRecorder  # noqa: PLC0415
 
-    settings = FlightSettings(config, mounted, start, box_width)
+    settings = FlightSettings(config, tuple(mounted), start, box_width)
     return FlightRecorder(settings, boot, clock, wall, waits=waits)
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from pathlib import Path
 
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import DroneConfig, load_config
+from swarmtrack.config import CameraSection, DroneConfig, load_config
 from swarmtrack.diagnosis.findings import fault
 from swarmtrack.diagnosis.formation_drawing import as_svg, as_text
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan
 from swarmtrack.formation_config import field_of_view
-from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.assembly import Parts, assemble
 from swarmtrack.runtime.outputs import check_outputs
 from swarmtrack.sensors.camera_address import parse_address as camera_address
 from swarmtrack.sensors.mavlink.address import parse_address as link_address
@@ -35,12 +36,11 @@ def check(path: Path) -> None:
     config = load_config(path)
     parts = assemble(config, SystemClock())
     with config.blamed("output"):
-        check_outputs(config.output.jsonl, config.output.video)
-    lens = parts.lens
-    camera, link = camera_address(config.camera.source), config.autopilot.link
+        check_outputs(config.output.jsonl, config.output.video, len(config.cameras))
+    lens, link = parts.lens, config.autopilot.link
     print(f"drone      {config.drone.id} of team {config.network.team}")
-    print(f"camera     {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
-    print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
+    for number, section in enumerate(config.cameras):
+        _print_camera(parts, number, section)
     if link in ("none", "sim"):
         print(f"autopilot  {'simulated' if parts.autopilot else 'none: the camera is assumed not to turn'}")
     else:
@@ -77,6 +77,19 @@ def check(path: Path) -> None:
         if word in DANGERS:
             print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")
     print(f"{path}: ok")
+
+
+def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
+    """One of the cameras; of several also which, and where it looks."""
+    camera, lens = camera_address(section.source), parts.lenses[number]
+    name = "camera" if len(parts.lenses) == 1 else f"camera {number + 1}"
+    print(f"{name:10} {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
+    print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
+    if len(parts.lenses) > 1:
+        ahead, right, down = parts.door.perceived.mountings[number].rotation[:, 2]
+        azimuth, up = math.degrees(math.atan2(right, ahead)), -math.degrees(math.asin(down))
+        way = f"{azimuth:+.0f}° from the nose, clockwise, {up:+.0f}° up"
+        print(f"looks      {way}, known to {section.mounting_sigma_deg:g}°")
 
 
 def draw_formation(path: Path) -> str:

@@ -35,8 +35,8 @@ class TimeInView:
 class Console:
     """Prints to `stream`; `quiet` counts without a word."""
 
-    def __init__(self, lens: PinholeCamera, *, quiet: bool, stream: TextIO = sys.stdout) -> None:
-        self._lens = lens
+    def __init__(self, *lenses: PinholeCamera, quiet: bool, stream: TextIO = sys.stdout) -> None:
+        self._lenses = lenses
         self._quiet = quiet
         self._stream = stream
         self._colour = stream.isatty()
@@ -62,7 +62,7 @@ class Console:
 
     def line(self, footnotes: Iterable[str]) -> None:
         """One line: who is in view, where, how surely; then how the agent is doing."""
-        seen = as_seen(self._report, self._lens) if self._report and not self._quiet else []
+        seen = as_seen(self._report, *self._lenses) if self._report and not self._quiet else []
         now = sorted((s for s in seen if _is_confirmed(s.entry)), key=lambda s: _order(s.entry))
         who = ", ".join(map(self._describe, now))
         if self._scans == self._scans_told:  # what was seen once is not what is seen now
@@ -100,14 +100,15 @@ class Console:
         name = _name(identity) if identity is not None else f"track {seen.entry.track.id} (unknown)"
         if self._colour and isinstance(identity, int):
             name = f"\x1b[1;{ANSI[identity % len(ANSI)]}m{name}\x1b[0m"
+        camera = f" of camera {seen.entry.track.camera + 1}" if len(self._lenses) > 1 else ""
         if seen.entry.relative is not None:
-            return f"{name}: {self._in_metres(seen, seen.entry.relative)}"
-        return f"{name} at ({seen.centre[0]:.0f}, {seen.centre[1]:.0f}) ± {sigma:.1f} px"
+            return f"{name}: {self._in_metres(seen, seen.entry.relative)}{camera}"
+        return f"{name} at ({seen.centre[0]:.0f}, {seen.centre[1]:.0f}) ± {sigma:.1f} px{camera}"
 
     def _in_metres(self, seen: SeenTrack, state: RelativeState) -> str:
         """Range, its sigma, and how far to the left or right of the camera's axis."""
         read = read_out(state.position, state.velocity, state.cov)
-        (ray,) = self._lens.bearing(seen.centre[None])
+        (ray,) = self._lenses[seen.entry.track.camera].bearing(seen.centre[None])
         right = round(math.degrees(math.atan2(ray[0], ray[2])))
         where = "ahead" if right == 0 else f"{abs(right)}° {'right' if right > 0 else 'left'}"
         return f"{read.distance:.1f} m ± {read.sigma:.1f}, {where}"

@@ -49,9 +49,9 @@ class FlightRecorder:
         """As it is now, for the whole recording: a wall clock that is set must not fold the time axis."""
         self._thread = RecordingThread(wall, waits=waits)
         self._n = 0
-        self._next_frame = -math.inf
+        self._next_frame = [-math.inf] * len(settings.cameras)
         mounted = settings.mounted
-        self._views = FoxgloveViews(mounted.camera)
+        self._views = FoxgloveViews([one.camera for one in settings.cameras])
         self._scene = FoxgloveScene(settings.config.drone.id, mounted.body_from_camera)
 
     def open(self) -> None:
@@ -103,10 +103,11 @@ class FlightRecorder:
     def frame(self, frame: Frame) -> None:
         """A frame that the detector is about to see; of these, as many as were asked for are kept."""
         section = self._settings.config.recording
-        if section.frames == "none" or frame.t < self._next_frame:
+        due = self._next_frame[frame.camera]
+        if section.frames == "none" or frame.t < due:
             return
         period = 1.0 / section.frames_hz
-        self._next_frame = max(self._next_frame + period, frame.t + 0.5 * period)
+        self._next_frame[frame.camera] = max(due + period, frame.t + 0.5 * period)
         self._put(partial(self._write_frame, frame))
 
     def _put(self, job: Job) -> None:

@@ -4,7 +4,7 @@ Lichtblick and rerun show without being told how. A replay reads none of it but 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import msgspec
 from foxglove.messages import (
@@ -26,16 +26,20 @@ from foxglove.messages import (
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
-from swarmtrack.messages import FOREIGN, EgoPose, Frame, Identity, Input, ScanReport
+from swarmtrack.messages import FOREIGN, MOST_CAMERAS, EgoPose, Frame, Identity, Input, ScanReport
 from swarmtrack.recording import schemas
+from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.writer import Topic
 from swarmtrack.relative.read_out import read_out
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 from swarmtrack.runtime.palette import colour_of
 
-IMAGE = Topic.well_known("/camera/image", CompressedImage)
-FRAME = Topic.of_json("/camera/frames", schemas.FRAME)
-BOXES = Topic.well_known("/camera/annotations", ImageAnnotations)
+IMAGES = [Topic.well_known(image_topic(k), CompressedImage) for k in range(MOST_CAMERAS)]
+FRAME = Topic.of_json(FRAMES_TOPIC, schemas.FRAME)
+BOXES = [
+    Topic.well_known(image_topic(k).replace("image", "annotations"), ImageAnnotations)
+    for k in range(MOST_CAMERAS)
+]
 POSE = Topic.well_known("/pose", PoseInFrame)
 EVENTS = Topic.well_known("/log", Log)
 
@@ -49,8 +53,9 @@ Written = tuple[Topic, bytes]
 class FoxgloveViews:
     """Makes them of what is recorded."""
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._camera = camera
+    def __init__(self, lenses: Sequence[PinholeCamera]) -> None:
+        """lenses: of all cameras of the drone."""
+        self._lenses = lenses
         self._told: tuple[str, ...] = ()
 
     def of_input(self, event: Input, log_time_ns: int) -> Iterator[Written]:
@@ -63,13 +68,14 @@ class FoxgloveViews:
         yield POSE, PoseInFrame(timestamp=stamp(log_time_ns), frame_id="local_ned", pose=pose).encode()
 
     def of_report(self, report: ScanReport, exposed_ns: int) -> Written:
-        """Boxes and names in the image."""
-        seen = as_seen(report, self._camera)
+        """Boxes and names in the image of the camera that was looked through."""
+        every = as_seen(report, *self._lenses)
+        seen = [track for track in every if track.entry.track.camera == report.camera]
         when = stamp(exposed_ns)
         annotations = ImageAnnotations(
             points=[_box(track, when) for track in seen], texts=[_label(track, when) for track in seen]
         )
-        return BOXES, annotations.encode()
+        return BOXES[report.camera], annotations.encode()
 
     def of_events(self, events: tuple[str, ...], log_time_ns: int) -> Iterator[Written]:
         """Those of the health that are new. It repeats the last ones, oldest first."""
@@ -91,11 +97,18 @@ class FoxgloveViews:
         if not ok:
             return
         exact = {"sequence": int(frame.sequence), "t_s": float(frame.t), "t_sigma_s": float(frame.t_sigma)}
+        if frame.camera:
+            exact["camera"] = frame.camera
         yield FRAME, msgspec.json.encode(exact)
         image = CompressedImage(
-            timestamp=stamp(exposed_ns), frame_id="camera", data=jpeg.tobytes(), format="jpeg"
+            timestamp=stamp(exposed_ns), frame_id=frame_id(frame.camera), data=jpeg.tobytes(), format="jpeg"
         )
-        yield IMAGE, image.encode()
+        yield IMAGES[frame.camera], image.encode()
+
+
+def frame_id(camera: int) -> str:
+    """In which a camera's pictures lie; people count cameras from 1."""
+    return "camera" if camera == 0 else f"camera_{camera + 1}"
 
 
 def stamp(ns: int) -> Timestamp:

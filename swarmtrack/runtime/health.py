@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Protocol
 
 from swarmtrack.clock import Clock
@@ -46,7 +47,7 @@ class HasStatus(Protocol):
 class Connections:
     """All of them; None: there is none."""
 
-    camera: HasStatus
+    cameras: Sequence[HasStatus]
     network: HasStatus
     autopilot: HasStatus | None = None
     detector: HasStatus | None = None
@@ -54,18 +55,35 @@ class Connections:
     formation: HasStatus | None = None
 
     def statuses(self) -> list[LinkStatus]:
-        sources = (self.autopilot, self.camera, self.detector, self.network, self.recorder, self.formation)
-        return [source.status() for source in sources if source is not None]
+        before = [] if self.autopilot is None else [self.autopilot.status()]
+        sources = (self.detector, self.network, self.recorder, self.formation)
+        after = [source.status() for source in sources if source is not None]
+        return [*before, *self.camera_statuses(), *after]
+
+    def camera_statuses(self) -> list[LinkStatus]:
+        """Of several by their numbers, from 1, beside which the address stands in the text."""
+        statuses = [camera.status() for camera in self.cameras]
+        if len(statuses) == 1:
+            return statuses
+        return [
+            replace(status, name=camera_name(k), text=f"{status.name}: {status.text}")
+            for k, status in enumerate(statuses)
+        ]
+
+
+def camera_name(number: int) -> str:
+    """Of one of several, for people, who count from 1."""
+    return f"camera {number + 1}"
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What the config asks for. imu_hz None: of no autopilot. unmeasured_m: the sigma that a start is taken to have of
-    which nobody wrote any; else None."""
+    """What the config asks for. imu_hz None: of no autopilot. frame_age_s: of each camera. unmeasured_m: the sigma that
+    a start is taken to have of which nobody wrote any; else None."""
 
     imu_hz: float | None
     tracks_hz: float
-    frame_age_s: float
+    frame_age_s: tuple[float, ...]
     unmeasured_m: float | None = None
 
 
@@ -112,11 +130,40 @@ class Health:
         self.rates: dict[str, RateHealth] = {}
         self._misfits = 0
         self._clones: set[str] = set()
-        self._frames, self._frame_at = 0.0, self._started
+        count = len(links.cameras)
+        self._frames, self._frame_at = [0.0] * count, [self._started] * count
+        self._scans_of = [RateMeter() for _ in range(count)]
+        self._stale_of = [0] * count
 
     def links(self) -> list[LinkStatus]:
-        """State of everything this agent is connected to."""
-        return self._links.statuses()
+        """State of everything this agent is connected to; of several cameras with what became of their frames, and what
+        their clocks are known to be late."""
+        statuses = self._links.statuses()
+        count = len(self._links.cameras)
+        if count == 1:
+            return statuses
+        numbers = {camera_name(k): k for k in range(count)}
+        return [
+            replace(status, counters=(*status.counters, *self._camera_counters(numbers[status.name])))
+            if status.name in numbers
+            else status
+            for status in statuses
+        ]
+
+    def _camera_counters(self, number: int) -> list[tuple[str, float]]:
+        clock = self._perceived.camera_clocks[number]
+        found = clock.found
+        known = [("time_offset_s", found.offset_s), ("time_offset_sigma_s", found.sigma_s)] if found else []
+        return [("stale_frames", self._stale_of[number]), ("time_offset_used_s", clock.used_s), *known]
+
+    def on_detections(self, camera: int) -> None:
+        """Somebody has looked at a frame of a camera."""
+        self._scans_of[camera].tick()
+
+    def on_stale_frame(self, camera: int) -> None:
+        """A frame was too old when its turn came."""
+        self.drops["stale_frames"] += 1
+        self._stale_of[camera] += 1
 
     def on_scan(self) -> None:
         """A scan was tracked."""
@@ -135,14 +182,17 @@ class Health:
     def readiness(self) -> Readiness:
         """Whether the drone could fly now, by what is counted anyway."""
         links, now = self._links, self._wall.now()
-        camera, autopilot, detector = links.camera.status(), links.autopilot, links.detector
-        numbers = dict(camera.counters)
-        frames = numbers.get("frames", float(numbers.get("fps", 0.0) > 0.0))
-        if frames != self._frames:
-            self._frames, self._frame_at = frames, now
-        limit, live = self._expected.frame_age_s, self._live
+        autopilot, detector, live = links.autopilot, links.detector, self._live
+        cameras = []
+        for k, camera in enumerate(one.status() for one in links.cameras):
+            numbers = dict(camera.counters)
+            frames = numbers.get("frames", float(numbers.get("fps", 0.0) > 0.0))
+            if frames != self._frames[k]:
+                self._frames[k], self._frame_at[k] = frames, now
+            age, limit = now - self._frame_at[k], self._expected.frame_age_s[k]
+            cameras.append(CameraFacts(age, limit, camera, frames=int(frames), live=live))
         return judge(
-            camera=CameraFacts(now - self._frame_at, limit, camera, frames=int(frames), live=live),
+            cameras=cameras,
             autopilot=AutopilotFacts(
                 now - self._started,
                 wanted=autopilot is not None,
@@ -164,6 +214,9 @@ class Health:
             "detections": RateHealth(None, self.scans.read(now)),
             "tracks": RateHealth(self._expected.tracks_hz, self.published.read(now)),
         }
+        if len(self._scans_of) > 1:
+            for k, meter in enumerate(self._scans_of):
+                self.rates[f"detections_{k + 1}"] = RateHealth(None, meter.read(now))
         meters = {
             "exposure_to_detector": self.exposure_to_detector,
             "detector": self.detector,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
@@ -35,9 +36,21 @@ class SeenTrack(NamedTuple):
     size: Array
 
 
-def as_seen(report: ScanReport, camera: PinholeCamera) -> list[SeenTrack]:
-    """The tracks of a scan, back in the image as the camera gave it."""
+def as_seen(report: ScanReport, *lenses: PinholeCamera) -> list[SeenTrack]:
+    """The tracks of a scan, each back in the image as its camera gave it. lenses: of all cameras of the drone."""
     entries = report.tracks.tracks
+    if len(lenses) == 1:
+        return _as_seen(entries, lenses[0])
+    seen = {
+        track.entry.track.id: track
+        for camera, lens in enumerate(lenses)
+        for track in _as_seen([entry for entry in entries if entry.track.camera == camera], lens)
+    }
+    return [seen[entry.track.id] for entry in entries if entry.track.id in seen]
+
+
+def _as_seen(entries: Sequence[IdentifiedTrack], camera: PinholeCamera) -> list[SeenTrack]:
+    """Those of one camera."""
     ideal = np.array([entry.track.mean[::2] for entry in entries]).reshape(-1, 2)
     centre = camera.distort(ideal)
     undo = camera.undistort_jacobian(centre)
@@ -53,9 +66,13 @@ def as_seen(report: ScanReport, camera: PinholeCamera) -> list[SeenTrack]:
 
 
 class JsonLines:
-    """`[output] jsonl`: a line for each processed frame (DESIGN.md, contract 4). t_s counts from the first frame."""
+    """`[output] jsonl`: a line for each processed frame (DESIGN.md, contract 4). t_s counts from the first frame.
 
-    def __init__(self, path: Path) -> None:
+    cameras: how many the drone has. With several, a line says whose frame it is of, and each track in whose image it
+    is.
+    """
+
+    def __init__(self, path: Path, *, cameras: int = 1) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: TextIO = path.open("w", encoding="utf-8", buffering=1)  # a line is whole or absent
@@ -64,6 +81,7 @@ class JsonLines:
                 f"output.jsonl: {path}: {error.strerror}, expected a file that can be written"
             ) from error
         self._start: float | None = None
+        self._several = cameras > 1
         self.failed = 0
 
     def write(self, report: ScanReport, seen: list[SeenTrack]) -> None:
@@ -71,7 +89,8 @@ class JsonLines:
         line = {
             "t_s": round(report.tracks.t - start, 6),
             "frame": report.sequence,
-            "tracks": [_record(track) for track in seen],
+            **({"camera": report.camera} if self._several else {}),
+            "tracks": [_record(track, several=self._several) for track in seen],
         }
         try:
             self._file.write(json.dumps(line, allow_nan=False) + "\n")
@@ -85,7 +104,8 @@ class JsonLines:
             self._file.close()
 
 
-def _record(seen: SeenTrack) -> dict[str, Any]:
+def _record(seen: SeenTrack, *, several: bool) -> dict[str, Any]:
+    """several: the drone has more than one camera."""
     track = seen.entry.track
     w, h = (None if np.isnan(side) else round(float(side), 2) for side in seen.size)
     proof = seen.entry.proof
@@ -99,6 +119,7 @@ def _record(seen: SeenTrack) -> dict[str, Any]:
     return {
         "id": track.id,
         "identity": seen.entry.identity,
+        **({"camera": track.camera} if several else {}),
         "u_px": round(float(seen.centre[0]), 3),
         "v_px": round(float(seen.centre[1]), 3),
         "vu_px_s": round(float(seen.velocity[0]), 3),
@@ -114,11 +135,17 @@ def _record(seen: SeenTrack) -> dict[str, Any]:
     }
 
 
-def check_outputs(jsonl: Path | None, video: Path | None) -> None:
+def video_paths(path: Path, cameras: int) -> list[Path]:
+    """The annotated video of each camera: `annotated.mp4`, `annotated-2.mp4`, …"""
+    return [path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, cameras + 1))]
+
+
+def check_outputs(jsonl: Path | None, video: Path | None, cameras: int = 1) -> None:
     """Raise SourceError for what cannot be written, as far as one can tell without writing anything."""
     if video:
         check_suffix(video)
-    for name, path in (("jsonl", jsonl), ("video", video)):
+    videos = video_paths(video, cameras) if video else []
+    for name, path in (("jsonl", jsonl), *(("video", one) for one in videos)):
         if path is None:
             continue
         there = path if path.exists() else next(p for p in path.absolute().parents if p.exists())

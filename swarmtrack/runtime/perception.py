@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +18,7 @@ from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
+from swarmtrack.tracking import AGENT_PARAMETERS, create_trackers
 
 # What sees pictures needs OpenCV and ONNX Runtime: 80 MB and half a second, which an agent whose camera detects by
 # itself does not pay.
@@ -28,21 +29,35 @@ GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
 
 
 def make_onboard(
-    config: DroneConfig, mounted: MountedCamera, start: Pose | None, box_width: BoxWidth | None = None
+    config: DroneConfig,
+    mounted: Sequence[MountedCamera],
+    start: Pose | None,
+    box_width: BoxWidth | None = None,
 ) -> Onboard:
-    """The drone's perception: the same in flight and in a replay. box_width: what the detector says of its boxes."""
+    """The drone's perception: the same in flight and in a replay. mounted: the cameras, in the order of the config;
+    box_width: what the detector says of its boxes."""
     motion = config.motion
-    x, y, z = (mounted.body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
+    x, y, z = (mounted[0].body_from_camera.rotation.T @ motion.gyro_bias_rad_s).tolist()
+    trackers = create_trackers(
+        config.tracker.name,
+        cameras=[each.camera for each in mounted],
+        **AGENT_PARAMETERS | config.tracker.parameters,
+    )
     return Onboard(
         config.drone.id,
         cameras=[
             OnboardCamera(
-                mounted.camera,
-                Mounting(mounted.body_from_camera, mounted.time_offset_s, config.camera.estimate_time_offset),
-                create_tracker(
-                    config.tracker.name, camera=mounted.camera, **AGENT_PARAMETERS | config.tracker.parameters
+                each.camera,
+                Mounting(
+                    each.body_from_camera,
+                    each.time_offset_s,
+                    section.estimate_time_offset,
+                    # One camera has nobody to disagree with.
+                    section.mounting_sigma if len(mounted) > 1 else 0.0,
                 ),
+                tracker,
             )
+            for each, section, tracker in zip(mounted, config.cameras, trackers, strict=True)
         ],
         gyro=GyroHistory(
             history_s=motion.history_s,

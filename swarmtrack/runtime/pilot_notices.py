@@ -178,7 +178,7 @@ class PilotNotices:
         trouble = self._autopilot.trouble
         if not self._links or trouble == "no autopilot":
             return  # not looked at yet; or it would not hear us
-        camera = self._links.get("camera", True)
+        camera = all(ok for name, ok in self._links.items() if name == "camera" or name.startswith("camera "))
         network = all(ok for name, ok in self._links.items() if name in NETWORKS)
         if not self._ready:
             self._ready = self._scan is not None and camera and not trouble
@@ -222,9 +222,14 @@ class PilotNotices:
             )
 
     def _show(self, now: float) -> None:
-        """The box of one teammate: the message has room for one. The largest, for as long as it has a name."""
+        """The box of one teammate in the first camera's image: the message has room for one. The largest, for as long
+        as it has a name."""
         assert self._autopilot is not None
-        boxed = {entry.track.id: entry for entry in self._named(now) if np.isfinite(entry.track.size).all()}
+        boxed = {
+            entry.track.id: entry
+            for entry in self._named(now)
+            if entry.track.camera == 0 and np.isfinite(entry.track.size).all()
+        }
         if self._shown not in boxed:
             self._shown = max(boxed, key=lambda i: float(boxed[i].track.size.prod()), default=None)
         if self._shown is not None and self._scan is not None:

@@ -132,10 +132,10 @@ class Teamwork:
 
     def describe_camera(self) -> None:
         """For whoever makes directions of the pixels of our tracks; before the network opens."""
-        camera, mounting = self._perceived.camera, self._perceived.body_from_camera
+        lenses, mountings = self._perceived.lenses, self._perceived.mountings
         try:
             self._transport.describe(
-                codec.encode(camera_message(self._drone_id, self._boot, camera, mounting))
+                codec.encode(camera_message(self._drone_id, self._boot, lenses, mountings))
             )
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._health.drops["unsendable_camera"] += 1

@@ -30,6 +30,15 @@ class Camera(Protocol):
 
 
 @runtime_checkable
+class AnnouncingCamera(Camera, Protocol):
+    """A camera that says that there is a frame before it is taken: the one that is taken later is the newest then."""
+
+    async def arrived(self) -> None:
+        """Until a frame waits, or nothing more will come. Once `frames` has been called."""
+        ...
+
+
+@runtime_checkable
 class DetectionSource(Protocol):
     """A camera that detects by itself, or a detector in another process: no picture ever reaches us."""
 

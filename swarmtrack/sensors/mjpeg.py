@@ -39,6 +39,9 @@ class MjpegCamera:
         self._stream.start(self._read)
         return self._slot.frames()
 
+    async def arrived(self) -> None:
+        await self._slot.arrived()
+
     def status(self) -> LinkStatus:
         return self._stream.status()
 

@@ -64,15 +64,19 @@ class NewestSlot(Generic[T]):
 
     # the consumer's side ------------------------------------------------------------------------------------------
 
-    async def take(self) -> T | None:
-        """The newest, as soon as there is one; None after the end."""
-        while self._newest is None:
-            if self._ended:
-                if self._error is not None:
-                    raise self._error
-                return None
+    async def arrived(self) -> None:
+        """Until something waits, or nothing more will come."""
+        while self._newest is None and not self._ended:
             self._changed.clear()
             await self._changed.wait()
+
+    async def take(self) -> T | None:
+        """The newest, as soon as there is one; None after the end."""
+        await self.arrived()
+        if self._newest is None:
+            if self._error is not None:
+                raise self._error
+            return None
         item, self._newest = self._newest, None
         return item
 

@@ -32,6 +32,9 @@ class ThreadCamera(ABC):
             self._thread.start()
         return self._slot.frames()
 
+    async def arrived(self) -> None:
+        await self._slot.arrived()
+
     def status(self) -> LinkStatus:
         return self._slot.source.status()
 

@@ -110,6 +110,9 @@ class V4l2Camera:
         self._task = self._task or start(self._run, self._slot)
         return self._slot.frames()
 
+    async def arrived(self) -> None:
+        await self._slot.arrived()
+
     def status(self) -> LinkStatus:
         return self._slot.source.status()
 

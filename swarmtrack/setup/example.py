@@ -8,8 +8,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from swarmtrack.config import DroneConfig
-from swarmtrack.setup.reference import about, parameters_schema, referred, whole_schema
+from swarmtrack.setup.reference import about, parameters_schema, referred, tables, whole_schema
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, TRACKERS
 
 NAME = "example.toml"
@@ -70,9 +69,7 @@ def example() -> str:
     """The file."""
     schema = whole_schema()
     parts = [HEAD]
-    for section, field in DroneConfig.model_fields.items():
-        kind = field.annotation
-        assert isinstance(kind, type)
+    for section, kind in tables():
         said = re.sub(r"\[([^]]+)\]\(([^)]+)\)", r"docs/\2", about(kind))
         properties = schema["$defs"][referred(schema["properties"][section])]["properties"]
         keys = _tracker_keys(properties) if section == "tracker" else properties

@@ -9,7 +9,7 @@ import json
 import re
 import textwrap
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
@@ -93,16 +93,21 @@ def reference() -> str:
     schema = whole_schema()
     definitions = schema["$defs"]
     parts = [HEAD]
-    for name, field in DroneConfig.model_fields.items():
-        kind = field.annotation
-        assert isinstance(kind, type)
-        assert issubclass(kind, BaseModel)
+    for name, kind in tables():
         parts.append(f"## [{name}]\n\n{about(kind)}\n")
         if name == "tracker":
             parts += _tracker_tables(definitions)
         else:
             parts.append(_table(_rows(definitions[referred(schema["properties"][name])], definitions)))
     return "\n".join(parts)
+
+
+def tables() -> Iterator[tuple[str, type[BaseModel]]]:
+    """The tables of a config, and their models."""
+    for name, field in DroneConfig.model_fields.items():
+        # Of cameras there may be several.
+        kinds = (field.annotation, *get_args(field.annotation))
+        yield field.alias or name, next(k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel))
 
 
 def _tracker_tables(definitions: Schema) -> Iterator[str]:

@@ -122,8 +122,7 @@ def validated(
 
 def section_problem(layers: Layers, error: ErrorDetails, root: type[Section]) -> Problem:
     """One of pydantic's errors with a file whose whole is a `root`, as `FILE:LINE: key: found, expected`."""
-    key: Key = tuple(error["loc"])
-    place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in error["loc"])
+    key = _as_written(tuple(error["loc"]), layers.table)
     field = _field(root, key)
     description = field.description if field else None
     match error["type"]:
@@ -143,7 +142,26 @@ def section_problem(layers: Layers, error: ErrorDetails, root: type[Section]) ->
             expected = re.sub(r"^a valid (tuple|list)$", "a list", expected)  # TOML has no tuples
             text = f"{found(error['input'])}, expected {expected}"
             text += f" ({description})" if description else ""
-    return layers.problem(key, f"{place.removeprefix('.')}: {text}")
+    return layers.problem(key, f"{key_text(key)}: {text}")
+
+
+def key_text(key: Key) -> str:
+    """A key as people name it: `camera[1].source` is the second camera's."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).removeprefix(".")
+
+
+def _as_written(key: Key, table: Any) -> Key:
+    """The key without the number of an array's entry where the file has a single table instead."""
+    written: list[str | int] = []
+    for part in key:
+        if isinstance(part, int) and isinstance(table, dict):
+            continue
+        written.append(part)
+        if isinstance(part, int):
+            table = table[part] if isinstance(table, list) and part < len(table) else None
+        else:
+            table = table.get(part) if isinstance(table, dict) else None
+    return tuple(written)
 
 
 def _unknown(root: type[Section], key: Key) -> str:

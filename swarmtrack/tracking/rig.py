@@ -40,6 +40,8 @@ SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
 SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
+# Focal lengths off the axis: what another camera sees farther aside is not looked for in this one's picture.
+MOST_ASIDE = 10.0
 # m: nobody is nearer.
 NEAREST = 0.5
 # Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
@@ -79,6 +81,31 @@ class _Arrived:
     taker: int
     since: float
     scans: int = 0
+
+
+class ExpectedTracks(NamedTuple):
+    """Where a camera should see n tracks: centre (n, 2) undistorted px; sigma (n, 2) px of it; size (n, 2) px, NaN
+    where it is not known."""
+
+    centre: Array
+    sigma: Array
+    size: Array
+
+    @classmethod
+    def of(cls, tracks: Sequence[Track]) -> ExpectedTracks:
+        """In the pixels that they are in."""
+        if not tracks:
+            return NOTHING_EXPECTED
+        variance = np.array([np.diagonal(track.cov)[::2] for track in tracks])
+        return cls(
+            np.array([track.mean[POSITION] for track in tracks]),
+            # Carried back a little it may fall below nothing.
+            np.sqrt(np.maximum(variance, 0.0)),
+            np.array([track.size for track in tracks]),
+        )
+
+
+NOTHING_EXPECTED = ExpectedTracks(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2)))
 
 
 class Rig:
@@ -210,6 +237,33 @@ class Rig:
     def at(self, t: float, orientation: Orientation) -> tuple[Track, ...]:
         """All tracks carried on to t, each in its camera's pixels; nothing is changed."""
         return tuple(self._carried(t, orientation))
+
+    def expected(self, camera: int, t: float, orientation: Orientation) -> ExpectedTracks:
+        """Where a camera should see the tracks at t: its own, and those of the others that are in its picture, too."""
+        parts = []
+        for giver, each in enumerate(self._cameras):
+            then, since = self._orientations[giver], each.tracker.t
+            if then is None or since is None or since - t > MOST_BACK:
+                continue
+            turn = rotation_between(then, orientation)
+            part = ExpectedTracks.of(each.tracker.at(t, self._own(giver, turn.matrix), turn.variance))
+            parts.append(part if giver == camera else self._seen_through(part, giver, camera))
+        if len(parts) == 1:
+            return parts[0]
+        return ExpectedTracks(*map(np.concatenate, zip(*parts, strict=True))) if parts else NOTHING_EXPECTED
+
+    def _seen_through(self, part: ExpectedTracks, giver: int, taker: int) -> ExpectedTracks:
+        """What one camera expects, in another's pixels; without what is behind that."""
+        one, other = self._cameras[giver].camera, self._cameras[taker].camera
+        there = one.bearing_undistorted(part.centre) @ self._turn_to(taker, giver).T
+        centre, _, ahead = other.project_undistorted(there)
+        scale, focal = np.array([other.fx / one.fx, other.fy / one.fy]), np.array([other.fx, other.fy])
+        size = part.size * scale
+        by, by_cov = parallax(centre, size, other, self._baseline(giver, taker))
+        variance = (part.sigma * scale) ** 2 + (self._seam(giver, taker).found.sigma * focal) ** 2
+        sigma = np.sqrt(variance + by_cov.diagonal(axis1=1, axis2=2))
+        near = ahead & (np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * focal).all(axis=1)
+        return ExpectedTracks((centre + by)[near], sigma[near], size[near])
 
     def vouch(self, track_id: int) -> None:
         """See `Tracker.vouch`."""

@@ -75,6 +75,8 @@ def encode(message: Message) -> bytes:
             data = tracks.shortened(data, message)
             _typed(kind, data)
         else:
+            if isinstance(message, CameraMessage):
+                data = camera.shortened(data, message)
             decode(kind, data)
     except DecodeError as error:
         raise ValueError(str(error)) from None

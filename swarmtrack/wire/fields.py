@@ -10,6 +10,8 @@ from typing import Annotated, Final, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
+from swarmtrack.messages import MOST_CAMERAS
+
 VERSION: Final = 1
 # Bytes of one message; checked before anything is decoded.
 MAX_BYTES: Final = 64 * 1024
@@ -27,6 +29,8 @@ DroneId = Annotated[int, Meta(ge=1, le=65535)]
 Boot = Annotated[str, Meta(pattern="^[0-9a-f]{8}$", min_length=8, max_length=8)]
 Sequence = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+CameraNumber = Annotated[int, Meta(ge=0, lt=MOST_CAMERAS)]
+"""Which of a drone's cameras, from 0."""
 Side = Annotated[int, Meta(ge=1, le=65535)]
 """Of an image, px."""
 

@@ -15,11 +15,14 @@ from swarmtrack.wire.tracks import TracksMessage
 def as_record(message: Message) -> dict[str, Any]:
     """The message with its fields named, ready for JSON; the names carry the units.
 
-    A track has its `relative`, or null, in itself: as in the agent's own JSON lines.
+    A track has its `relative`, or null, in itself, and its `camera` where not all are of the first: as in the agent's
+    own JSON lines.
     """
     record: dict[str, Any] = _named(message)
     if isinstance(message, TracksMessage):
         relatives = {relative.pop("track_id"): relative for relative in record.pop("relatives")}
+        for track, camera in zip(record["tracks"], record.pop("cameras"), strict=False):
+            track["camera"] = camera
         for track in record["tracks"]:
             track["relative"] = relatives.get(track["id"])
     return record

@@ -14,6 +14,7 @@ from swarmtrack.wire.fields import (
     MAX_BYTES,
     MAX_TRACKS,
     VERSION,
+    CameraNumber,
     DroneId,
     Length,
     Moment,
@@ -82,8 +83,10 @@ class TracksMessage(Record, frozen=True, forbid_unknown_fields=False):
     """`tracks/<id>`: all that one drone tracks at `t_utc_s`; its last scan was exposed `scan_age_s` earlier.
 
     sequence counts what this boot published, so a jump by more than one is a lost message. proofs: of the tracks whose
-    motion proves their name. relatives: of those whose teammate has a known place. Without any, these fields are not on
-    the wire (`shortened`). As a health message it may grow at its end.
+    motion proves their name. relatives: of those whose teammate has a known place. cameras: of each track, in their
+    order, in the pixels of which of the drone's cameras it is, from 0, as `camera/<id>` tells of them; empty: all are
+    of the first. Those of these fields at the end that are empty are not on the wire (`shortened`). As a health message
+    it may grow at its end.
     """
 
     what: ClassVar[str] = "tracks"
@@ -95,6 +98,11 @@ class TracksMessage(Record, frozen=True, forbid_unknown_fields=False):
     tracks: Annotated[tuple[TrackMessage, ...], Meta(max_length=MAX_TRACKS)]
     proofs: Annotated[tuple[ProofMessage, ...], Meta(max_length=MAX_TRACKS)] = ()
     relatives: Annotated[tuple[RelativeMessage, ...], Meta(max_length=MAX_TRACKS)] = ()
+    cameras: Annotated[tuple[CameraNumber, ...], Meta(max_length=MAX_TRACKS)] = ()
+
+    def camera_of(self, index: int) -> int:
+        """In the pixels of which camera a track of `tracks` is."""
+        return self.cameras[index] if self.cameras else 0
 
 
 def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma: float) -> TracksMessage:
@@ -110,7 +118,8 @@ def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma:
         for k in kept
         if k.proof is not None
     )
-    room = MAX_BYTES - _FRAME_BYTES - _TRACK_BYTES * len(kept) - _PROOF_BYTES * len(proofs)
+    cameras = tuple(int(k.track.camera) for k in kept)
+    room = MAX_BYTES - _FRAME_BYTES - len(kept) - _TRACK_BYTES * len(kept) - _PROOF_BYTES * len(proofs)
     return TracksMessage(
         version=VERSION,
         t_utc_s=float(tracks.t + utc_offset),
@@ -120,6 +129,7 @@ def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma:
         tracks=tuple(_track_message(k, tracks.t) for k in kept),
         proofs=proofs,
         relatives=_relative_messages(kept, room // _RELATIVE_BYTES),
+        cameras=cameras if any(cameras) else (),
     )
 
 
@@ -164,15 +174,19 @@ def _relative_message(track_id: int, state: RelativeState) -> RelativeMessage:
     )
 
 
-# The head of a message of eight fields, without its length; and an empty array, as its last two may be.
-_ARRAY, _FIELDS, _EMPTY = 0x90, 8, 0x90
+# The head of a message of nine fields, without its length; and an empty array, as its last three may be.
+_ARRAY, _FIELDS, _EMPTY = 0x90, 9, 0x90
 
 
 def shortened(data: bytes, message: TracksMessage) -> bytes:
     """The bytes of a message without the fields at its end that are empty: those that readers from before they came
     know."""
     assert data[0] == _ARRAY | _FIELDS, "as encode makes it"
-    empty = 0 if message.relatives else 1 if message.proofs else 2
+    empty = 0
+    for field in (message.cameras, message.relatives, message.proofs):
+        if field:
+            break
+        empty += 1
     if not empty:
         return data
     assert data[-empty:] == bytes([_EMPTY] * empty), "as encode makes it"
@@ -184,6 +198,10 @@ def check(message: TracksMessage) -> None:
     proved = [proof.track_id for proof in message.proofs]
     if len(set(proved)) < len(proved) or not set(proved) <= {track.id for track in message.tracks}:
         raise DecodeError(f"tracks: proofs: of tracks {proved}, expected each once and among the tracks")
+    if message.cameras and len(message.cameras) != len(message.tracks):
+        raise DecodeError(
+            f"tracks: cameras: {len(message.cameras)} for {len(message.tracks)} tracks, expected one for each, or none"
+        )
     if message.tracks:
         check_covariances("tracks: cov_upper", [track.cov_upper for track in message.tracks], 4)
     if message.relatives:

@@ -1,14 +1,17 @@
 """What a planner is told of a team, and what is refused: without a network."""
 
 import math
+from dataclasses import replace
 
 import msgpack
 import numpy as np
 import pytest
 
-from support.seen_swarm import COV, FORWARD, LENS, healthy, seen
+from support.seen_swarm import COV, FORWARD, LENS, healthy, seen, stranger
 from swarmtrack.client.axes import Axes
 from swarmtrack.client.heard import HeardTeam
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import from_euler
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -29,7 +32,7 @@ def sample(kind, message, key_id=1):
 
 
 def described(boot=BOOT, drone_id=1, key_id=1):
-    return sample(Kind.CAMERA, camera_message(drone_id, boot, LENS, FORWARD), key_id)
+    return sample(Kind.CAMERA, camera_message(drone_id, boot, [LENS], [FORWARD]), key_id)
 
 
 @pytest.fixture
@@ -166,3 +169,27 @@ def test_no_tracks_are_a_sight_too(team):
     fields[5] = []
     sight = team.on_tracks(sample(Kind.TRACKS, msgpack.packb(fields)))
     assert sight.targets == ()
+
+
+def test_a_track_of_another_camera_has_the_direction_in_which_that_one_looks(team):
+    wide = PinholeCamera(200.0, 200.0, 160.0, 120.0, 320, 240)
+    back = Pose(from_euler(0.0, 0.0, math.pi) @ FORWARD.rotation, np.array([-0.2, 0.0, 0.0]))
+    team.on_camera(sample(Kind.CAMERA, camera_message(1, BOOT, [LENS, wide], [FORWARD, back])))
+    behind = stranger()
+    mean = np.array([160.0 + 200.0, 0.0, 120.0, 0.0])  # 45° to the right of that camera's axis
+    behind = replace(behind, track=behind.track._replace(id=7, mean=mean, camera=1))
+    sight = team.on_tracks(sample(Kind.TRACKS, seen(1, stranger(), behind)))
+    ahead, other = sight.targets
+    assert (ahead.camera, other.camera) == (0, 1)
+    np.testing.assert_allclose(ahead.direction_body, [1.0, 0.0, 0.0], atol=1e-12)
+    # Right of a camera that looks back is left of the drone.
+    np.testing.assert_allclose(other.direction_body, [-math.sqrt(0.5), -math.sqrt(0.5), 0.0], atol=1e-12)
+    assert other.direction_sigma == pytest.approx(1.0 / 200.0)
+    assert [one.lens for one in team.camera(1).all] == [LENS, wide]
+
+
+def test_a_track_of_a_camera_that_nobody_described_has_no_direction(team):
+    team.on_camera(described())
+    behind = replace(stranger(), track=stranger().track._replace(camera=1))
+    (target,) = team.on_tracks(sample(Kind.TRACKS, seen(1, behind))).targets
+    assert (target.camera, target.direction_camera, target.direction_body) == (1, None, None)

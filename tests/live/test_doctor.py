@@ -60,8 +60,8 @@ def lively(t: float, width: int = 160, height: int = 120):
 async def watched_camera(folder: Path, source: str, seconds: float = 2.0) -> set[str]:
     config = load_config(written(folder, camera=camera_at(source)))
     clock = SystemClock()
-    watch = SensorWatch(config, examination._mount(config, None).mounted, clock)
-    return faults(check_camera((await watch.run(seconds)).camera))
+    watch = SensorWatch(config, [examination._mount(config.camera, None).mounted], clock)
+    return faults(check_camera((await watch.run(seconds)).cameras[0].facts))
 
 
 async def test_network_cameras_and_what_is_wrong_with_each(tmp_path):
@@ -241,10 +241,10 @@ async def turned_by_hand(folder: Path, signs: tuple[float, float, float]) -> Fin
     async with Server(seen, fps=10.0) as server, serve_udp(fake, "127.0.0.1", port):
         link = f'link = "udpin:127.0.0.1:{port}"'
         config = load_config(written(folder, camera=camera_at(server.url), autopilot=link))
-        mounted = examination._mount(config, None).mounted
+        mounted = examination._mount(config.camera, None).mounted
         for seconds in (8.0, 16.0, 32.0, 64.0):
-            watched = await SensorWatch(config, mounted, SystemClock()).run(seconds)
-            (finding,) = check_motion(watched.motion, mounted)
+            watched = await SensorWatch(config, [mounted], SystemClock()).run(seconds)
+            (finding,) = check_motion(watched.cameras[0].motion, mounted)
             # A machine that is busy shows too few frames, or none with the gyro around it, and has to look longer.
             if finding.level is not Level.SKIPPED:
                 break

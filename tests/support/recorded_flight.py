@@ -55,9 +55,9 @@ class Flight:
         mounted = mount_camera(self.config.camera)
         self.drone_id, self.begin = drone_id, BEGIN[drone_id]
         self.clock = ManualClock(self.begin - 1.0, 1.8e9 - 1.0 + UTC_ERROR[drone_id])
-        self.door = Door(make_onboard(self.config, mounted, None, SAID), make_follower(self.config))
+        self.door = Door(make_onboard(self.config, [mounted], None, SAID), make_follower(self.config))
         self.boot = f"{drone_id:08x}"
-        settings = FlightSettings(self.config, mounted, None, SAID)
+        settings = FlightSettings(self.config, (mounted,), None, SAID)
         self.recorder = FlightRecorder(settings, self.boot, self.clock, SystemClock(), waits=True)
         self.recorder.open()
         self.door.listener = self.recorder

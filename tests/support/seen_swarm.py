@@ -62,7 +62,7 @@ async def speaking(network: NetworkSettings, drone_id: int = 1) -> AsyncIterator
     """An agent's end of the network, that says its camera, tracks and health."""
     boot = keys.new_boot()
     transport = ZenohTransport(network, drone_id, boot, SystemClock())
-    transport.describe(codec.encode(camera_message(drone_id, boot, LENS, FORWARD)))
+    transport.describe(codec.encode(camera_message(drone_id, boot, [LENS], [FORWARD])))
     await transport.open()
 
     async def keep_speaking() -> None:

@@ -17,10 +17,12 @@ from hypothesis import strategies as st
 from support.golden_bytes import (
     ANNOUNCEMENT_BYTES,
     CAMERA_BYTES,
+    CAMERAS_BYTES,
     HEALTH_BYTES,
     MOTION_BYTES,
     PLACED_TRACKS_BYTES,
     RANGE_BYTES,
+    SECOND_CAMERA_TRACKS_BYTES,
     SIGHTINGS_BYTES,
     TRACKS_BYTES,
     VIDEO_BYTES,
@@ -210,7 +212,15 @@ def ranged() -> bytes:
 
 
 def described() -> bytes:
-    return codec.encode(camera_message(7, "0123abcd", CAMERA, MOUNTING))
+    return codec.encode(camera_message(7, "0123abcd", [CAMERA], [MOUNTING]))
+
+
+def described_with_two() -> bytes:
+    return codec.encode(camera_message(7, "0123abcd", [CAMERA, CAMERA], [MOUNTING, MOUNTING]))
+
+
+def of_the_second_camera() -> TracksMessage:
+    return msgspec.structs.replace(placed_and_proved(), cameras=(1,))
 
 
 def placed(**changes: Any) -> TracksMessage:
@@ -253,6 +263,10 @@ MESSAGES = [
         pytest.param(moving(), MOTION_BYTES, id="motion"),
         pytest.param(ranged(), RANGE_BYTES, id="range"),
         pytest.param(described(), CAMERA_BYTES, id="camera"),
+        pytest.param(described_with_two(), CAMERAS_BYTES, id="two cameras"),
+        pytest.param(
+            codec.encode(of_the_second_camera()), SECOND_CAMERA_TRACKS_BYTES, id="tracks of the second camera"
+        ),
         pytest.param(codec.encode(placed_and_proved()), PLACED_TRACKS_BYTES, id="tracks with a place"),
         pytest.param(codec.encode(HEALTH), HEALTH_BYTES, id="health"),
     ],
@@ -519,8 +533,9 @@ def test_places_are_on_the_wire_only_where_there_are_some() -> None:
 
 
 def test_tracks_may_grow_at_their_end() -> None:
-    fields = msgpack.unpackb(codec.encode(placed()))
-    assert codec.decode(TracksMessage, msgpack.packb([*fields, {"of": "tomorrow"}])) == placed()
+    fields = msgpack.unpackb(codec.encode(of_the_second_camera()))
+    longer = msgpack.packb([*fields, {"of": "tomorrow"}])
+    assert codec.decode(TracksMessage, longer) == of_the_second_camera()
     assert codec.decode(TracksMessage, msgpack.packb(fields[:6])).relatives == ()
 
 
@@ -599,8 +614,87 @@ def test_a_camera_comes_back_as_it_went() -> None:
         [640, 512, 600.0, 601.0, 320.0, 256.0, "equidistant", [0.5, 0.25, 0.0, 0.0]],
         *[[0.125, 0.0, -0.25], [0.5, 0.5, 0.5, 0.5]],
     ]
-    longer = msgpack.packb([*msgpack.unpackb(described()), "of tomorrow"])
-    assert codec.decode(CameraMessage, longer) == message
+    longer = msgpack.packb([*msgpack.unpackb(described_with_two()), "of tomorrow"])
+    assert codec.decode(CameraMessage, longer) == codec.decode(CameraMessage, described_with_two())
+
+
+class CameraMessageOfOld(msgspec.Struct, array_like=True):
+    """As readers from before there were several cameras have it."""
+
+    version: int
+    drone_id: int
+    boot: str
+    lens: Any
+    position_m: Any
+    quaternion_wxyz: Any
+
+
+class TracksMessageOfOld(msgspec.Struct, array_like=True):
+    """As readers from before there were several cameras have it."""
+
+    version: int
+    t_utc_s: float
+    t_sigma_s: float
+    sequence: int
+    scan_age_s: float
+    tracks: Any
+    proofs: Any = ()
+    relatives: Any = ()
+
+
+def test_who_knows_of_no_second_camera_reads_all_else() -> None:
+    old = msgspec.msgpack.decode(described_with_two(), type=CameraMessageOfOld)
+    assert (old.drone_id, old.lens[:2]) == (7, [640, 512])
+    tracks = msgspec.msgpack.decode(codec.encode(of_the_second_camera()), type=TracksMessageOfOld)
+    assert tracks.relatives[0][0] == tracks.tracks[0][0] == placed().tracks[0].id
+
+
+def test_each_camera_of_a_drone_comes_back_as_it_went() -> None:
+    back = Pose(MOUNTING.rotation.T, np.array([-0.5, 0.25, 0.0]))
+    small = PinholeCamera(300.0, 300.0, 160.0, 120.0, 320, 240)
+    said = codec.encode(camera_message(7, "0123abcd", [CAMERA, small], [MOUNTING, back]))
+    (other,) = codec.decode(CameraMessage, said).others
+    assert camera_from(other.lens) == small
+    np.testing.assert_allclose(mounting_from(other).rotation, back.rotation, atol=1e-12)
+    np.testing.assert_array_equal(mounting_from(other).position, back.position)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [(0, None), (1, [0.0, 0.0, math.nan]), (2, [0.5, 0.5, 0.5, 0.6])]
+)
+def test_a_second_camera_that_cannot_be_is_refused(place: int, value: Any) -> None:
+    fields = msgpack.unpackb(described_with_two())
+    fields[6][0][place] = value
+    with pytest.raises(DecodeError):
+        codec.decode(CameraMessage, msgpack.packb(fields))
+    with pytest.raises(DecodeError, match="others"):
+        codec.decode(CameraMessage, msgpack.packb([*fields[:6], fields[6] * 8]))
+
+
+def test_tracks_say_of_which_camera_they_are_only_where_one_is_of_another() -> None:
+    one, other = (identified(k) for k in (1, 2))
+    other = of_camera(other, 1)
+    message = tracks_message(TrackList(5.0, 4.75, (one, other)), 1, UTC_OFFSET, 0.01)
+    assert message.cameras == (0, 1)
+    got = codec.decode(TracksMessage, codec.encode(message))
+    assert [got.camera_of(i) for i in range(2)] == [0, 1]
+    assert [track["camera"] for track in as_record(got)["tracks"]] == [0, 1]
+    assert "cameras" not in as_record(got)
+    first = tracks_message(TrackList(5.0, 4.75, (one,)), 1, UTC_OFFSET, 0.01)
+    assert first.cameras == ()
+    assert len(msgpack.unpackb(codec.encode(first))) == 8
+    assert "camera" not in as_record(first)["tracks"][0]
+
+
+def of_camera(entry: IdentifiedTrack, camera: int) -> IdentifiedTrack:
+    return dataclasses.replace(entry, track=entry.track._replace(camera=camera))
+
+
+@pytest.mark.parametrize("cameras", [(0, 1), (8,), (-1,), ("1",)])
+def test_cameras_that_cannot_be_are_refused(cameras: Any) -> None:
+    message = msgspec.structs.replace(placed(), cameras=cameras)
+    with pytest.raises(DecodeError, match="cameras"):
+        codec.decode(TracksMessage, msgspec.msgpack.encode(message))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,206 @@
+"""A real agent with two cameras: what goes over from one to the other, what is recorded, and what a fault of one costs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from support.patience import PATIENCE
+from support.places import ROOT
+from support.streams import Script, Send, StreamServer, stream_server
+from swarmtrack.clock import SystemClock
+from swarmtrack.recording.reader import recordings_below
+from swarmtrack.recording.settings import read_settings
+from swarmtrack.replay.replayer import Replayer
+
+# px: of 100° across 640.
+FOCAL = 268.5
+YAWS = (-45.0, 45.0)
+FPS = 15.0
+
+Bearings = Callable[[float], list[float]]
+"""Of the targets, degrees clockwise from the nose, so many seconds after the start."""
+
+
+def camera(source: str, yaw_deg: float, more: str = "") -> str:
+    return (
+        f'[[camera]]\nsource = "{source}"\n'
+        f"intrinsics = {{ fx = {FOCAL}, fy = {FOCAL}, cx = 319.5, cy = 239.5, width = 640, height = 480 }}\n"
+        f"body_from_camera = {{ rpy_deg = [0.0, 0.0, {yaw_deg}] }}\nmounting_sigma_deg = 0.5\nmax_age_s = 5.0\n{more}"
+    )
+
+
+def seen_by(yaw_deg: float, bearings: Bearings, began: float, until: float = math.inf) -> Script:
+    """What a camera sees that detects by itself, frame after frame; `until` so many seconds after the start."""
+
+    async def script(send: Send) -> None:
+        clock = SystemClock()
+        for sequence in range(10**6):
+            t = clock.now()
+            if t - began > until:
+                break
+            boxes = []
+            for bearing in bearings(t - began):
+                aside = math.radians(bearing - yaw_deg)
+                u = 319.5 + FOCAL * math.tan(aside)
+                if abs(aside) < 1.5 and 0.0 <= u <= 639.0:
+                    boxes.append([u, 239.5, 24.0, 14.0, 0.95])
+            line = {"t_s": t, "sequence": sequence, "detections": boxes}
+            await send(json.dumps(line).encode() + b"\n")
+            await asyncio.sleep(1.0 / FPS)
+        await asyncio.Event().wait()
+
+    return script
+
+
+async def fly(path: Path, *options: str) -> tuple[str, str]:
+    """Output and log of an agent in a process of its own, which must end well."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(path), *options),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    out, err = await asyncio.wait_for(process.communicate(), PATIENCE)
+    assert process.returncode == 0, err.decode()
+    return out.decode(), err.decode()
+
+
+def lines_of(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(text) for text in path.read_text().splitlines()]
+
+
+@pytest.fixture
+async def servers() -> AsyncIterator[list[StreamServer]]:
+    async with AsyncExitStack() as stack:
+        both = [
+            await stack.enter_async_context(stream_server(f"/{side}", "application/x-ndjson"))
+            for side in ("left", "right")
+        ]
+        for server in both:
+            server.url = server.url.replace("http:", "detections:")
+        yield both
+
+
+def config(folder: Path, servers: list[StreamServer], more: str = "") -> Path:
+    path = folder / "drone.toml"
+    tables = "".join(camera(server.url, yaw) for server, yaw in zip(servers, YAWS, strict=True))
+    path.write_text(
+        'drone.id = 1\nnetwork.transport = "memory"\n'
+        f'[output]\njsonl = "{folder}/tracks.jsonl"\n'
+        f'[recording]\ndir = "{folder}/rec"\n{tables}{more}'
+    )
+    return path
+
+
+async def test_a_target_keeps_its_track_from_one_camera_to_the_other_in_flight_and_in_a_replay(
+    servers, tmp_path
+):
+    def bearings(t: float) -> list[float]:
+        # One to and fro across the seam, 6 s there; the other stays with the right camera.
+        return [35.0 * math.sin(2.0 * math.pi * t / 12.0), 70.0]
+
+    began = SystemClock().now()
+    for server, yaw in zip(servers, YAWS, strict=True):
+        server.script = seen_by(yaw, bearings, began)
+    out, _ = await fly(config(tmp_path, servers), "--seconds", "14")
+    lines = lines_of(tmp_path / "tracks.jsonl")
+    assert {line["camera"] for line in lines} == {0, 1}
+    cameras: dict[int, set[int]] = {}
+    for line in lines[len(lines) // 4 :]:
+        for track in line["tracks"]:
+            if track["status"] == "confirmed":
+                cameras.setdefault(track["id"], set()).add(track["camera"])
+    assert sorted(map(sorted, cameras.values())) == [[0, 1], [1]]
+    (one_that_moves,) = (number for number, seen in cameras.items() if seen == {0, 1})
+    for line in lines[len(lines) // 4 :]:
+        for track in line["tracks"]:
+            if track["id"] == one_that_moves and track["camera"] == line["camera"]:
+                assert -40.0 <= track["u_px"] <= 680.0
+    assert "of camera 2" in out
+
+    (recording,) = recordings_below(tmp_path / "rec")
+    settings, _ = read_settings(recording)
+    assert [
+        round(math.degrees(math.atan2(*one.body_from_camera.rotation[1::-1, 2]))) for one in settings.cameras
+    ] == [
+        -45,
+        45,
+    ]
+    replayed = Replayer(recording, settings, every_answer=True).run()
+    assert replayed.exact
+    assert replayed.refused == 0
+    assert {scan.camera for scan in replayed.scans} == {0, 1}
+    assert {
+        entry.track.camera
+        for scan in replayed.recorded_scans
+        for entry in scan.tracks.tracks
+        if entry.track.id == one_that_moves
+    } == {0, 1}
+
+
+async def test_a_camera_that_stalls_holds_up_no_other_and_is_named_in_the_health(servers, tmp_path):
+    began = SystemClock().now()
+    servers[0].script = seen_by(YAWS[0], lambda t: [], began, until=0.0)
+    servers[1].script = seen_by(YAWS[1], lambda t: [40.0], began)
+    await fly(config(tmp_path, servers), "--seconds", "8")
+    lines = lines_of(tmp_path / "tracks.jsonl")
+    assert {line["camera"] for line in lines} <= {0, 1}
+    assert len([line for line in lines if line["camera"] == 1]) > 20
+    assert any(track["status"] == "confirmed" for line in lines for track in line["tracks"])
+    (recording,) = recordings_below(tmp_path / "rec")
+    health = [json.loads(message.data) for message in recording.messages({"/health"})][-1]
+    links = {link["name"]: link for link in health["links"]}
+    assert {"camera 1", "camera 2"} <= set(links)
+    assert links["camera 2"]["counters"]["frames"] > 20
+    assert links["camera 2"]["counters"]["stale_frames"] == 0
+    assert links["camera 2"]["counters"]["time_offset_used_s"] == 0.0
+    assert health["rates"]["detections_2"]["got_hz"] > 1.0
+    assert health["rates"]["detections_1"]["got_hz"] == 0.0
+    assert any(reason.startswith("camera 1: ") for reason in health["readiness"]["reasons"])
+    assert not any(reason.startswith("camera 2: ") for reason in health["readiness"]["reasons"])
+
+
+def folder_of(folder: Path, count: int) -> Path:
+    folder.mkdir()
+    rng = np.random.default_rng(count)
+    for k in range(count):
+        cv2.imwrite(str(folder / f"{k:03}.png"), rng.integers(90, 110, (480, 640, 3), dtype=np.uint8))
+    return folder
+
+
+async def test_recordings_of_two_cameras_are_seen_frame_by_frame_in_the_order_of_their_exposures(tmp_path):
+    left, right = folder_of(tmp_path / "left", 12), folder_of(tmp_path / "right", 5)
+    path = tmp_path / "drone.toml"
+    path.write_text(
+        'drone.id = 1\nnetwork.transport = "memory"\n'
+        f'[output]\njsonl = "{tmp_path}/tracks.jsonl"\nvideo = "{tmp_path}/annotated.mp4"\n'
+        f'[recording]\ndir = "{tmp_path}/rec"\nframes = "jpeg"\nframes_hz = 1000\n'
+        + camera(f"images://{left}?fps=10&pace=fast", -45.0)
+        + camera(f"images://{right}?fps=4&pace=fast", 45.0)
+    )
+    await fly(path)
+    lines = lines_of(tmp_path / "tracks.jsonl")
+    seen = [(line["camera"], line["frame"]) for line in lines]
+    order = sorted([(k / 10.0, 0, k) for k in range(12)] + [(k / 4.0, 1, k) for k in range(5)])
+    assert seen == [(camera, frame) for _, camera, frame in order]
+    for name, count in (("annotated.mp4", 12), ("annotated-2.mp4", 5)):
+        video = cv2.VideoCapture(str(tmp_path / name))
+        assert video.get(cv2.CAP_PROP_FRAME_COUNT) == count
+    (recording,) = recordings_below(tmp_path / "rec")
+    topics = [message.topic for message in recording.messages({"/camera/image", "/camera/2/image"})]
+    assert (topics.count("/camera/image"), topics.count("/camera/2/image")) == (12, 5)
+    settings, _ = read_settings(recording)
+    assert Replayer(recording, settings).run().exact

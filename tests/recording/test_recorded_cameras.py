@@ -1,0 +1,183 @@
+"""What a recording holds of several cameras; and that one of a single camera is what it always was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmtrack.clock import ManualClock, SystemClock
+from swarmtrack.config import load_config, mount_camera
+from swarmtrack.errors import ConfigError, RecordingError
+from swarmtrack.messages import (
+    Detections,
+    Frame,
+    IdentifiedTrack,
+    ScanReport,
+    StampKind,
+    Track,
+    TrackList,
+    TrackStatus,
+)
+from swarmtrack.recording import inputs, outputs
+from swarmtrack.recording.reader import Recording, recordings_below
+from swarmtrack.recording.settings import FlightSettings, attachments, read_settings
+from swarmtrack.replay.replayer import Replayer
+from swarmtrack.runtime.door import Door
+from swarmtrack.runtime.flight_recorder import FlightRecorder
+from swarmtrack.runtime.perception import make_onboard
+
+NUMBERS = "{ fx = 300.0, fy = 300.0, cx = 159.5, cy = 119.5, width = 320, height = 240 }"
+
+
+def settings_of(folder: Path, *cameras: str) -> FlightSettings:
+    path = folder / "drone.toml"
+    tables = "".join(
+        f'[[camera]]\nsource = "detections://127.0.0.1:9/{k}"\nintrinsics = {NUMBERS}\n{more}'
+        for k, more in enumerate(cameras)
+    )
+    path.write_text(
+        f'drone.id = 3\nnetwork.transport = "memory"\n[recording]\ndir = "{folder}/rec"\nframes = "jpeg"\n{tables}'
+    )
+    config = load_config(path)
+    return FlightSettings(config, tuple(map(mount_camera, config.cameras)), None)
+
+
+TURNED = (
+    "body_from_camera = { rpy_deg = [0.0, 0.0, 90.0], position_m = [0.0, 0.1, 0.0] }\ntime_offset_s = 0.01\n"
+)
+
+
+def recorded(folder: Path) -> Recording:
+    """A second of two cameras, of which either sees one target."""
+    settings = settings_of(folder, "", TURNED)
+    clock = ManualClock(100.0, 1.8e9)
+    recorder = FlightRecorder(settings, "0123abcd", clock, SystemClock(), waits=True)
+    recorder.open()
+    door = Door(make_onboard(settings.config, settings.cameras, None))
+    door.listener = recorder
+    one = np.ones((1, 2))
+    for k in range(30):
+        camera, t = k % 2, 100.0 + k / 30.0
+        clock.set(t)
+        picture = np.full((240, 320), 40 + 60 * camera, np.uint8)
+        recorder.frame(Frame(t, 0.0, k // 2, picture, StampKind.EXPOSURE, camera))
+        centre = np.array([[100.0 + 50.0 * camera, 120.0]])
+        door.tell(Detections(t, k // 2, centre, 12.0 * one, np.array([0.95]), camera=camera))
+        door.events()
+        door.tracks(t)
+    recorder.close()
+    (recording,) = recordings_below(folder / "rec")
+    return recording
+
+
+def test_a_flight_with_two_cameras_is_replayed_bit_for_bit(tmp_path):
+    recording = recorded(tmp_path)
+    settings, notes = read_settings(recording)
+    assert notes == []
+    for read, flown in zip(settings.cameras, settings_of(tmp_path, "", TURNED).cameras, strict=True):
+        assert read.camera == flown.camera
+        assert read.time_offset_s == flown.time_offset_s
+        np.testing.assert_array_equal(read.body_from_camera.rotation, flown.body_from_camera.rotation)
+        np.testing.assert_array_equal(read.body_from_camera.position, flown.body_from_camera.position)
+    replayed = Replayer(recording, settings, every_answer=True).run()
+    assert replayed.exact
+    assert replayed.scans_compared.recorded == 30
+    assert {track.track.camera for scan in replayed.scans for track in scan.tracks.tracks} == {0, 1}
+
+
+def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
+    recording = recorded(tmp_path)
+    settings, _ = read_settings(recording)
+    shades = {}
+
+    class Shades:
+        """Stands for a detector; tells how bright the frame of each camera was."""
+
+        class description:  # noqa: N801
+            box_width = None
+
+        def plan(self, frame, expectation):
+            return frame
+
+        def look(self, frame):
+            shades.setdefault(frame.camera, []).append((frame.sequence, round(float(frame.image.mean()))))
+            empty = np.empty((0, 2))
+            return Detections(frame.t, frame.sequence, empty, empty, np.empty(0), camera=frame.camera)
+
+    Replayer(recording, settings, detector=Shades()).run()
+    assert {camera: {shade for _, shade in seen} for camera, seen in shades.items()} == {0: {40}, 1: {100}}
+    # 5 Hz of 15, of each, the second one a little early.
+    assert [len(seen) for seen in shades.values()] == [6, 6]
+
+
+@pytest.mark.parametrize(
+    ("change", "offsets"),
+    [
+        ("camera.2.time_offset_s=0.05", (0.0, 0.05)),
+        ("camera.1.time_offset_s=0.05", (0.05, 0.01)),
+        ("camera.time_offset_s=0.05", (0.05, 0.05)),
+    ],
+)
+def test_a_replay_may_ask_what_if_one_camera_were_otherwise(tmp_path, change, offsets):
+    settings, _ = read_settings(recorded(tmp_path), changes=[change])
+    assert tuple(camera.time_offset_s for camera in settings.cameras) == offsets
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("camera.3.time_offset_s=0.05", r"camera\.3: expected camera\.N\.KEY with N from 1 to 2"),
+        ("camera.0.time_offset_s=0.05", r"camera\.0: expected"),
+        ("camera.2.offset=0.05", r"camera\[1\]\.offset: unknown key"),
+    ],
+)
+def test_what_cannot_be_asked_of_a_camera_is_said(tmp_path, change, words):
+    with pytest.raises(ConfigError, match=words):
+        read_settings(recorded(tmp_path), changes=[change])
+
+
+def test_a_calibration_of_fewer_cameras_than_the_config_has_is_refused(tmp_path, monkeypatch):
+    recording = recorded(tmp_path)
+    attached = Recording.attached
+
+    def fewer(self, name):
+        value = attached(self, name)
+        return (
+            {k: v for k, v in value.items() if k != "other_cameras"} if name == "calibration.json" else value
+        )
+
+    monkeypatch.setattr(Recording, "attached", fewer)
+    with pytest.raises(RecordingError, match="1 cameras, the config has 2"):
+        read_settings(recording)
+
+
+def test_of_one_camera_nothing_is_written_that_was_not_written_before(tmp_path):
+    files = {one.name: json.loads(one.data) for one in attachments(settings_of(tmp_path, ""))}
+    assert set(files["calibration.json"]) == {
+        *("intrinsics", "distortion", "body_from_camera", "time_offset_s", "start", "box_width")
+    }
+    assert isinstance(files["resolved_config.json"]["camera"], dict)
+    seen = Detections(1.0, 5, np.ones((1, 2)), np.ones((1, 2)), np.ones(1))
+    assert "camera" not in json.loads(inputs.encode(1, seen))
+    track = Track(4, 1.0, np.ones(4), np.eye(4), TrackStatus.CONFIRMED, 0.9, np.ones(2))
+    report = ScanReport(5, TrackList(1.0, 1.0, (IdentifiedTrack(track, None, 0.0),)))
+    record = json.loads(outputs.encode_report(report))
+    assert "camera" not in record
+    assert "camera" not in record["tracks"][0]
+    # As before there were several.
+    assert record["digest"] == "abb5b75b8b6fb1fb"
+
+
+def test_inputs_and_tracks_of_another_camera_come_back_as_they_went():
+    seen = Detections(1.0, 5, np.ones((1, 2)), np.ones((1, 2)), np.ones(1), camera=2)
+    _, back = inputs.decode("/detections", inputs.encode(1, seen))
+    assert back.camera == 2
+    track = Track(4, 1.0, np.ones(4), np.eye(4), TrackStatus.CONFIRMED, 0.9, np.ones(2), camera=2)
+    report = ScanReport(5, TrackList(1.0, 1.0, (IdentifiedTrack(track, None, 0.0),)), camera=1)
+    read = outputs.decode_report(outputs.encode_report(report))
+    assert (read.report.camera, read.report.tracks.tracks[0].track.camera) == (1, 2)
+    first = TrackList(1.0, 1.0, (IdentifiedTrack(track._replace(camera=0), None, 0.0),))
+    assert outputs.digest(first) != outputs.digest(report.tracks) == read.digest
