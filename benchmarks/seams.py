@@ -5,7 +5,7 @@ and 1.5 px off. The drone yaws there and back, so that three drones that stand s
 second camera is turned by `off` about an axis drawn by chance, of which the tracker is told so much sigma per camera.
 
 * kept: of all crossings, those after which a confirmed track of the same number is on the drone.
-* doubles: confirmed tracks on a drone beside its own, per minute.
+* doubles: s per minute in which a drone has another confirmed track beside its own.
 * found: how far rays at the seam are off in the end (median and 95 % over flights), and after how many crossings. How
   the second camera is turned about such a ray itself does not show there.
 
@@ -296,7 +296,7 @@ def _summary(row: Row, flown: list[Flown]) -> dict[str, Any]:
 
 def _markdown(result: dict[str, Any]) -> str:
     header = [
-        "", "crossings", "kept, %", "95 %", "kept in the second half, %", "doubles per minute", "turn found to, °",
+        "", "crossings", "kept, %", "95 %", "kept in the second half, %", "doubles, s per minute", "turn found to, °",
         "95 % to, °", "from crossings",
     ]  # fmt: skip
     rows = [

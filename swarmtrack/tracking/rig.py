@@ -42,6 +42,9 @@ SETTLED_S = 0.7
 SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
 # Focal lengths off the axis: what another camera sees farther aside is not looked for in this one's picture.
 MOST_ASIDE = 10.0
+# That a track is in the picture, from which on it goes over: a detection of it would else begin another one. If it is
+# not, the next scan of the other camera takes it back.
+MAY_BE_SEEN = 0.1
 # m: nobody is nearer.
 NEAREST = 0.5
 # Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
@@ -357,9 +360,10 @@ class Rig:
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
         moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
         variance = (cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0
+        by_cov += self._of_seam(np.where(ahead[:, None], pixel, 0.0), giver, taker)
         spread[:, 0, 0] = variance * other.fx**2 + by_cov[:, 0, 0]
         spread[:, 2, 2] = variance * other.fy**2 + by_cov[:, 1, 1]
-        seen = probability_in_view(moved, spread, other) > 0.5
+        seen = probability_in_view(moved, spread, other) > MAY_BE_SEEN
         nearer = (there[:, 2] > ray[:, 2]) & (probability_in_view(mean, cov, one) < 0.5)
         return np.asarray(ahead & (seen | nearer) & self._reach[taker].holds(moved, spread))
 
