@@ -44,7 +44,8 @@ def _door(caller: str) -> tuple[str, int] | None:
 
 
 def _knock(host: str, port: int) -> None:
-    with contextlib.suppress(OSError):  # there is no way to it now
-        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM) as own:
-            own.setblocking(False)
-            own.sendto(b"", (host, port))
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    # An error: there is no way to it now.
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as own:
+        own.setblocking(False)
+        own.sendto(b"", (host, port))

@@ -1,13 +1,13 @@
 """Who is linked, and yet not heard.
 
-A teammate is judged by what comes from it reliably: its reports, once a second, its announcements, and answers. Signs of
-life of a link say little. Where one of the two links of a pair breaks, Zenoh loses what was on its way there: a drone's
-token, or what it listens to, is then never said again, and the two stay half deaf to each other behind a link that
-stands. So who says nothing for longer than a report takes is asked, which Zenoh answers for it, whatever its autopilot
-does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made anew.
+A teammate is judged by what comes from it reliably: its reports, once a second, its announcements, and answers. Signs
+of life of a link say little. Where one of the two links of a pair breaks, Zenoh loses what was on its way there: a
+drone's token, or what it listens to, is then never said again, and the two stay half deaf to each other behind a link
+that stands. So who says nothing for longer than a report takes is asked, which its transport answers, whatever its
+autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made anew.
 
-Zenoh closes no link to one peer only, so all are: once for each silence, and not again within `REST_S`, for whoever does
-not answer may have its own reasons. Pure state; times by any clock [s].
+Zenoh closes no link to one peer only, so all are: once for each silence, and not again within `REST_S`, for whoever
+does not answer may have its own reasons. Pure state; times by any clock [s].
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.joining import keep_joining
-from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,

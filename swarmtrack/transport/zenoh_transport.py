@@ -27,13 +27,13 @@ from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
 from swarmtrack.transport.giving_way import GivingWay
 from swarmtrack.transport.joining import keep_joining
-from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.knocking import keep_knocking
 from swarmtrack.transport.link_watch import LinksUp, LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import Peers, Verify, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
+from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
