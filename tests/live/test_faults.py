@@ -191,6 +191,27 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(gather: Gat
     assert departures == []
 
 
+@LONG
+async def test_a_team_that_starts_where_two_fifths_are_lost_meets(gather: Gather) -> None:
+    """Hardware addresses are lost as well, and links that were just made."""
+    team = await gather(TRIANGLE)
+    team.emulator.impair(loss=0.4)
+    started = time.monotonic()
+    agents = {drone: await team.start(drone) for drone in team.drones}
+    begun = [await agent.until(r"", started) for agent in agents.values()]
+    met = [
+        await agents[drone].until(rf"drone {other} announced itself", started)
+        for drone in team.drones
+        for other in team.drones
+        if other != drone
+    ]
+    report("everybody's announcement was known, after the processes' start", max(met) - started)
+    report("after the last agent's first word", max(met) - max(begun))
+    named = await team.until_known(team.drones, since=max(met))
+    report("everybody named, after the processes' start", named - started)
+    assert team.wrong(team.drones, since=started, until=named) == 0
+
+
 @pytest.mark.parametrize(
     ("parted", "loss", "seconds"),
     [
