@@ -198,7 +198,7 @@ async def test_a_team_that_starts_where_two_fifths_are_lost_meets(gather: Gather
     team.emulator.impair(loss=0.4)
     started = time.monotonic()
     agents = {drone: await team.start(drone) for drone in team.drones}
-    begun = [await agent.until(r"", started) for agent in agents.values()]
+    begun = [await agent.until("", started) for agent in agents.values()]
     met = [
         await agents[drone].until(rf"drone {other} announced itself", started)
         for drone in team.drones

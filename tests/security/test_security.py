@@ -640,12 +640,9 @@ async def test_one_that_is_linked_and_does_not_answer_is_not_heard_and_costs_the
     """As a drone whose token was lost on its way, or a program that holds its keys and is no agent."""
     one, two = pair
     await field.intruder(field.team.credentials("3"))
-    async with asyncio.timeout(PATIENCE):
-        while "not heard: drone 3" not in one.transport.status().text:
-            await asyncio.sleep(0.1)
-        assert one.counter("links_renewed") == 0, "said first"
-        while not (one.counter("links_renewed") and two.counter("links_renewed")):
-            await asyncio.sleep(0.1)
+    await eventually(lambda: "not heard: drone 3" in one.transport.status().text)
+    assert one.counter("links_renewed") == 0, "said first"
+    await eventually(lambda: one.counter("links_renewed") and two.counter("links_renewed"))
     await one.until(lambda told: len(announcements(told)) > 1)
     await two.until(lambda told: len(announcements(told)) > 1)
     await asyncio.sleep(5.0)  # longer than it took the first time
