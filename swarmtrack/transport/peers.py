@@ -160,8 +160,10 @@ class Peers:
         return {*self._membership.peers, *linked} - {self._drone_id}
 
     def on_answer(self, drone_id: int) -> None:
-        """A teammate answered a question, whatever it said."""
-        self._silence.heard(drone_id, asyncio.get_running_loop().time())
+        """A teammate answered a question, whatever it said. One whose token is lost may well answer, and is no teammate
+        for all that."""
+        if drone_id in self._membership.peers:
+            self._silence.heard(drone_id, asyncio.get_running_loop().time())
 
     def on_request(self) -> None:
         """Somebody wants us to announce anew."""

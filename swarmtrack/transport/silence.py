@@ -6,18 +6,22 @@ drone's token, or what it listens to, is then never said again, and the two stay
 that stands. So who says nothing for longer than a report takes is asked, which its transport answers, whatever its
 autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made anew.
 
-Zenoh closes no link to one peer only, so all are: once for each silence, and not again within `REST_S`, for whoever
-does not answer may have its own reasons. Pure state; times by any clock [s].
+Zenoh closes no link to one peer only, so all are, and not again within `REST_S`. Whoever is not heard afterwards either
+may have its own reasons: for its sake it is done after four times as long, each time. Pure state; times by any clock
+[s].
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from typing import Final
 
 REPORTS_S: Final = 1.0  # between two of a teammate's reports
 ASK_S: Final = 1.2 * REPORTS_S  # without a word
+REOPEN_LEASES: Final = 2.0  # without a word, and links are made anew
+PATIENCE: Final = 4.0  # as many times longer before it is done again
 REST_S: Final = 15.0  # between two times that all links are made anew; a start with two fifths lost takes ten
 
 
@@ -29,13 +33,13 @@ class Silence:
         self._heard: dict[int, float] = {}
         """When last; at first, when it was first seen to be present."""
         self._told: set[int] = set()
-        self._tried: set[int] = set()
-        """For whose sake all links were made anew since it was heard last."""
+        self._tried: Counter[int] = Counter()
+        """How often all links were made anew since this one was heard last."""
         self._reopened_at = -math.inf
 
     def heard(self, drone_id: int, now: float) -> None:
         self._heard[drone_id] = now
-        self._tried.discard(drone_id)
+        del self._tried[drone_id]
 
     def forget(self) -> None:
         """All links are closed."""
@@ -71,13 +75,14 @@ class Silence:
         ]
 
     def to_reopen(self, present: Iterable[int], now: float) -> list[int]:
-        """For whose sake all links are to be made anew; each is told once."""
+        """For whose sake all links are to be made anew."""
         if now - self._reopened_at < REST_S:
             return []
         silent = self.silent(present, now)
-        deaf = sorted(d for d, s in silent.items() if s > 2.0 * self._patience_s and d not in self._tried)
+        bearable = REOPEN_LEASES * self._patience_s
+        deaf = sorted(d for d, s in silent.items() if s > bearable * PATIENCE ** self._tried[d])
         if deaf:
-            self._tried.update(silent)
+            self._tried.update(deaf)
             self._reopened_at = now
         return deaf
 

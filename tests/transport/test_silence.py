@@ -44,15 +44,19 @@ def test_one_that_is_deaf_behind_a_link_that_stands_has_the_links_made_anew_thou
     assert silence.to_reopen([2, 3], 4.1) == [2]
 
 
-def test_whoever_stays_silent_costs_the_others_their_links_once_only() -> None:
+def test_whoever_stays_silent_costs_the_others_their_links_ever_more_rarely() -> None:
     silence = Silence(LEASE_S)
     silence.news([2], 0.0)
     assert silence.to_reopen([2], 5.0) == [2]
     silence.forget()
     silence.news([2], 6.0)
-    assert silence.to_reopen([2], 60.0) == []
-    silence.heard(2, 60.0)
-    assert silence.to_reopen([2], 65.0) == [2]
+    assert silence.to_reopen([2], 21.9) == []
+    assert silence.to_reopen([2], 22.1) == [2]
+    silence.forget()
+    silence.news([2], 23.0)
+    assert silence.to_reopen([2], 86.9) == []
+    silence.heard(2, 88.0)
+    assert silence.to_reopen([2], 92.1) == [2]
 
 
 def test_links_are_left_in_peace_for_a_while_after_they_were_made_anew() -> None:
