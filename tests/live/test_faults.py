@@ -23,8 +23,8 @@ from swarmtrack.localswarm.radio import RadioError
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-# A cut within about a second of the first link is not healed now and then: one end keeps a session that the other has
-# dropped, and declares nothing again (docs/swarm.md, "Faults").
+# A cut within about a second of the first link may take with it what was said once (docs/swarm.md, "Faults"). It is
+# healed by links that are made anew, which takes longer than these tests' figures allow for.
 SETTLED_S = 3.0
 LONG = pytest.mark.long
 PARTITIONS_S = (8.0, pytest.param(30.0, marks=LONG))  # 4 and 15 leases
