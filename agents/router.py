@@ -24,10 +24,10 @@ from swarmtrack.security.credentials import Credentials
 from swarmtrack.security.names import Role
 from swarmtrack.transport import settings, topology
 from swarmtrack.transport.following import follow_roster
-from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.listening import credentials_in
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_session import close_session, open_session
 
 log = logging.getLogger(__name__)
@@ -85,7 +85,7 @@ async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) ->
     watch = LinkWatch(network)
     tasks = [
         asyncio.create_task(watch.run(lambda: links_up(session))),
-        asyncio.create_task(close_at_once()),
+        asyncio.create_task(keep_options()),
         asyncio.create_task(follow_roster(network.credentials, SystemClock(), renew)),
     ]
     if not quiet:

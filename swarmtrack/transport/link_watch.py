@@ -11,7 +11,7 @@ from typing import Final
 
 import zenoh
 
-from swarmtrack.transport.settings import Mode, NetworkSettings
+from swarmtrack.transport.settings import Mode, NetworkSettings, parse_endpoint
 
 log = logging.getLogger(__name__)
 
@@ -26,11 +26,12 @@ SHOWN: Final = 8  # names in one line
 @dataclass(frozen=True)
 class LinksUp:
     """names: in the certificates at the other ends; links without keys have none. count: of links. datagrams: the names
-    at the other end of links that are no streams."""
+    at the other end of links that are no streams. hosts: where the other ends are."""
 
     names: frozenset[str] = frozenset()
     count: int = 0
     datagrams: frozenset[str] = frozenset()
+    hosts: frozenset[str] = frozenset()
 
 
 def links_up(session: zenoh.Session | None) -> LinksUp:
@@ -40,6 +41,7 @@ def links_up(session: zenoh.Session | None) -> LinksUp:
         frozenset(name for name, _ in named if name),
         len(links),
         frozenset(name for name, is_streamed in named if name and not is_streamed),
+        frozenset(parse_endpoint(str(link.dst), "link").host for link in links),
     )
 
 

@@ -91,6 +91,12 @@ class Outgoing:
                 return None
             return self._tell()
 
+    @property
+    def announced(self) -> bool:
+        """Whether there is anything to tell."""
+        with self._lock:
+            return self._announcement is not None
+
     def camera_answer(self) -> bytes | None:
         """Our camera for whoever asks; None without one, and where too many ask."""
         with self._lock:

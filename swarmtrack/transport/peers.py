@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Collection, Iterable
 from typing import TypeVar
 
 from swarmtrack.clock import Clock
@@ -140,18 +140,30 @@ class Peers:
         self._silence.forget()
         self._tell(self._membership.part())
 
-    @property
-    def silent(self) -> tuple[int, ...]:
-        """Who lives and says nothing any more."""
+    def silent(self, linked: Collection[int]) -> tuple[int, ...]:
+        """Who lives or is linked, and is not heard."""
         now = asyncio.get_running_loop().time()
-        return tuple(sorted(self._silence.silent(self._membership.peers, now)))
+        return tuple(sorted(self._silence.silent(self._present(linked), now)))
 
-    def listen_for_silence(self) -> bool:
-        """Says who falls silent; whether nobody has been heard for so long that links are to be made anew."""
+    def listen_for_silence(self, linked: Collection[int], ask: Callable[[int], None]) -> list[int]:
+        """To be called twice a second. Says who is not heard, has them asked, and tells for whose sake all links are to
+        be made anew. linked: whose links stand, by their certificates; ask: have one say anything."""
         now = asyncio.get_running_loop().time()
-        for line in self._silence.news(self._membership.peers, now):
+        present = self._present(linked)
+        for line in self._silence.news(present, now):
             log.warning("%s", line)
-        return self._silence.is_deaf(self._membership.peers, now)
+        for drone_id in self._silence.to_ask(present, now):
+            ask(drone_id)
+        return self._silence.to_reopen(present, now)
+
+    def _present(self, linked: Collection[int]) -> set[int]:
+        return {*self._membership.peers, *linked} - {self._drone_id}
+
+    def on_answer(self, drone_id: int) -> None:
+        """A teammate answered a question, whatever it said. One whose token is lost may well answer, and is no teammate
+        for all that."""
+        if drone_id in self._membership.peers:
+            self._silence.heard(drone_id, asyncio.get_running_loop().time())
 
     def on_request(self) -> None:
         """Somebody wants us to announce anew."""
@@ -167,6 +179,7 @@ class Peers:
         )
         self._counters["clocks_off"] += abs(life.clock.apart_s) > ANNOUNCED_CLOCKS_AGREE_S
         life.announcement = announcement_from(message, t, t_sigma)
+        self.on_answer(drone_id)
         self._tell([life.announcement])
 
     def _on_report(
@@ -178,7 +191,7 @@ class Peers:
             return
         life.reported[type(message)] = message.sequence
         if isinstance(message, SightingsMessage):
-            self._silence.heard(drone_id, asyncio.get_running_loop().time())
+            self.on_answer(drone_id)
         t, t_sigma = life.clock.time_of(
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )

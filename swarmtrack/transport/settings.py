@@ -33,8 +33,8 @@ class NetworkSettings:
     listen, connect: Zenoh endpoints, `tls/192.168.1.5:7447`; who only connects cannot be dialled. multicast: also find
     peers by scouting on `interface`, a name or "auto" (the first that is not loopback). lease_s: after this long a
     silent link counts as lost. insecure: beyond loopback without keys. credentials: our keys; None: without.
-    expected: the names of those whose links should come up. tracks_kbit_s: for tracks and pictures to all listeners
-    together; None: as much as goes through.
+    expected: the names of those whose links should come up. callers: of those who dial us, one endpoint each.
+    tracks_kbit_s: for tracks and pictures to all listeners together; None: as much as goes through.
     """
 
     team: str = "swarm"
@@ -47,6 +47,7 @@ class NetworkSettings:
     mode: Mode = Mode.PEER
     credentials: Credentials | None = None
     expected: tuple[str, ...] = ()
+    callers: tuple[str, ...] = ()
     tracks_kbit_s: float | None = None
 
     @property

@@ -1,64 +1,90 @@
-"""Who lives, by its token, and yet says nothing any more.
+"""Who is linked, and yet not heard.
 
-Each teammate reports whom it sees once a second, reliably. One that did so and stops, while its link stands, has lost
-its autopilot, hangs, or is not heard by us: all three are worth a word. Where that is so of everybody, it is we who are
-deaf, and the links are made anew, once until somebody is heard again. Pure state; times by any clock [s].
+A teammate is judged by what comes from it reliably: its reports, once a second, its announcements, and answers. Signs
+of life of a link say little. Where one of the two links of a pair breaks, Zenoh loses what was on its way there: a
+drone's token, or what it listens to, is then never said again, and the two stay half deaf to each other behind a link
+that stands. So who says nothing for longer than a report takes is asked, which its transport answers, whatever its
+autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made anew.
+
+Zenoh closes no link to one peer only, so all are, and not again within `REST_S`. Whoever is not heard afterwards either
+may have its own reasons: for its sake it is done after four times as long, each time. Pure state; times by any clock
+[s].
 """
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Iterable
 from typing import Final
 
 REPORTS_S: Final = 1.0  # between two of a teammate's reports
-DEAF_S: Final = 10.0  # without a word of anybody
+ASK_S: Final = 1.2 * REPORTS_S  # without a word
+REOPEN_LEASES: Final = 2.0  # without a word, and links are made anew
+PATIENCE: Final = 4.0  # as many times longer before it is done again
+REST_S: Final = 15.0  # between two times that all links are made anew; a start with two fifths lost takes ten
 
 
 class Silence:
-    """lease_s: a report may be so late."""
+    """present: the IDs of those who live, by their tokens, or are linked."""
 
     def __init__(self, lease_s: float) -> None:
-        self._patience_s = lease_s + REPORTS_S
+        self._patience_s = max(lease_s, 2.0 * REPORTS_S)
         self._heard: dict[int, float] = {}
+        """When last; at first, when it was first seen to be present."""
         self._told: set[int] = set()
-        self._reopened = False
+        self._tried: Counter[int] = Counter()
+        """How often all links were made anew since this one was heard last."""
+        self._reopened_at = -math.inf
 
     def heard(self, drone_id: int, now: float) -> None:
         self._heard[drone_id] = now
-        self._reopened = False
+        del self._tried[drone_id]
 
     def forget(self) -> None:
         """All links are closed."""
         self._heard.clear()
         self._told.clear()
 
-    def silent(self, alive: Iterable[int], now: float) -> dict[int, float]:
-        """Those of the living who were heard before, and for how long they have not been [s]."""
-        since = {drone_id: now - self._heard[drone_id] for drone_id in alive if drone_id in self._heard}
-        return {drone_id: seconds for drone_id, seconds in since.items() if seconds > self._patience_s}
+    def silent(self, present: Iterable[int], now: float) -> dict[int, float]:
+        """Who is not heard, and for how long already [s]."""
+        return {d: s for d, s in self._since(present, now).items() if s > self._patience_s}
 
-    def news(self, alive: Iterable[int], now: float) -> list[str]:
-        """A sentence for each who has just fallen silent, or is heard again."""
-        living = set(alive)
-        for gone in self._heard.keys() - living:
+    def to_ask(self, present: Iterable[int], now: float) -> list[int]:
+        """Who has said nothing for longer than usual."""
+        return [d for d, s in self._since(present, now).items() if s > ASK_S]
+
+    def news(self, present: Iterable[int], now: float) -> list[str]:
+        """A sentence for each who is no longer heard, or is heard again. Who is seen for the first time has been heard
+        just now."""
+        here = set(present)
+        for gone in self._heard.keys() - here:
             del self._heard[gone]
-        self._told &= living
-        silent = self.silent(living, now)
-        new, back = silent.keys() - self._told, self._told - silent.keys()
+        for new in here - self._heard.keys():
+            self._heard[new] = now
+        self._told &= here
+        silent = self.silent(here, now)
+        new_ones, back = silent.keys() - self._told, self._told - silent.keys()
         self._told = set(silent)
         return [
             *(
-                f"network: drone {d} is linked and has said nothing for {silent[d]:.0f} s"
-                for d in sorted(new)
+                f"network: drone {d} is linked and not heard: nothing reliable for {silent[d]:.1f} s"
+                for d in sorted(new_ones)
             ),
             *(f"network: drone {d} is heard again" for d in sorted(back)),
         ]
 
-    def is_deaf(self, alive: Iterable[int], now: float) -> bool:
-        """Whether nobody has been heard for so long that the links are to be made anew; said once."""
-        living = set(alive)
-        silent = self.silent(living, now)
-        if self._reopened or not living or len(silent) < len(living) or min(silent.values()) < DEAF_S:
-            return False
-        self._reopened = True
-        return True
+    def to_reopen(self, present: Iterable[int], now: float) -> list[int]:
+        """For whose sake all links are to be made anew."""
+        if now - self._reopened_at < REST_S:
+            return []
+        silent = self.silent(present, now)
+        bearable = REOPEN_LEASES * self._patience_s
+        deaf = sorted(d for d, s in silent.items() if s > bearable * PATIENCE ** self._tried[d])
+        if deaf:
+            self._tried.update(deaf)
+            self._reopened_at = now
+        return deaf
+
+    def _since(self, present: Iterable[int], now: float) -> dict[int, float]:
+        return {d: now - self._heard[d] for d in present if d in self._heard}

@@ -48,6 +48,7 @@ def of_drone(section: NetworkSection, drone_id: int, credentials: Credentials | 
         listen=listen,
         connect=links.at_all(lower, "network.peers") + links.at_all(section.connect, "network.connect"),
         expected=tuple(names.drone(i) for i in sorted(peers) if i != drone_id),
+        callers=tuple(links.at(peers[i], "network.peers")[-1] for i in sorted(peers) if i > drone_id),
     )
 
 
@@ -129,6 +130,7 @@ def _settings(
     listen: tuple[str, ...] = (),
     connect: tuple[str, ...] = (),
     expected: tuple[str, ...] = (),
+    callers: tuple[str, ...] = (),
 ) -> NetworkSettings:
     return NetworkSettings(
         team=section.team,
@@ -141,5 +143,6 @@ def _settings(
         mode=mode,
         credentials=credentials,
         expected=expected,
+        callers=callers,
         tracks_kbit_s=section.tracks_kbit_s,
     )

@@ -61,10 +61,12 @@ class Bridge:
         """For Zenoh's `declare_*`: runs in Zenoh's thread, without a queue and a thread in between."""
         return zenoh.handlers.Callback(self._on_sample, indirect=False)
 
-    def replies(self) -> Any:
-        """For Zenoh's `get`."""
+    def replies(self, on_answer: Callable[[], object] | None = None) -> Any:
+        """For Zenoh's `get`. on_answer: to be called on the event loop for each answer, also one that says nothing."""
 
         def on_reply(reply: zenoh.Reply) -> None:
+            if on_answer is not None:
+                self._schedule(self._loop.call_soon_threadsafe, on_answer)
             if reply.ok is not None:
                 self._on_sample(reply.ok)
 

@@ -18,9 +18,9 @@ from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.joining import keep_joining
-from swarmtrack.transport.lingering import close_at_once
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
+from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
@@ -74,7 +74,7 @@ class ZenohListener:
         await self._join()
         following = follow_roster(self._network.credentials, self._clock, self._renew)
         self._tasks = [
-            asyncio.create_task(close_at_once(), name="lingering"),
+            asyncio.create_task(keep_options(), name="TCP options"),
             asyncio.create_task(following, name="roster"),
         ]
 

@@ -36,6 +36,7 @@ log = logging.getLogger(__name__)
 RENDEZVOUS_PORTS: Final = range(17447, 17447 + 32)  # on loopback, below Linux's ephemeral ports
 
 OPEN_S: Final = 10.0
+ANSWER_S: Final = 1.5  # a packet or two of a question may be lost
 CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs half open would hold us for 3
 
 _T = TypeVar("_T")
@@ -82,24 +83,32 @@ def _joined(meeting_points: list[tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def ask_for_announcement(
-    session: zenoh.Session, team: str, drone_id: int, answers: Bridge, anew: bool = False
+    session: zenoh.Session,
+    team: str,
+    drone_id: int,
+    answers: Bridge,
+    *,
+    anew: bool = False,
+    on_answer: Callable[[], object] | None = None,
 ) -> None:
     """`ask` for a pose. anew: have the drone announce itself again, beside the answer."""
     key = keys.key(team, Kind.POSE, drone_id)
-    ask(session, f"{key}?{keys.ANEW}" if anew else key, answers)
+    ask(session, f"{key}?{keys.ANEW}" if anew else key, answers, on_answer)
 
 
-def ask(session: zenoh.Session, selector: str, answers: Bridge) -> None:
+def ask(
+    session: zenoh.Session, selector: str, answers: Bridge, on_answer: Callable[[], object] | None = None
+) -> None:
     """Ask every process that speaks as a drone: a clone must be heard too. Returns at once."""
     with contextlib.suppress(zenoh.ZError):  # the session is closing
         session.get(
             selector,
-            answers.replies(),
+            answers.replies(on_answer),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             congestion_control=zenoh.CongestionControl.DROP,  # we ask again
             allowed_destination=zenoh.Locality.REMOTE,
-            timeout=1.0,
+            timeout=ANSWER_S,
         )
 
 

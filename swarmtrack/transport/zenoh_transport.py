@@ -21,17 +21,19 @@ import zenoh
 from swarmtrack.clock import Clock
 from swarmtrack.errors import TransportError
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
+from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
 from swarmtrack.transport.giving_way import GivingWay
 from swarmtrack.transport.joining import keep_joining
-from swarmtrack.transport.lingering import close_at_once
-from swarmtrack.transport.link_watch import LinkWatch, links_up
+from swarmtrack.transport.knocking import keep_knocking
+from swarmtrack.transport.link_watch import LinksUp, LinkWatch, links_up
 from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import Peers, Verify, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
+from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_session import (
     OPEN_S,
@@ -152,13 +154,23 @@ class ZenohTransport:
         """Until cancelled. Links that stand and carry nothing are made anew."""
         while True:
             await asyncio.sleep(SILENCE_S)
-            if self._session is None or not self._peers.listen_for_silence():
+            if self._session is None:
                 continue
-            log.warning("network: nobody is heard, though links stand: they are made anew")
+            deaf = self._peers.listen_for_silence(self._linked(links_up(self._session)), self._ask)
+            if not deaf:
+                continue
+            whom = ", ".join(map(str, deaf))
+            log.warning("network: drone %s is still not heard, though linked: links are made anew", whom)
+            self._counters["links_renewed"] += 1
             async with self._changing:
                 await self._leave()
                 self._peers.part()
                 self._join_again()
+
+    def _linked(self, up: LinksUp) -> set[int]:
+        """Whose links stand, by their certificates; without keys, and by way of a router, nobody can tell."""
+        expected = up.names & set(self._network.expected)
+        return {names.drone_id(name) for name in expected}
 
     async def _join(self) -> None:
         session = await open_session(self._network, again=self._renewed)
@@ -172,7 +184,10 @@ class ZenohTransport:
             asyncio.create_task(self._giving_way.run(session, lambda: len(self._peers.alive)), name="pace"),
             asyncio.create_task(self._peers.ask_for_missing(self._ask), name="reconciliation"),
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
-            asyncio.create_task(close_at_once(), name="lingering"),
+            asyncio.create_task(keep_options(), name="TCP options"),
+            asyncio.create_task(
+                keep_knocking(self._network.callers, lambda: links_up(self._session).hosts), name="knocking"
+            ),
         ]
 
     def _declare(self, session: zenoh.Session) -> None:
@@ -271,7 +286,7 @@ class ZenohTransport:
     def status(self) -> LinkStatus:
         up = links_up(self._session)
         alive, missing = self._peers.alive, self._peers.missing
-        silent = self._peers.silent
+        silent = self._peers.silent(self._linked(up))
         counters = {
             "peers": len(alive),
             "missing": len(missing),
@@ -325,6 +340,8 @@ class ZenohTransport:
         payload = self._outgoing.answer()
         if payload is not None:
             query.reply(self._outgoing.key, payload, encoding=keys.ENCODINGS[Kind.POSE])
+        elif not self._outgoing.announced:
+            query.reply_err(b"")  # who asks wants to know whether it is heard
         if keys.ANEW in query.parameters and self._outgoing.accept_request():
             with contextlib.suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._peers.on_request)
@@ -337,4 +354,10 @@ class ZenohTransport:
 
     def _ask(self, drone_id: int) -> None:
         if self._session is not None:
-            ask_for_announcement(self._session, self._network.team, drone_id, self._messages)
+            ask_for_announcement(
+                self._session,
+                self._network.team,
+                drone_id,
+                self._messages,
+                on_answer=partial(self._peers.on_answer, drone_id),
+            )

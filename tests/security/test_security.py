@@ -632,3 +632,30 @@ async def test_a_drone_behind_a_router_cannot_speak_as_another(relayed: Relayed)
         assert one.counter("announcements_forged") == 0  # the router stopped it
     finally:
         await asyncio.to_thread(session.close)
+
+
+async def test_one_that_is_linked_and_does_not_answer_is_not_heard_and_costs_the_others_their_links_once(
+    field: Field, pair: tuple[Drone, Drone]
+) -> None:
+    """As a drone whose token was lost on its way, or a program that holds its keys and is no agent."""
+    one, two = pair
+    await field.intruder(field.team.credentials("3"))
+    await eventually(lambda: "not heard: drone 3" in one.transport.status().text)
+    assert one.counter("links_renewed") == 0, "said first"
+    await eventually(lambda: one.counter("links_renewed") and two.counter("links_renewed"))
+    await one.until(lambda told: len(announcements(told)) > 1)
+    await two.until(lambda told: len(announcements(told)) > 1)
+    await asyncio.sleep(5.0)  # longer than it took the first time
+    assert one.counter("links_renewed") == two.counter("links_renewed") == 1
+
+
+async def test_one_that_has_nothing_to_announce_yet_and_reports_nothing_is_heard(field: Field) -> None:
+    one = await field.drone(1)
+    network = topology.of_drone(field.section, 2, field.team.credentials("2"))
+    two = Drone(network, 2)
+    field.drones.append(two)
+    await two.transport.open()
+    await one.until(lambda told: any(isinstance(event, PeerArrived) for event in told))
+    await asyncio.sleep(5.0)  # two leases and more
+    assert one.counter("links_renewed") == two.counter("links_renewed") == 0
+    assert "not heard" not in one.transport.status().text + two.transport.status().text

@@ -27,9 +27,11 @@ from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import NetworkSection
+from swarmtrack.evaluation.swarm_score import MIN_HIT_RADIUS
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.localswarm.configs import Sources, write_configs
 from swarmtrack.localswarm.radio import RadioEmulator
+from swarmtrack.messages import Array
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.security import names
 from swarmtrack.security.authority import create_authority, open_authority
@@ -40,9 +42,10 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.topology import of_monitor
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
-from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.tracks import TrackMessage, TracksMessage
 
 GROUND = 250  # the radio of whoever listens without being of the team
+JUDGED_AGE_S = 0.3  # three scans
 MAX_FRAME_AGE_S = 1.0  # where processes wait for each other, a late frame is better than none
 SEED = 1
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -93,13 +96,24 @@ class Lines:
 class Look:
     """What one observer published, beside the truth of the instant that it speaks of.
 
-    t: of its arrival; named: the ID on each confirmed track that has one, and which drone is the nearest to that track.
-    The nearest and not "within so many pixels": an agent that gets no CPU extrapolates badly, and confuses nobody.
+    t: of its arrival; order: the drones in view from left to right; named: the ID on each confirmed track that has one,
+    and whose track that is: of the drone with that ID if it is at its box, else of the nearest. While two drones cross,
+    either may be the nearest to both tracks; who confused them has a wrong name once they have parted. scan_age_s: how
+    long the tracks were carried on without a scan; an agent that gets no CPU does so badly, and confuses nobody.
     """
 
     t: float
-    in_view: frozenset[int]
+    order: tuple[int, ...]
     named: frozenset[tuple[int, int]]
+    scan_age_s: float = 0.0
+
+    @property
+    def in_view(self) -> frozenset[int]:
+        return frozenset(self.order)
+
+    def is_judged(self) -> bool:
+        """Whether the tracks are fresh enough to tell whose they are."""
+        return self.scan_age_s <= JUDGED_AGE_S
 
     def knows(self, drone: int) -> bool:
         """Whether it calls this drone by its name."""
@@ -115,7 +129,7 @@ class Look:
 
     def is_wrong(self) -> bool:
         """Somebody has another's name; unknown is not wrong."""
-        return any(name != nearest for name, nearest in self.named)
+        return self.is_judged() and any(name != nearest for name, nearest in self.named)
 
 
 class Team:
@@ -283,14 +297,12 @@ class Team:
         view = self._truth.view(observer, t)
         boxes = {**view.in_view, **view.hidden}
         named = {
-            (
-                track.identity,
-                min(boxes, key=lambda drone: math.dist((track.u_px, track.v_px), boxes[drone][:2])),
-            )
+            (track.identity, _whose(track, boxes))
             for track in message.tracks
             if track.status == "confirmed" and isinstance(track.identity, int) and boxes
         }
-        return Look(time.monotonic(), frozenset(view.in_view), frozenset(named))
+        order = sorted(view.in_view, key=lambda drone: float(view.in_view[drone][0]))
+        return Look(time.monotonic(), tuple(order), frozenset(named), message.scan_age_s)
 
     async def until(
         self, wanted: Callable[[Look], bool], observers: Sequence[int], since: float, what: str
@@ -330,6 +342,18 @@ class Team:
         """How often one of these observers gave a wrong name."""
         return sum(self.looks_between(observers, since, until, Look.is_wrong))
 
+    def crossings(self, observers: Sequence[int], since: float, until: float) -> int:
+        """How often two drones changed sides in the image of one of these observers."""
+        orders = [
+            [look.order for look in self.looks.get(observer, []) if since <= look.t < until]
+            for observer in observers
+        ]
+        return sum(
+            before != after and set(before) == set(after)
+            for seen in orders
+            for before, after in pairwise(seen)
+        )
+
     def looks_between(
         self, observers: Sequence[int], since: float, until: float, judge: Callable[[Look], bool]
     ) -> list[bool]:
@@ -347,6 +371,19 @@ class Team:
             times = [since, *(look.t for look in looks if since <= look.t < until), until]
             gaps += [after - before for before, after in pairwise(times)]
         return max(gaps)
+
+
+def _whose(track: TrackMessage, boxes: Mapping[int, Array]) -> int:
+    """The drone that a named track is of. boxes: of the truth, centre and size, px."""
+
+    def off(drone: int) -> float:
+        return math.dist((track.u_px, track.v_px), boxes[drone][:2])
+
+    named = track.identity
+    if isinstance(named, int) and named in boxes:
+        at_its_box = off(named) <= max(MIN_HIT_RADIUS, 0.5 * float(max(boxes[named][2:])))
+        return named if at_its_box else min(boxes, key=off)
+    return min(boxes, key=off)
 
 
 @asynccontextmanager

@@ -1,0 +1,51 @@
+"""Who is dialled helps those who dial it to find its hardware address.
+
+A dialler's first packet waits until a broadcast of its kernel's (ARP, or IPv6's neighbour solicitation) is answered:
+one try each second, of which a radio that loses two fifths of all frames carries a third. No radio repeats a broadcast,
+and three tries in a row may well fail. But whoever is asked learns who asks. So the dialled end sends its diallers a
+datagram each second until they are linked, which makes its kernel ask for them: then the dialler knows as soon as one
+broadcast arrives, of either end. The datagram itself is empty, goes to where the dialler listens for QUIC, and tells
+nobody anything.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+import socket
+from collections.abc import Callable, Collection
+from typing import Final
+
+from swarmtrack.transport.settings import parse_endpoint
+
+PERIOD_S: Final = 1.0  # a kernel asks no more often
+
+
+async def keep_knocking(callers: Collection[str], linked: Callable[[], Collection[str]]) -> None:
+    """Until cancelled. callers: endpoints of those who dial us; linked: the hosts at the other ends of our links."""
+    doors = [door for caller in callers if (door := _door(caller)) is not None]
+    while doors:
+        hosts = linked()
+        for host, port in doors:
+            if host not in hosts:
+                _knock(host, port)
+        await asyncio.sleep(PERIOD_S)
+
+
+def _door(caller: str) -> tuple[str, int] | None:
+    """Host and port; None for a name, which would have to be looked up first, and that may take long."""
+    endpoint = parse_endpoint(caller, "network.peers")
+    try:
+        ipaddress.ip_address(endpoint.host)
+    except ValueError:
+        return None
+    return None if endpoint.port is None else (endpoint.host, endpoint.port)
+
+
+def _knock(host: str, port: int) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    # An error: there is no way to it now.
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as own:
+        own.setblocking(False)
+        own.sendto(b"", (host, port))
