@@ -362,7 +362,9 @@ def cameras(*changes):
 
 
 def test_each_camera_has_a_table_of_its_own(write):
-    config = load_config(write(cameras("max_age_s = 0.2\n", "mounting_sigma_deg = 0.25\ntime_offset_s = 0.01\n")))
+    config = load_config(
+        write(cameras("max_age_s = 0.2\n", "mounting_sigma_deg = 0.25\ntime_offset_s = 0.01\n"))
+    )
     first, second = config.cameras
     assert config.camera is first
     assert [one.source for one in config.cameras] == ["v4l2:///dev/video0", "v4l2:///dev/video1"]
@@ -401,7 +403,10 @@ def test_one_camera_may_be_written_either_way(write):
         (cameras("", "").replace("v4l2:///dev/video0", "sim://x"), "9: camera[1].source: "),
         (cameras(*[""] * 9), "camera: found 9 cameras, expected 1 to 8"),
         ("camera = []\n[drone]\nid = 7\n", "camera: found 0 cameras, expected 1 to 8"),
-        ("camera = 3\n[drone]\nid = 7\n", "1: camera: 3, expected a table [camera], or one [[camera]] for each"),
+        (
+            "camera = 3\n[drone]\nid = 7\n",
+            "1: camera: 3, expected a table [camera], or one [[camera]] for each",
+        ),
         ("camera = [3]\n[drone]\nid = 7\n", "camera[0]: 3, expected a table"),
     ],
 )

@@ -25,7 +25,9 @@ NO_ACCEL = np.full(3, np.nan)
 
 
 def looking(yaw_deg):
-    return Pose(rotation.from_euler(0.0, 0.0, math.radians(yaw_deg)) @ rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+    return Pose(
+        rotation.from_euler(0.0, 0.0, math.radians(yaw_deg)) @ rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3)
+    )
 
 
 def two_cameras():
@@ -35,7 +37,9 @@ def two_cameras():
         OnboardCamera(lens, Mounting(looking(yaw), sigma=0.01), tracker)
         for lens, yaw, tracker in zip(lenses, YAWS, trackers, strict=True)
     ]
-    return Onboard(1, cameras=cameras, gyro=GyroHistory(), ego=EgoHistory(start=None), identity=IdentityParameters())
+    return Onboard(
+        1, cameras=cameras, gyro=GyroHistory(), ego=EgoHistory(start=None), identity=IdentityParameters()
+    )
 
 
 def pixel(camera, bearing_deg):
@@ -53,7 +57,9 @@ def watch(drone, camera, *bearings_deg, seconds=1.0, yaw_rate=0.0):
         while fed / 200.0 <= t:
             drone.tell(ImuSample(fed / 200.0, gyro, NO_ACCEL))
             fed += 1
-        centre = np.array([pixel(camera, b - math.degrees(yaw_rate) * t) for b in bearings_deg]).reshape(-1, 2)
+        centre = np.array([pixel(camera, b - math.degrees(yaw_rate) * t) for b in bearings_deg]).reshape(
+            -1, 2
+        )
         n = len(centre)
         drone.tell(Detections(t, k, centre, np.full((n, 2), 12.0), np.full(n, 0.95), camera=camera))
     return (int(15 * seconds) - 1) / 15

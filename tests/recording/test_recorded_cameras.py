@@ -45,7 +45,9 @@ def settings_of(folder: Path, *cameras: str) -> FlightSettings:
     return FlightSettings(config, tuple(map(mount_camera, config.cameras)), None)
 
 
-TURNED = "body_from_camera = { rpy_deg = [0.0, 0.0, 90.0], position_m = [0.0, 0.1, 0.0] }\ntime_offset_s = 0.01\n"
+TURNED = (
+    "body_from_camera = { rpy_deg = [0.0, 0.0, 90.0], position_m = [0.0, 0.1, 0.0] }\ntime_offset_s = 0.01\n"
+)
 
 
 def recorded(folder: Path) -> Recording:
@@ -94,7 +96,7 @@ def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
     class Shades:
         """Stands for a detector; tells how bright the frame of each camera was."""
 
-        class description:  # noqa: N801
+        class description:
             box_width = None
 
         def plan(self, frame, expectation):
@@ -143,7 +145,9 @@ def test_a_calibration_of_fewer_cameras_than_the_config_has_is_refused(tmp_path,
 
     def fewer(self, name):
         value = attached(self, name)
-        return {k: v for k, v in value.items() if k != "other_cameras"} if name == "calibration.json" else value
+        return (
+            {k: v for k, v in value.items() if k != "other_cameras"} if name == "calibration.json" else value
+        )
 
     monkeypatch.setattr(Recording, "attached", fewer)
     with pytest.raises(RecordingError, match="1 cameras, the config has 2"):

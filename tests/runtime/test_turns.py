@@ -142,7 +142,9 @@ async def test_what_is_taken_is_the_newest_when_the_turn_has_come_and_nothing_el
     assert frames.ended
 
 
-async def test_a_frame_that_is_none_keeps_the_turn_for_a_moment_only_and_the_next_good_one_is_not_lost(monkeypatch):
+async def test_a_frame_that_is_none_keeps_the_turn_for_a_moment_only_and_the_next_good_one_is_not_lost(
+    monkeypatch,
+):
     monkeypatch.setattr("swarmtrack.runtime.turns.LONGEST_DECODE", 0.02)
     camera = SlotCamera()
     frames = NewestFrames(camera)

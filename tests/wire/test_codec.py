@@ -659,7 +659,9 @@ def test_each_camera_of_a_drone_comes_back_as_it_went() -> None:
     np.testing.assert_array_equal(mounting_from(other).position, back.position)
 
 
-@pytest.mark.parametrize(("place", "value"), [(0, None), (1, [0.0, 0.0, math.nan]), (2, [0.5, 0.5, 0.5, 0.6])])
+@pytest.mark.parametrize(
+    ("place", "value"), [(0, None), (1, [0.0, 0.0, math.nan]), (2, [0.5, 0.5, 0.5, 0.6])]
+)
 def test_a_second_camera_that_cannot_be_is_refused(place: int, value: Any) -> None:
     fields = msgpack.unpackb(described_with_two())
     fields[6][0][place] = value
