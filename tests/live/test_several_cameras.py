@@ -1,4 +1,4 @@
-"""A real agent with two cameras: what goes over from one to the other, what is recorded, and what a fault of one costs."""
+"""A real agent with two cameras: what goes over from one to the other, what is recorded, what a fault of one costs."""
 
 from __future__ import annotations
 
@@ -135,6 +135,7 @@ async def test_a_target_keeps_its_track_from_one_camera_to_the_other_in_flight_a
             if track["id"] == one_that_moves and track["camera"] == line["camera"]:
                 assert -40.0 <= track["u_px"] <= 680.0
     assert "of camera 2" in out
+    assert re.search(r"cameras \d+ \+ \d+ Hz", out)
 
     (recording,) = recordings_below(tmp_path / "rec")
     settings, _ = read_settings(recording)
@@ -223,7 +224,7 @@ def small_camera(source: str, yaw_deg: float) -> str:
     )
 
 
-async def test_live_pictures_of_two_cameras_go_through_one_detector_in_turn_and_a_silent_third_holds_up_neither(
+async def test_live_pictures_go_through_one_detector_in_turn_and_a_silent_camera_holds_up_no_other(
     tmp_path,
 ):
     path = tmp_path / "drone.toml"
