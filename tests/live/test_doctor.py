@@ -145,7 +145,7 @@ class Sluggish(FakeAutopilot):
 
 async def watched_autopilot(folder: Path, link: str, more: str = "", seconds: float = 5.0) -> set[str]:
     config = load_config(written(folder, autopilot=f'link = "{link}"\n{more}'))
-    watched = await SensorWatch(config, None, SystemClock()).run(seconds)
+    watched = await SensorWatch(config, [None], SystemClock()).run(seconds)
     return faults([*check_autopilot(watched.autopilot), *check_imu(watched.imu)])
 
 
