@@ -88,7 +88,9 @@ def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
     if len(parts.lenses) > 1:
         ahead, right, down = parts.door.perceived.mountings[number].rotation[:, 2]
         azimuth, up = math.degrees(math.atan2(right, ahead)), -math.degrees(math.asin(down))
-        way = f"{azimuth:+.0f}° from the nose, clockwise, {up:+.0f}° up"
+        # Nothing is a negative nothing.
+        azimuth, up = round(azimuth) + 0, round(up) + 0
+        way = f"{azimuth:+d}° from the nose, clockwise, {up:+d}° up"
         print(f"looks      {way}, known to {section.mounting_sigma_deg:g}°")
 
 

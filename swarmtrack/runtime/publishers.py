@@ -186,7 +186,9 @@ class HealthPublisher:
     def _footnotes(self) -> list[str]:
         """How the agent is doing, for a line of the console."""
         rates = self._health.rates
-        notes = [f"tracks {rates['tracks'].got_hz:.0f} Hz", f"camera {rates['detections'].got_hz:.0f} Hz"]
+        each = [rate.got_hz for name, rate in rates.items() if name.startswith("detections_")]
+        seen = " + ".join(f"{hz:.0f}" for hz in each or [rates["detections"].got_hz])
+        notes = [f"tracks {rates['tracks'].got_hz:.0f} Hz", f"camera{'s' * bool(each)} {seen} Hz"]
         if rates["imu"].asked_hz is not None:
             notes.append(f"gyro {rates['imu'].got_hz:.0f} Hz")
         return notes + self._troubles.notes(self._health.links(), self._wall.now())

@@ -449,3 +449,24 @@ def test_a_printed_board_is_to_scale_and_fits_its_paper(tmp_path, capsys):
     assert main(["calibrate", "board", "--out", str(tmp_path / "board.gif")]) == 2
     assert main(["calibrate", "board", "--columns", "2", "--out", str(tmp_path / "board.png")]) == 2
     assert "expected 3 … 30" in capsys.readouterr().err
+
+
+def test_of_several_cameras_the_lines_go_into_the_table_of_the_one_that_was_measured(tmp_path):
+    numbers = "intrinsics = { fx = 300.0, fy = 300.0, cx = 159.5, cy = 119.5, width = 320, height = 240 }\n"
+    text = f'drone.id = 1\n[[camera]]\nsource = "http://a/"\n{numbers}[[ camera ]]\nsource = "http://b/"\n{numbers}'
+    path = tmp_path / "drone.toml"
+    path.write_text(text)
+    write_into(path, ["time_offset_s = 0.1"], 1)
+    assert [camera.time_offset_s for camera in load_config(path).cameras] == [None, 0.1]
+    write_into(path, ["time_offset_s = 0.2"], 0)
+    assert [camera.time_offset_s for camera in load_config(path).cameras] == [0.2, 0.1]
+
+
+def test_a_camera_that_the_config_does_not_have_cannot_be_calibrated(tmp_path, capsys):
+    path = tmp_path / "drone.toml"
+    path.write_text(
+        'drone.id = 1\n[camera]\nsource = "http://127.0.0.1:9/"\n'
+        "intrinsics = { fx = 300.0, fy = 300.0, cx = 159.5, cy = 119.5, width = 320, height = 240 }\n"
+    )
+    assert main(["calibrate", "extrinsics", "--config", str(path), "--camera", "2"]) != 0
+    assert "--camera 2: expected 1 to 1" in capsys.readouterr().err

@@ -145,7 +145,7 @@ class Sluggish(FakeAutopilot):
 
 async def watched_autopilot(folder: Path, link: str, more: str = "", seconds: float = 5.0) -> set[str]:
     config = load_config(written(folder, autopilot=f'link = "{link}"\n{more}'))
-    watched = await SensorWatch(config, None, SystemClock()).run(seconds)
+    watched = await SensorWatch(config, [None], SystemClock()).run(seconds)
     return faults([*check_autopilot(watched.autopilot), *check_imu(watched.imu)])
 
 
@@ -369,7 +369,7 @@ def test_a_reflection_in_a_calibration_file_is_called_one(tmp_path):
         "  T_cam_imu: [[1,0,0,0],[0,1,0,0],[0,0,-1,0],[0,0,0,1]]\n"
     )
     config = load_config(written(tmp_path, camera=f'source = "{SOURCE}"\ncalibration = "cam.yaml"'))
-    assert "a reflection" in examination._mount(config, None).refused
+    assert "a reflection" in examination._mount(config.camera, None).refused
 
 
 def test_outputs_that_cannot_be_written_and_a_disk_that_is_full(tmp_path, monkeypatch):

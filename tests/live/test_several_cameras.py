@@ -1,4 +1,4 @@
-"""A real agent with two cameras: what goes over from one to the other, what is recorded, and what a fault of one costs."""
+"""A real agent with two cameras: what goes over from one to the other, what is recorded, what a fault of one costs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
@@ -16,10 +17,14 @@ import cv2
 import numpy as np
 import pytest
 
+from support.drone_on_the_bench import Server
 from support.patience import PATIENCE
 from support.places import ROOT
 from support.streams import Script, Send, StreamServer, stream_server
 from swarmtrack.clock import SystemClock
+from swarmtrack.config import load_config
+from swarmtrack.diagnosis.findings import Level
+from swarmtrack.doctor.examination import examine
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.settings import read_settings
 from swarmtrack.replay.replayer import Replayer
@@ -130,6 +135,7 @@ async def test_a_target_keeps_its_track_from_one_camera_to_the_other_in_flight_a
             if track["id"] == one_that_moves and track["camera"] == line["camera"]:
                 assert -40.0 <= track["u_px"] <= 680.0
     assert "of camera 2" in out
+    assert re.search(r"cameras \d+ \+ \d+ Hz", out)
 
     (recording,) = recordings_below(tmp_path / "rec")
     settings, _ = read_settings(recording)
@@ -204,3 +210,72 @@ async def test_recordings_of_two_cameras_are_seen_frame_by_frame_in_the_order_of
     assert (topics.count("/camera/image"), topics.count("/camera/2/image")) == (12, 5)
     settings, _ = read_settings(recording)
     assert Replayer(recording, settings).run().exact
+
+
+def lively(t: float) -> np.ndarray:
+    return np.random.default_rng(int(10 * t)).integers(0, 255, (120, 160, 3), dtype=np.uint8)
+
+
+def small_camera(source: str, yaw_deg: float) -> str:
+    return (
+        f'[[camera]]\nsource = "{source}"\nmax_age_s = 5.0\n'
+        "intrinsics = { fx = 80.0, fy = 80.0, cx = 79.5, cy = 59.5, width = 160, height = 120 }\n"
+        f"body_from_camera = {{ rpy_deg = [0.0, 0.0, {yaw_deg}] }}\n"
+    )
+
+
+async def test_live_pictures_go_through_one_detector_in_turn_and_a_silent_camera_holds_up_no_other(
+    tmp_path,
+):
+    path = tmp_path / "drone.toml"
+    async with (
+        Server(lively, fps=20.0) as left,
+        Server(lively, fps=20.0) as right,
+        Server(lambda t: None) as silent,
+    ):
+        path.write_text(
+            f'drone.id = 1\nnetwork.transport = "memory"\n[output]\njsonl = "{tmp_path}/tracks.jsonl"\n'
+            + small_camera(left.url, -60.0)
+            + small_camera(silent.url, 0.0)
+            + small_camera(right.url, 60.0)
+        )
+        out, _ = await fly(path, "--seconds", "8")
+    lines = lines_of(tmp_path / "tracks.jsonl")
+    count = {camera: sum(line["camera"] == camera for line in lines) for camera in (0, 1, 2)}
+    assert count[1] == 0
+    assert min(count[0], count[2]) > 5
+    # Each has its share, whatever this machine can do.
+    assert max(count[0], count[2]) < 2 * min(count[0], count[2])
+    assert "camera 2: " in out
+
+
+async def test_doctor_looks_at_each_camera_and_says_which_one_is_wrong(tmp_path):
+    path = tmp_path / "drone.toml"
+    capped = Server(lambda t: np.full((120, 160, 3), 4, np.uint8))
+    async with Server(lively) as good, capped:
+        path.write_text(
+            'drone.id = 1\nnetwork.transport = "memory"\n'
+            + small_camera(good.url, 0.0)
+            + small_camera(capped.url, 180.0)
+            + '[[camera]]\nsource = "http://127.0.0.1:9/x"\ncalibration = "none.yaml"\n'
+        )
+        findings = await examine(load_config(path), SystemClock(), 3.0)
+    by_check = {finding.check: finding for finding in findings}
+    assert by_check["camera 1"].level is Level.OK, by_check["camera 1"]
+    assert [finding.fault for finding in findings if finding.check == "camera 2"] == ["camera.blank"]
+    assert by_check["camera 3"].level is Level.SKIPPED
+    assert by_check["calibration 3"].fault == "calibration.unreadable"
+    # One of several may well look back.
+    assert by_check["mount 2"].level is Level.OK
+    assert {"motion 1", "motion 2", "motion 3", "detector", "network"} <= set(by_check)
+
+
+async def test_check_says_of_each_camera_where_it_looks(tmp_path, servers):
+    out, _ = await fly(config(tmp_path, servers), "--check")
+    found = re.findall(r"^(camera \d|looks) +(.*)$", out, re.MULTILINE)
+    assert found == [
+        ("camera 1", servers[0].url),
+        ("looks", "-45° from the nose, clockwise, +0° up, known to 0.5°"),
+        ("camera 2", servers[1].url),
+        ("looks", "+45° from the nose, clockwise, +0° up, known to 0.5°"),
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from support.seen_swarm import LENS, UTC, seen
+from support.seen_swarm import LENS, UTC, seen, teammate
 from swarmtrack.clock import ManualClock
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.overlay import boxes
@@ -61,6 +62,13 @@ def test_a_box_says_how_far_its_teammate_is_and_a_stranger_says_nothing():
     """The stranger's track is tentative: it has no box at all."""
     (box,) = boxes(view(), seen())
     assert (box["identity"], box["distance_m"]) == (2, pytest.approx(math.sqrt(101.0), abs=0.005))
+
+
+def test_the_picture_of_the_first_camera_has_no_boxes_of_what_another_sees_but_metres_are_of_all():
+    behind = teammate()
+    behind = replace(behind, track=behind.track._replace(camera=1))
+    assert boxes(view(), seen(1, behind)) == []
+    assert metres(seen(1, behind)) == metres(seen(1, teammate())) != []
 
 
 class Heard:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -21,6 +22,8 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
+from swarmtrack.monitor.own_recording import DroneRecording
+from swarmtrack.monitor.timeline import BlobFile
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Recording, recordings_below
 from swarmtrack.recording.settings import FlightSettings, attachments, read_settings
@@ -96,7 +99,7 @@ def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
     class Shades:
         """Stands for a detector; tells how bright the frame of each camera was."""
 
-        class description:  # noqa: N801
+        class description:
             box_width = None
 
         def plan(self, frame, expectation):
@@ -111,6 +114,21 @@ def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
     assert {camera: {shade for _, shade in seen} for camera, seen in shades.items()} == {0: {40}, 1: {100}}
     # 5 Hz of 15, of each, the second one a little early.
     assert [len(seen) for seen in shades.values()] == [6, 6]
+
+
+def test_the_page_of_a_recording_shows_the_first_camera_s_pictures_and_the_tracks_of_all(tmp_path):
+    shown = DroneRecording(recorded(tmp_path), BlobFile())
+    shown.read()
+    assert shown.refused == 0
+    views = list(shown.views(0.0))
+    # Up to 10 Hz, of the 6 pictures that it has.
+    assert len(views) == 6
+    pictures = [shown._blob_file.get(view.picture) for view in views if view.picture is not None]
+    shades = {
+        round(float(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_GRAYSCALE).mean()))
+        for one in pictures
+    }
+    assert shades == {40}
 
 
 @pytest.mark.parametrize(

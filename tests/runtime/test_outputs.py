@@ -27,7 +27,7 @@ from swarmtrack.messages import (
 from swarmtrack.runtime.annotated_video import MOST_REPEATED, AnnotatedVideo, Trails, annotate, label_of
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.meters import LatencyMeter, RateMeter
-from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, JsonLines, as_seen
+from swarmtrack.runtime.outputs import VIDEO_SUFFIXES, JsonLines, as_seen, video_paths
 from swarmtrack.runtime.palette import colour_of
 
 PINHOLE = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -62,6 +62,57 @@ def test_a_json_line_has_no_nan_and_time_counts_from_the_first_frame(tmp_path):
     assert [line["t_s"] for line in written] == [0.0, 0.5]
     assert written[0]["tracks"][0]["w_px"] is None
     assert written[0]["tracks"][0]["identity"] == 2
+
+
+WIDE = PinholeCamera(200.0, 200.0, 160.0, 120.0, 320, 240, RadTan((-0.1, 0.0, 0.0, 0.0)))
+
+
+def of_two_cameras():
+    """Tracks in turn of the first camera and of the second, which has just looked."""
+    tracks = [track(100.0 + 20.0 * k, 90.0) for k in range(4)]
+    numbered = [replace(one, track=one.track._replace(id=k, camera=k % 2)) for k, one in enumerate(tracks)]
+    return ScanReport(3, TrackList(0.0, 0.0, tuple(numbered)), camera=1)
+
+
+def test_each_track_is_seen_through_the_lens_of_its_own_camera():
+    scan = of_two_cameras()
+    seen = as_seen(scan, LENS, WIDE)
+    assert [one.entry.track.id for one in seen] == [0, 1, 2, 3]
+    for one in seen:
+        lens = (LENS, WIDE)[one.entry.track.camera]
+        assert lens.undistort(one.centre[None])[0] == pytest.approx(one.entry.track.mean[::2], abs=1e-6)
+
+
+def test_a_line_of_several_cameras_says_whose_frame_and_whose_pixels_and_one_of_a_single_camera_does_not(
+    tmp_path,
+):
+    for cameras in (1, 2):
+        lines = JsonLines(tmp_path / f"{cameras}.jsonl", cameras=cameras)
+        lines.write(of_two_cameras(), as_seen(of_two_cameras(), LENS, WIDE))
+        lines.close()
+    (several,) = [json.loads(text) for text in (tmp_path / "2.jsonl").read_text().splitlines()]
+    assert several["camera"] == 1
+    assert [one["camera"] for one in several["tracks"]] == [0, 1, 0, 1]
+    (single,) = [json.loads(text) for text in (tmp_path / "1.jsonl").read_text().splitlines()]
+    assert "camera" not in single
+    assert not any("camera" in one for one in single["tracks"])
+
+
+def test_each_camera_has_a_video_of_its_own():
+    assert [str(path) for path in video_paths(Path("out/annotated.mp4"), 3)] == [
+        "out/annotated.mp4",
+        "out/annotated-2.mp4",
+        "out/annotated-3.mp4",
+    ]
+
+
+def test_the_console_says_through_which_of_several_cameras():
+    stream = io.StringIO()
+    console = Console(LENS, WIDE, quiet=False, stream=stream)
+    console.see(of_two_cameras())
+    console.line([])
+    assert stream.getvalue().count("of camera 1") == 2
+    assert stream.getvalue().count("of camera 2") == 2
 
 
 def test_a_name_that_motion_proves_says_so_and_no_other(tmp_path):

@@ -47,20 +47,21 @@ async def test_whoever_has_waited_longest_since_its_last_turn_is_next():
 
 
 async def test_a_camera_that_sends_without_pause_takes_no_more_than_its_share():
-    turns, count = FairTurns(), [0, 0, 0]
+    turns, count, enough = FairTurns(), [0, 0, 0], asyncio.Event()
 
     async def look_for_ever(who: int) -> None:
         while True:
             async with turns.turn(who):
                 count[who] += 1
+                if sum(count) == 300:
+                    enough.set()
                 await asyncio.sleep(0)
             # The first one is there again at once; the others come a while later.
             for _ in range(who):
                 await asyncio.sleep(0)
 
     tasks = [asyncio.create_task(look_for_ever(who)) for who in range(3)]
-    while sum(count) < 300:
-        await asyncio.sleep(0)
+    await asyncio.wait_for(enough.wait(), 30.0)
     for task in tasks:
         task.cancel()
     assert max(count) - min(count) <= 3, count
