@@ -68,6 +68,7 @@ from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
 from swarmtrack.relative.looks import NamedBox, TeamLook
+from swarmtrack.relative.parallax import FarOff
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews, RangeWatch
 from swarmtrack.relative.reading import OwnMotion
@@ -152,6 +153,7 @@ class Onboard:
         self._relative = RelativeStates(relative)
         strangers = replace(relative, least_speed=STRANGERS_SPEED)
         self._anybody = RelativeStates(strangers) if places_anybody else None
+        self._far_off = FarOff()
         self._frames = Frames(drone_id, relative)
         self._range_watch = RangeWatch()
         self._own_codes: deque[AgreedMotion] = deque(maxlen=MOST_CODES)
@@ -270,11 +272,14 @@ class Onboard:
 
     def anybody(self, now: float) -> dict[int, RelativeState]:
         """By track: where confirmed ones are by their size, whoever they are (drone 0), seen from the own camera now;
-        nobody unless `places_anybody`."""
+        nobody unless `places_anybody`. Left out is what has no name and is far off by parallax, whatever its size says:
+        a part of a house."""
         observer = self._ego.at(now)
         if self._anybody is None or observer is None:
             return {}
-        return self._anybody.at(now, self._own_motion(observer, now))
+        far = self._far_off.tracks
+        states = self._anybody.at(now, self._own_motion(observer, now))
+        return {track: state for track, state in states.items() if track not in far} if far else states
 
     def own_flight(self, now: float) -> OwnFlight | None:
         """How this drone flies now, and how old what it knows of that is; None where it knows no place."""
@@ -477,7 +482,10 @@ class Onboard:
             return TeamLook.of(observer.t, boxes, self.camera, camera, velocity, padding_px=self._padding_px)
 
         if self._anybody is not None:
-            self._anybody.observe(looked(named_boxes(_nameless(tracks), scan, R)))
+            nameless = looked(named_boxes(_nameless(tracks), scan, R))
+            self._anybody.observe(nameless)
+            named = {entry.track.id for entry in tracks if isinstance(entry.identity, int)}
+            self._far_off.observe(nameless.without(named))
         look = looked(named_boxes(tracks, scan, R))
         self._frames.see(look)
         self._relative.observe(look)

@@ -1,6 +1,7 @@
 """A follower is what its Onboard perceives, the law, and the axes of its autopilot."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,6 +93,12 @@ def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
     assert own.scan_age == math.inf
     assert not own.clash
     assert not own.doubted
+
+
+def test_who_is_far_off_by_parallax_is_in_nobodys_way(crowd):
+    found = crowd.onboard.anybody(crowd.t)
+    crowd.onboard._far_off = SimpleNamespace(tracks=frozenset(list(found)[:2]))
+    assert set(crowd.onboard.anybody(crowd.t)) == set(list(found)[2:])
 
 
 def test_another_process_that_speaks_as_this_drone_is_a_clash_until_it_is_gone():
