@@ -165,6 +165,9 @@ class Onboard:
         self._clashing: frozenset[str] = frozenset()
         # Of the camera, at the tracker's time.
         self._orientation: Orientation | None = None
+        self._picture: Detections | None = None
+        self._changed_t: float | None = None
+        """Exposure of the last scan that was not the one before to the last bit: no camera that lives shows that."""
         self._waiting = WaitingScans(self.camera_clock, gyro)
         self._events: list[Output] = []
 
@@ -288,7 +291,7 @@ class Onboard:
             return None
         way, velocity, _ = self._ego.flown_on(now)
         axis = pose.world_from_body @ self._mounting.body_from_camera.rotation[:, 2]
-        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._tracker.t
+        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._changed_t
         north, east, down = (pose.position + way).tolist()
         vn, ve, vd = velocity.tolist()
         return OwnFlight(
@@ -451,6 +454,9 @@ class Onboard:
         self.camera_clock.see(detections.t, scan, self.camera)
         self._tracker.update(scan)
         self._orientation = orientation
+        if self._picture is None or not _is_same(self._picture, detections):
+            self._changed_t = t
+        self._picture = detections
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._tracker.tracks
@@ -532,6 +538,12 @@ def _nameless(tracks: tuple[IdentifiedTrack, ...]) -> list[IdentifiedTrack]:
         IdentifiedTrack(entry.track, None if entry.track.status is TrackStatus.TENTATIVE else 0, 0.0)
         for entry in tracks
     ]
+
+
+def _is_same(before: Detections, now: Detections) -> bool:
+    """Whether both show the same boxes to the last bit, and any."""
+    pairs = ((before.centre, now.centre), (before.size, now.size), (before.score, now.score))
+    return len(now) > 0 and all(np.array_equal(*pair) for pair in pairs)
 
 
 def _sizes(scan: Scan) -> Array:

@@ -14,7 +14,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import EgoPose, IdClash, ImuSample, PeerDeparted
+from swarmtrack.messages import Detections, EgoPose, IdClash, ImuSample, PeerDeparted
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
@@ -93,6 +93,30 @@ def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
     assert own.scan_age == math.inf
     assert not own.clash
     assert not own.doubted
+
+
+def test_the_same_picture_again_and_again_is_none():
+    drone = onboard()
+    t = hover(drone)
+    centre, size, score = np.array([[300.0, 240.0]]), np.array([[30.0, 12.0]]), np.array([0.8])
+
+    def looks(k, shift=0.0):
+        drone.tell(Detections(0.1 * k, k, centre + shift, size, score))
+        return drone.own_flight(t).scan_age
+
+    assert looks(1, shift=0.01) == pytest.approx(t - 0.1)
+    assert looks(2) == pytest.approx(t - 0.2)
+    assert [looks(k) for k in (3, 4, 5)] == pytest.approx([t - 0.2] * 3)
+    # By a thousandth of a pixel: a camera that lives.
+    assert looks(6, shift=1e-3) == pytest.approx(t - 0.6)
+
+
+def test_to_see_nobody_again_and_again_is_no_stuck_camera():
+    drone = onboard()
+    t = hover(drone)
+    for k in (1, 2, 3):
+        drone.tell(Detections(0.1 * k, k, np.empty((0, 2)), np.empty((0, 2)), np.empty(0)))
+    assert drone.own_flight(t).scan_age == pytest.approx(t - 0.3)
 
 
 def test_who_is_far_off_by_parallax_is_in_nobodys_way(crowd):

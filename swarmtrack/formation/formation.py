@@ -70,7 +70,7 @@ LATE, LATE_S = (Why.OWN_POSE, Why.GYRO, Why.CAMERA), 0.5
 HOLDS = {
     Why.OWN_POSE: "own position is old or unsure",
     Why.GYRO: "gyro is silent",
-    Why.CAMERA: "camera is silent",
+    Why.CAMERA: "camera is silent or stuck",
     Why.CLASH: "another process speaks as this drone",
     Why.DOUBT: "own start or heading seems wrong",
     Why.HEADING: "heading has stepped",
