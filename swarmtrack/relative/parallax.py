@@ -19,7 +19,8 @@ It is so no longer, and has to be shown again,
 
 * when it is not where the fit expects it: it does not stand still, or the track is another thing by now;
 * when it has grown: what was beyond `FAR_M` is beyond `REACH_M` until it appears larger by their quotient. That needs
-  no range, and nobody comes without growing.
+  no range, and nobody comes without growing;
+* when the own place has leapt: a leap that was not flown is a bend in which nothing moved, so that all were far off.
 
 A track that begins where one that was far off is expected, and as large, goes on with its fit: who turns to and fro
 loses the same house again and again.
@@ -47,6 +48,8 @@ LEAST_S, LEAST_LOOKS, LEAST_ACROSS_M = 1.0, 6, 0.3
 GROWS, WIDTH_SIGMA = 0.06, 0.1
 # s: over which the fit forgets, and over which what has just been seen is averaged.
 FORGET_S, RECENT_S = 20.0, 0.7
+# m/s, and m: the own place that moves farther from look to look has leapt.
+FASTEST_M_S, LEAPT_M = 8.0, 0.5
 # rad, per axis: of the own attitude, from one look to the next.
 ATTITUDE_SIGMA: Final = 0.006
 # Of squared residuals over their variance: as large is their mean where the fit fits, and where it does of late.
@@ -199,6 +202,8 @@ class FarOff:
 
     def __init__(self) -> None:
         self._fits: dict[int, _Fit] = {}
+        self._last: tuple[float, Array] | None = None
+        """The last look's time [s] and own place."""
         self._gone: list[_Fit] = []
         """Far off when their tracks ended."""
 
@@ -208,6 +213,11 @@ class FarOff:
 
     def observe(self, look: TeamLook) -> None:
         """look: of the tracks that have no name. Who is not in it has ended, or has a name by now."""
+        if self._last is not None:
+            t, camera = self._last
+            if float(np.linalg.norm(look.camera - camera)) > FASTEST_M_S * (look.t - t) + LEAPT_M:
+                self._fits, self._gone = {}, []
+        self._last = look.t, look.camera
         seen = {key[1] for key in look.keys}
         self._gone += [fit for track, fit in self._fits.items() if fit.far and track not in seen]
         self._gone = [fit for fit in self._gone if look.t - fit.t < REMEMBERED_S]

@@ -1,6 +1,7 @@
 """What looks like a near drone and stands far off. Worlds are made by hand: rays and widths, with their noise."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,6 +143,19 @@ def test_a_track_that_begins_beside_a_known_house_or_is_larger_is_not_that_house
         far.observe(nobody(20.0, to_and_fro(20.0)))
         told = watched(far, to_and_fro, other, size, 1.0, begins=20.3, track=9, sways=0.0)
         assert not any(is_far for *_, is_far in told)
+
+
+@pytest.mark.parametrize("leap", [2.0, 10.0])
+def test_a_leap_of_the_own_place_that_was_not_flown_makes_nobody_far(leap):
+    """A GPS glitch: by what it believes the drone went aside, and somebody near was seen on the same ray all along."""
+    chance, mine = np.random.default_rng(1), sway(3)
+    far = FarOff()
+    for k in range(round(20.0 * FPS)):
+        t = k / FPS
+        here = np.add(mine(t), (0.0, leap * (5.0 < t < 10.0), 0.0))
+        truly_seen = seen(t, mine(t), np.array([5.0, 0.5, 0.0]), DRONE_M, chance)
+        far.observe(replace(truly_seen, camera=here))
+        assert far.tracks == frozenset()
 
 
 def test_what_is_not_detected_for_a_while_stays_what_it_was():
