@@ -1,7 +1,6 @@
 """A follower is what its Onboard perceives, the law, and the axes of its autopilot."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -119,10 +118,31 @@ def test_to_see_nobody_again_and_again_is_no_stuck_camera():
     assert drone.own_flight(t).scan_age == pytest.approx(t - 0.3)
 
 
-def test_who_is_far_off_by_parallax_is_in_nobodys_way(crowd):
-    found = crowd.onboard.anybody(crowd.t)
-    crowd.onboard._far_off = SimpleNamespace(tracks=frozenset(list(found)[:2]))
-    assert set(crowd.onboard.anybody(crowd.t)) == set(list(found)[2:])
+def test_a_house_that_looks_as_near_as_a_drone_is_in_nobodys_way_once_its_parallax_is_known():
+    """The drone flies to and fro, and sees a drone at 6 m, and a part of a house at 30 m that looks 5 m away."""
+    drone, chance = onboard(), np.random.default_rng(2)
+    there, width_m = np.array([[30.0, 4.0, 1.0], [6.0, -1.5, 0.5]]), np.array([30.0 / 5.0, 1.0]) * SPAN_M
+
+    def in_the_way(t):
+        return sorted(round(float(state.position[0])) for state in drone.anybody(t).values())
+
+    told = {}
+    for k in range(1, 1251):
+        t = 0.02 * k
+        here = np.array([0.0, 1.2 * math.sin(0.7 * t), 0.0])
+        drone.tell(EgoPose(t=t, position=here, world_from_body=np.eye(3), attitude_sigma=0.002))
+        drone.tell(ImuSample(t, np.zeros(3), np.full(3, np.nan)))
+        if k % 7 == 0:
+            pixels, _, _ = CAMERA.project((there - here) @ BODY_FROM_FORWARD_CAMERA)
+            width = CAMERA.fx * width_m / there[:, 0] * np.exp(0.05 * chance.standard_normal(2))
+            size = np.stack([width, 0.4 * width], axis=1)
+            seen = pixels + chance.standard_normal((2, 2))
+            drone.tell(Detections(t, k, seen, size, np.full(2, 0.9)))
+            told[k] = in_the_way(t)
+    assert [len(told[k]) for k in (98, 1246)] == [2, 1]
+    # By its size it is nearer than the drone is.
+    assert told[98][0] <= 6
+    assert told[1246] == pytest.approx([6], abs=1)
 
 
 def test_another_process_that_speaks_as_this_drone_is_a_clash_until_it_is_gone():

@@ -31,6 +31,19 @@ def test_the_leader_is_known_by_its_motion_before_it_flies_off():
     assert flights.leader_velocity(35.0, 1.5) == pytest.approx((0.0, 1.5, 0.0))
 
 
+def test_ghosts_stand_far_in_front_of_each_follower_and_look_near():
+    flight = FormationFlight(FlightPlan(name="haunted", drones=3, ghosts=4), seed=2)
+    scenario = flight.scenario
+    assert len(scenario.ghosts) == 8
+    for k, ghost in enumerate(scenario.ghosts):
+        follower = scenario.world.flown(2 + k // 4).position(0.0)
+        away = ghost.position_m[:2] - follower[:2]
+        ahead = (scenario.world.flown(1).position(0.0) - follower)[:2]
+        assert away @ ahead > 0.85 * np.linalg.norm(away) * np.linalg.norm(ahead)
+        assert 15.0 < np.linalg.norm(away) < 50.0
+        assert 3.0 < flights.SPAN_M * np.linalg.norm(away) / ghost.size_m < 7.0
+
+
 @pytest.fixture(scope="module")
 def flown():
     """Two drones until the leader is lost in flight, and the follower holds."""
