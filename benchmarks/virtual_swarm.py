@@ -29,6 +29,7 @@ from swarmtrack.messages import (
     PeerArrived,
     PoseWanted,
     ScanReport,
+    SightingReport,
     TrackList,
 )
 from swarmtrack.motion.ego import EgoHistory
@@ -61,6 +62,9 @@ class Exposure(NamedTuple):
     perceived: Perceived
     camera: int = 0
 
+
+Said = Announcement | MotionReport | SightingReport
+"""What drones tell each other."""
 
 Eyes = Callable[[Exposure], Detections]
 """What is detected in a frame, with the frame's stamp."""
@@ -243,13 +247,10 @@ class VirtualSwarm:
             if now >= seconds + self._latency_s:
                 return
             drone = self._drones[drone_id]
-            if what == "imu":
-                drone.onboard.tell(drone.imu.sample(index))
-            elif what == "pose":
+            if what == "pose":
                 self._say(now)
-                if index % int(rates["pose"]) == 0:
-                    drone.onboard.tell(drone.ego.flight_state(index / rates["pose"]))
-                drone.onboard.tell(self._pose(drone_id, index))
+            if what in ("imu", "pose"):
+                self._hear_autopilot(drone_id, what, index)
             elif what in self._scans:
                 self._scan(drone_id, self._scans[what], index)
             else:
@@ -275,6 +276,24 @@ class VirtualSwarm:
 
     def _also(self, drone_id: int, now: float) -> None:
         """What happens beside what every drone has; overridden where something does."""
+
+    def _runs(self, drone_id: int, now: float) -> bool:
+        """Whether its agent runs; overridden where one does not."""
+        return True
+
+    def _hear_autopilot(self, drone_id: int, what: str, index: int) -> None:
+        """A sample of its gyro, or a pose; overridden where an autopilot is silent."""
+        drone, rate = self._drones[drone_id], EgoParameters().rate_hz
+        if what == "imu":
+            drone.onboard.tell(drone.imu.sample(index))
+            return
+        if index % int(rate) == 0:
+            drone.onboard.tell(drone.ego.flight_state(index / rate))
+        drone.onboard.tell(self._pose(drone_id, index))
+
+    def _deliver(self, sender: int, receiver: int, said: PeerArrived | Said, now: float) -> None:
+        """One drone's word to another; overridden where it does not arrive as it was said."""
+        self._drones[receiver].onboard.tell(said)
 
     def _due(self, what: str, index: int, rate: float) -> float:
         if what not in self._scans:
@@ -303,6 +322,8 @@ class VirtualSwarm:
         if not self.scenario.announces:
             return
         for drone_id, drone in self._drones.items():
+            if not self._runs(drone_id, now):
+                continue
             if now >= drone.announce_at:
                 self._announce(drone_id, drone, now)
             self._report(drone_id, drone, now)
@@ -335,14 +356,14 @@ class VirtualSwarm:
             world_from_body=pose.world_from_body,
             position_cov=start_sigma**2 * np.eye(3) + pose.position_cov,
         )
-        for other_id, other in self._drones.items():
+        for other_id in self._drones:
             if other_id != drone_id:
-                other.onboard.tell(PeerArrived(drone_id, announcement.boot))
-                other.onboard.tell(announcement)
+                self._deliver(drone_id, other_id, PeerArrived(drone_id, announcement.boot), now)
+                self._deliver(drone_id, other_id, announcement, now)
         for other_id, other in self._drones.items():  # a late joiner hears those who were there before
             if other_id != drone_id and drone.announced == 1:
                 for earlier in list(other.onboard.teammates.values()):
-                    drone.onboard.tell(earlier)
+                    self._deliver(other_id, drone_id, earlier, now)
 
     def _report(self, drone_id: int, drone: _Drone, now: float) -> None:
         if now - drone.reported_t < SOONEST_REPORT_S:
@@ -355,9 +376,9 @@ class VirtualSwarm:
             return
         drone.reported_t, drone.reported = now, seen
         drone.reports += 1
-        for other_id, other in self._drones.items():
+        for other_id in self._drones:
             if other_id != drone_id:
-                other.onboard.tell(dataclasses.replace(report, t_sigma=CLOCK_SIGMA))
+                self._deliver(drone_id, other_id, dataclasses.replace(report, t_sigma=CLOCK_SIGMA), now)
 
     def _share(self, drone_id: int, drone: _Drone, now: float) -> None:
         if self._share_hz == 0.0 or now * self._share_hz < drone.shared:
@@ -366,9 +387,10 @@ class VirtualSwarm:
         report = drone.onboard.motion_report(f"{drone_id:08x}", drone.shared)
         if report is None:
             return
-        for other_id, other in self._drones.items():
+        said = dataclasses.replace(self._said(report), t_sigma=CLOCK_SIGMA)
+        for other_id in self._drones:
             if other_id != drone_id:
-                other.onboard.tell(dataclasses.replace(self._said(report), t_sigma=CLOCK_SIGMA))
+                self._deliver(drone_id, other_id, said, now)
 
     def _said(self, report: MotionReport) -> MotionReport:
         """What a drone says of its motion; overridden where it lies."""

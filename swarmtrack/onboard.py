@@ -68,6 +68,7 @@ from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
 from swarmtrack.relative.looks import NamedBox, TeamLook
+from swarmtrack.relative.parallax import FarOff
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews, RangeWatch
 from swarmtrack.relative.reading import OwnMotion
@@ -180,6 +181,7 @@ class Onboard:
         self._relative = RelativeStates(relative)
         strangers = replace(relative, least_speed=STRANGERS_SPEED)
         self._anybody = RelativeStates(strangers) if places_anybody else None
+        self._far_off = FarOff()
         self._frames = Frames(drone_id, relative)
         self._range_watch = RangeWatch()
         self._own_codes: deque[AgreedMotion] = deque(maxlen=MOST_CODES)
@@ -191,6 +193,10 @@ class Onboard:
         self._clashing: frozenset[str] = frozenset()
         # Of the first camera, at the last scan.
         self._orientation: Orientation | None = None
+        self._pictures: dict[int, Detections] = {}
+        """By camera, its last."""
+        self._changed_t: float | None = None
+        """Exposure of the last scan that was not the one before to the last bit: no camera that lives shows that."""
         self._waiting = WaitingScans(self.camera_clocks, gyro)
         self._events: list[Output] = []
 
@@ -315,11 +321,14 @@ class Onboard:
 
     def anybody(self, now: float) -> dict[int, RelativeState]:
         """By track: where confirmed ones are by their size, whoever they are (drone 0), seen from the own camera now;
-        nobody unless `places_anybody`."""
+        nobody unless `places_anybody`. Left out is what has no name and is far off by parallax, whatever its size says:
+        a part of a house."""
         observer = self._ego.at(now)
         if self._anybody is None or observer is None:
             return {}
-        return self._anybody.at(now, self._own_motion(observer, now))
+        far = self._far_off.tracks
+        states = self._anybody.at(now, self._own_motion(observer, now))
+        return {track: state for track, state in states.items() if track not in far} if far else states
 
     def own_flight(self, now: float) -> OwnFlight | None:
         """How this drone flies now, and how old what it knows of that is; None where it knows no place."""
@@ -328,7 +337,7 @@ class Onboard:
             return None
         way, velocity, _ = self._ego.flown_on(now)
         axis = pose.world_from_body @ self._mounting.body_from_camera.rotation[:, 2]
-        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._rig.t
+        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._changed_t
         north, east, down = (pose.position + way).tolist()
         vn, ve, vd = velocity.tolist()
         return OwnFlight(
@@ -500,6 +509,10 @@ class Onboard:
         self._rig.update(number, scan, orientation)
         self._events += self._rig.take_news()
         self._orientation = orientation
+        before_it = self._pictures.get(number)
+        if before_it is None or not _is_same(before_it, detections):
+            self._changed_t = t
+        self._pictures[number] = detections
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._rig.tracks(orientation)
@@ -532,7 +545,10 @@ class Onboard:
             return TeamLook.of(observer.t, boxes, lens, camera, velocity, padding_px=self._padding_px)
 
         if self._anybody is not None:
-            self._anybody.observe(looked(named_boxes(_nameless(tracks), scan, R, number)))
+            nameless = looked(named_boxes(_nameless(tracks), scan, R, number))
+            self._anybody.observe(nameless)
+            named = {entry.track.id for entry in tracks if isinstance(entry.identity, int)}
+            self._far_off.observe(nameless.without(named))
         look = looked(named_boxes(tracks, scan, R, number))
         self._frames.see(look)
         self._relative.observe(look)
@@ -580,6 +596,12 @@ def _nameless(tracks: tuple[IdentifiedTrack, ...]) -> list[IdentifiedTrack]:
         IdentifiedTrack(entry.track, None if entry.track.status is TrackStatus.TENTATIVE else 0, 0.0)
         for entry in tracks
     ]
+
+
+def _is_same(before: Detections, now: Detections) -> bool:
+    """Whether both show the same boxes to the last bit, and any."""
+    pairs = ((before.centre, now.centre), (before.size, now.size), (before.score, now.score))
+    return len(now) > 0 and all(np.array_equal(*pair) for pair in pairs)
 
 
 def _sizes(scan: Scan) -> Array:

@@ -13,7 +13,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import EgoPose, IdClash, ImuSample, PeerDeparted
+from swarmtrack.messages import Detections, EgoPose, IdClash, ImuSample, PeerDeparted
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
@@ -96,6 +96,57 @@ def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
     assert own.scan_age == math.inf
     assert not own.clash
     assert not own.doubted
+
+
+def test_the_same_picture_again_and_again_is_none():
+    drone = onboard()
+    t = hover(drone)
+    centre, size, score = np.array([[300.0, 240.0]]), np.array([[30.0, 12.0]]), np.array([0.8])
+
+    def looks(k, shift=0.0):
+        drone.tell(Detections(0.1 * k, k, centre + shift, size, score))
+        return drone.own_flight(t).scan_age
+
+    assert looks(1, shift=0.01) == pytest.approx(t - 0.1)
+    assert looks(2) == pytest.approx(t - 0.2)
+    assert [looks(k) for k in (3, 4, 5)] == pytest.approx([t - 0.2] * 3)
+    # By a thousandth of a pixel: a camera that lives.
+    assert looks(6, shift=1e-3) == pytest.approx(t - 0.6)
+
+
+def test_to_see_nobody_again_and_again_is_no_stuck_camera():
+    drone = onboard()
+    t = hover(drone)
+    for k in (1, 2, 3):
+        drone.tell(Detections(0.1 * k, k, np.empty((0, 2)), np.empty((0, 2)), np.empty(0)))
+    assert drone.own_flight(t).scan_age == pytest.approx(t - 0.3)
+
+
+def test_a_house_that_looks_as_near_as_a_drone_is_in_nobodys_way_once_its_parallax_is_known():
+    """The drone flies to and fro, and sees a drone at 6 m, and a part of a house at 30 m that looks 5 m away."""
+    drone, chance = onboard(), np.random.default_rng(2)
+    there, width_m = np.array([[30.0, 4.0, 1.0], [6.0, -1.5, 0.5]]), np.array([30.0 / 5.0, 1.0]) * SPAN_M
+
+    def in_the_way(t):
+        return sorted(round(float(state.position[0])) for state in drone.anybody(t).values())
+
+    told = {}
+    for k in range(1, 1251):
+        t = 0.02 * k
+        here = np.array([0.0, 1.2 * math.sin(0.7 * t), 0.0])
+        drone.tell(EgoPose(t=t, position=here, world_from_body=np.eye(3), attitude_sigma=0.002))
+        drone.tell(ImuSample(t, np.zeros(3), np.full(3, np.nan)))
+        if k % 7 == 0:
+            pixels, _, _ = CAMERA.project((there - here) @ BODY_FROM_FORWARD_CAMERA)
+            width = CAMERA.fx * width_m / there[:, 0] * np.exp(0.05 * chance.standard_normal(2))
+            size = np.stack([width, 0.4 * width], axis=1)
+            seen = pixels + chance.standard_normal((2, 2))
+            drone.tell(Detections(t, k, seen, size, np.full(2, 0.9)))
+            told[k] = in_the_way(t)
+    assert [len(told[k]) for k in (98, 1246)] == [2, 1]
+    # By its size it is nearer than the drone is.
+    assert told[98][0] <= 6
+    assert told[1246] == pytest.approx([6], abs=1)
 
 
 def test_another_process_that_speaks_as_this_drone_is_a_clash_until_it_is_gone():

@@ -22,7 +22,15 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
-from swarmtrack.benchmarks.formation.flights import COMMAND_HZ, DEPARTS_S, FlightPlan, FormationFlight
+from swarmtrack.benchmarks.formation.faults import Failure, Fault
+from swarmtrack.benchmarks.formation.flights import (
+    COMMAND_HZ,
+    DEPARTS_S,
+    ENGAGED_S,
+    LEADER,
+    FlightPlan,
+    FormationFlight,
+)
 from swarmtrack.evaluation.formation_score import (
     LOST_M,
     NEAR_M,
@@ -40,15 +48,29 @@ SEEDS, QUICK_SEEDS = 100, 2
 SEEN_S = 1.0
 GONE_S, GONE_ENDS_S = 22.0, 32.0
 INTRUDED_ENDS_S = 32.0
-SIZE = {"share_hz": 0.0, "size_drone": 0.10, "sure": 0.95}
+FAILED_ENDS_S = 48.0
+# A follower, the first.
+VICTIM = LEADER + 1
+FAULTS = (
+    ("swapped-id", Failure(fault=Fault.SWAPPED, victim=VICTIM)),
+    ("stuck-camera", Failure(fault=Fault.STUCK_CAMERA, victim=VICTIM, ends_s=30.0)),
+    ("agent-killed", Failure(fault=Fault.KILLED, victim=VICTIM)),
+    ("leaders-agent-killed", Failure(fault=Fault.KILLED, victim=LEADER)),
+    ("partition", Failure(fault=Fault.PARTITION, victim=LEADER, begins_s=16.0, ends_s=46.0)),
+    ("reboot", Failure(fault=Fault.REBOOT, victim=VICTIM)),
+    ("clock-2-h", Failure(fault=Fault.CLOCK, victim=VICTIM, begins_s=-math.inf)),
+    ("leaders-clock-2-h", Failure(fault=Fault.CLOCK, victim=LEADER, begins_s=-math.inf)),
+    ("gps-glitch", Failure(fault=Fault.GLITCH, victim=VICTIM, ends_s=30.0)),
+    ("leaders-gps-glitch", Failure(fault=Fault.GLITCH, victim=LEADER, ends_s=30.0)),
+)
 FLIGHTS = {
     plan.name: plan
     for plan in (
         FlightPlan(name="star-3", drones=3),
         FlightPlan(name="star-5", drones=5),
         FlightPlan(name="star-8", drones=8, gap_m=7.0),
-        FlightPlan(name="star-3-size", drones=3, **SIZE),
-        FlightPlan(name="star-5-size", drones=5, **SIZE),
+        FlightPlan(name="star-3-size", drones=3, share_hz=0.0, size_drone=0.10, sure=0.95),
+        FlightPlan(name="star-5-size", drones=5, share_hz=0.0, size_drone=0.10, sure=0.95),
         FlightPlan(name="star-5-late", drones=5, latency_s=0.3),
         FlightPlan(name="star-5-flat", drones=5, layer_m=0.0),
         FlightPlan(name="leader-lost", drones=4, gone_s=GONE_S, ends_s=GONE_ENDS_S),
@@ -56,6 +78,9 @@ FLIGHTS = {
             name="intruder-1", drones=3, speed_m_s=0.0, intruder_m_s=1.0, ends_s=INTRUDED_ENDS_S + 8.0
         ),
         FlightPlan(name="intruder-2", drones=3, speed_m_s=0.0, intruder_m_s=2.0, ends_s=INTRUDED_ENDS_S),
+        FlightPlan(name="ghosts", drones=3, ghosts=3),
+        FlightPlan(name="ghosts-hover", drones=3, ghosts=3, speed_m_s=0.0, ends_s=40.0),
+        *(FlightPlan(name=name, drones=3, failure=failure, ends_s=FAILED_ENDS_S) for name, failure in FAULTS),
     )
 }
 
@@ -63,11 +88,12 @@ FLIGHTS = {
 @dataclass(frozen=True, slots=True)
 class FlownFormation:
     """One flight. slots: how they were held, while the leader flew; held: share of that time in which a follower held;
-    gone: where the leader vanished."""
+    farthest: m, that any was off its slot from being engaged on; gone: where the leader vanished."""
 
     seed: int
     slots: SlotErrors
     held: float
+    farthest: float
     gone: LeaderGone | None = None
 
 
@@ -78,7 +104,8 @@ def fly(name: str, seed: int) -> FlownFormation:
     samples = flight.run()
     positions, t = np.array([sample.positions for sample in samples]), np.array([s.t for s in samples])
     team = positions[:, : plan.drones]
-    slots = slot_errors(t, team, np.array(list(flight.slots.values())), DEPARTS_S, plan.gone_s)
+    beside = np.array(list(flight.slots.values()))
+    slots = slot_errors(t, team, beside, DEPARTS_S, plan.gone_s)
     if plan.intruder_m_s:
         # It meets the first follower. Who has not seen it for a second, because somebody hid it, cannot keep clear.
         met = np.linalg.norm(positions[:, 1] - positions[:, plan.drones], axis=1)
@@ -90,6 +117,7 @@ def fly(name: str, seed: int) -> FlownFormation:
         seed,
         slots,
         sum(why is not Why.FOLLOW for why in whys) / max(len(whys), 1),
+        float(slot_errors(t, team, beside, ENGAGED_S, plan.gone_s).errors.max(initial=0.0)),
         after_it_vanished(t, team[:, 1:], plan.gone_s) if math.isfinite(plan.gone_s) else None,
     )
 
@@ -134,6 +162,10 @@ def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
         "min_separation_m": score.min_separation_m,
         "runs_below_1.5_m": sum(flight.slots.nearest < NEAR_M for flight in flown),
         "runs_with_a_lost_follower": sum(bool((flight.slots.last > LOST_M).any()) for flight in flown),
+        "farthest_off_m": {
+            "p50": float(np.median([flight.farthest for flight in flown])),
+            "max": max(flight.farthest for flight in flown),
+        },
         "held_share": float(np.mean([flight.held for flight in flown])),
     }
     gone = [flight.gone for flight in flown if flight.gone is not None]
@@ -152,7 +184,7 @@ def _markdown(rows: Iterable[dict[str, Any]]) -> str:
     rows = list(rows)
     header = [
         "flight", "runs", "error p50, p95 m", "end p95 m", "smallest separation m", "runs below 1.5 m",
-        "runs with a lost follower", "held",
+        "farthest off m, p50, max", "runs with a lost follower", "held",
     ]  # fmt: skip
     cells = [
         [
@@ -162,6 +194,7 @@ def _markdown(rows: Iterable[dict[str, Any]]) -> str:
             f"{row['error_m']['end_p95']:.2f}",
             f"{row['min_separation_m']:.2f}",
             str(row["runs_below_1.5_m"]),
+            f"{row['farthest_off_m']['p50']:.1f}, {row['farthest_off_m']['max']:.1f}",
             str(row["runs_with_a_lost_follower"]),
             f"{row['held_share']:.1%}",
         ]

@@ -8,13 +8,14 @@ hovers, flies a square to be known, then off, turns a quarter and stops.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, VirtualSwarm, oracle_eyes
+from swarmtrack.benchmarks.formation.faults import FailingSwarm, Failure, Fault
+from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, oracle_eyes
 from swarmtrack.follower import Engagement, Follower
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters, Place
 from swarmtrack.formation.setpoint import Why
@@ -28,6 +29,7 @@ from swarmtrack.simulation.response import ARDUPILOT, SetPoint, Triple
 from swarmtrack.simulation.scenarios import (
     BODY_FROM_CAMERA,
     DRIFT_M,
+    Ghost,
     Scenario,
     ScenarioCamera,
     announced_starts,
@@ -50,6 +52,11 @@ SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 2.0, 0.8
 # s, world time: the intruder sets out, so far from the slot that it flies through [m].
 INTRUDES_S, INTRUDER_FROM_M = 16.0, 14.0
 SPAN_M = 0.5
+# Ghosts: m from a follower, in front of it give or take rad; m, how near a drone would be that looks as large; m above
+# the ground; how often the detector fires on each, and with which scores: from … to.
+GHOST_FROM_M, GHOST_BESIDE = (15.0, 50.0), 0.5
+GHOST_LOOKS_M, GHOST_HEIGHT_M = (3.0, 7.0), (0.5, 9.0)
+GHOST_FIRES, GHOST_SCORES = (0.5, 0.95), (0.47, 0.64)
 # 90° by 74°.
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 
@@ -61,6 +68,7 @@ class FlightPlan:
     size_drone, size_white: how far boxes are off, from drone to drone and from frame to frame, as shares. gone_s: when
     the leader vanishes from everybody's sight, world time; intruder_m_s: as fast a drone that is nobody's flies through
     the slot of the first follower, 0: there is none, while the leader hovers; sure: of names, see the law's parameters.
+    ghosts: in front of each follower, parts of houses that look like drones at 3 to 7 m; failure: what breaks.
     """
 
     name: str
@@ -77,6 +85,8 @@ class FlightPlan:
     intruder_m_s: float = 0.0
     sure: float = 0.99
     ends_s: float = ENDS_S
+    ghosts: int = 0
+    failure: Failure | None = None
 
 
 class FlightSample(NamedTuple):
@@ -91,7 +101,7 @@ class FlightSample(NamedTuple):
     intruder_seen: bool = False
 
 
-class FormationFlight(VirtualSwarm):
+class FormationFlight(FailingSwarm):
     """One flight; `samples` holds what truly happened."""
 
     def __init__(self, plan: FlightPlan, seed: int) -> None:
@@ -113,6 +123,8 @@ class FormationFlight(VirtualSwarm):
         self._followers = {drone: Follower(self._of(drone)) for drone in self.slots if drone != LEADER}
         self._whys = dict.fromkeys(self._followers, Why.NOT_ENGAGED)
         self._judged = -1
+        self.failure = plan.failure
+        self.begin_failing()
         self.samples: list[FlightSample] = []
 
     def run(self) -> list[FlightSample]:
@@ -141,14 +153,22 @@ class FormationFlight(VirtualSwarm):
         self._judge(now)
         if now < 0.0:
             return
+        self.fail(now)
         if drone_id == LEADER:
             drone.tell(now, SetPoint(now, velocity=leader_velocity(now, self.plan.speed_m_s), yaw_rate=0.0))
             self._intrude(now)
             return
+        if not self._runs(drone_id, now):
+            self._whys[drone_id] = Why.NOT_ENGAGED
+            return
         onboard = self.onboard(drone_id)
-        engagement = Engagement(int(now >= ENGAGED_S))
+        engagement = Engagement(self.engagement_of(drone_id, ENGAGED_S, now))
         told = self._followers[drone_id].command(onboard, onboard.tracks(now), engagement)
         self._whys[drone_id] = told.setpoint.why
+        if not engagement.number:
+            # It stays where its pilot has it.
+            drone.tell(now, SetPoint(now))
+            return
         drone.tell(now, SetPoint(now, velocity=told.velocity, yaw_rate=told.yaw_rate))
 
     def _intrude(self, now: float) -> None:
@@ -184,7 +204,7 @@ class FormationFlight(VirtualSwarm):
         return INTRUDER in seen
 
     def _scan(self, drone_id: int, camera: int, index: int) -> None:
-        if drone_id != LEADER:
+        if drone_id != LEADER and self._runs(drone_id, self.scenario.cameras[camera].exposure(index)):
             super()._scan(drone_id, camera, index)
 
 
@@ -224,6 +244,8 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
         drones[INTRUDER] = GuidedDrone(start, 0.0, ARDUPILOT, drift, hovers=True)
         airframes[INTRUDER] = Airframe()
     world = World(seed, drones, airframes)
+    failure = plan.failure
+    swapped = (LEADER, failure.victim) if failure is not None and failure.fault is Fault.SWAPPED else ()
     return Scenario(
         strangers=frozenset(drones) - frozenset(slots),
         world=world,
@@ -232,8 +254,22 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
         detector=DetectorParameters(
             p_detection=plan.p_detection, centre_sigma=2.6, size_sigma=plan.size_white, clutter_per_frame=0.1
         ),
-        announced=announced_starts(world, START_SIGMA_M),
+        announced=announced_starts(world, START_SIGMA_M, swapped),
+        ghosts=tuple(ghost for drone in slots if drone != LEADER for ghost in _ghosts(plan, world, drone)),
     )
+
+
+def _ghosts(plan: FlightPlan, world: World, drone: int) -> Iterator[Ghost]:
+    """In front of a follower."""
+    here, ahead = world.flown(drone).position(0.0), world.flown(LEADER).position(0.0)
+    course = math.atan2(ahead[1] - here[1], ahead[0] - here[0])
+    for k in range(plan.ghosts):
+        chance = world.chance("ghost", drone, k)
+        way, far = course + chance.uniform(-GHOST_BESIDE, GHOST_BESIDE), chance.uniform(*GHOST_FROM_M)
+        place = here + far * np.array([math.cos(way), math.sin(way), 0.0])
+        place[2] = -chance.uniform(*GHOST_HEIGHT_M)
+        size = SPAN_M * far / chance.uniform(*GHOST_LOOKS_M)
+        yield Ghost(place, size, chance.uniform(*GHOST_FIRES), GHOST_SCORES)
 
 
 def _intruder_way(slot: Place, seed: int) -> float:

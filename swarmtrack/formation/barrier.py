@@ -118,5 +118,16 @@ def fence(
     return spaces
 
 
+def leash(position: Velocity, place: Velocity, velocity: Velocity, most: float) -> list[HalfSpace]:
+    """A half-space that keeps a drone within `most` [m], level, of a place that moves [m/s]. It drags nobody along:
+    whoever stands may stand."""
+    north, east = position[0] - place[0], position[1] - place[1]
+    away = math.hypot(north, east)
+    if away < 1e-3:
+        return []
+    outward = (north / away, east / away, 0.0)
+    return [HalfSpace(outward, max(GAMMA * (most - away) + _dot(outward, velocity), 0.0))]
+
+
 def _dot(a: Velocity, b: Velocity) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

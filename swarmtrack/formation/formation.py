@@ -8,7 +8,8 @@ Theory of operation. A command has five parts, in this order:
 3. The height is that of the slot, held by the own autopilot's. Right after engaging it comes first: who flies level
    through other drones' heights meets them where nobody looks.
 4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from
-   everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down.
+   everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down. Whoever is
+   kept clear of, nothing leads beyond the fence, nor farther than `MOST_ASIDE_M` from the slot (`Berth`).
 5. The nose turns to the references, and to where they were last expected.
 """
 
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from swarmtrack.formation.barrier import (
     binding,
     fence,
     keep_clear,
+    leash,
     nearest_velocity,
     sidestep,
 )
@@ -55,6 +58,9 @@ WATCHED_M = 6.0
 SIGMAS, VAGUEST_RANGE = 2.0, 0.6
 # m/s, one sigma: nobody's speed is taken to be known worse.
 VAGUEST_SPEED = 1.0
+# m: so far from its slot a drone is led by whom it keeps clear of; who holds, from where it began to. And s: within so
+# long it is back, or what keeps it off is something else.
+MOST_ASIDE_M, BACK_S = 12.0, 10.0
 # m: who seems to be beyond could not be seen.
 FARTHEST_M = 1e3
 
@@ -64,13 +70,31 @@ LATE, LATE_S = (Why.OWN_POSE, Why.GYRO, Why.CAMERA), 0.5
 HOLDS = {
     Why.OWN_POSE: "own position is old or unsure",
     Why.GYRO: "gyro is silent",
-    Why.CAMERA: "camera is silent",
+    Why.CAMERA: "camera is silent or stuck",
     Why.CLASH: "another process speaks as this drone",
     Why.DOUBT: "own start or heading seems wrong",
     Why.HEADING: "heading has stepped",
     Why.CLOCK: "autopilot's clock is unknown",
     Why.BROKEN: "no number came of it",
 }
+
+
+class Berth(NamedTuple):
+    """Where a drone belongs for now: place in the team frame [m] and velocity [m/s] of its slot, or where it began to
+    hold. slack [m]: how far off its slot it was when nobody was in its way."""
+
+    place: Velocity
+    velocity: Velocity = STILL
+    slack: float = 0.0
+    holds: bool = False
+
+
+class SlotFlight(NamedTuple):
+    """The level velocity to fly [m/s]; how far and where the slot is, level [m]; and how it moves [m/s]."""
+
+    wanted: Velocity
+    error: Velocity
+    velocity: Velocity
 
 
 class Formation:
@@ -88,6 +112,8 @@ class Formation:
         self._t: float | None = None
         self._engaged_at: Velocity | None = None
         self._at_height = False
+        self._berth: Berth | None = None
+        self._bent_at = -math.inf
         self._flown = STILL
         self._followed = STILL
         self._followed_at = -math.inf
@@ -116,11 +142,12 @@ class Formation:
             return self._brake(t, dt, why)
         if self._engaged_at is None:
             self._engaged_at = own.position
-        error = None
+        error = slot = None
         if why is not None:
             wanted, text = STILL, HOLDS[why]
         elif trusted:
-            wanted, error = self._law(trusted, states, own)
+            slot = self._law(trusted, states, own)
+            wanted, error = slot.wanted, math.hypot(*slot.error)
             why, text = Why.FOLLOW, f"{error:.1f} m off its slot"
         else:
             wanted, why, text = self._alone(t)
@@ -131,11 +158,14 @@ class Formation:
             return self._brake(t, dt, Why.BROKEN)
         if why is Why.FOLLOW:
             self._followed, self._followed_at = slewed, t
+        self._berth = self._berthed(slot, own, t)
         velocity, clear_of = self._bent(slewed, wanted, states, own, tracks)
         yaw_rate = self._turned(own, t, dt) if why is not Why.HEADING else 0.0
         if not _are_numbers((*velocity, yaw_rate)):
             return self._brake(t, dt, Why.BROKEN)
         self._flown, self._yaw_rate = velocity, yaw_rate
+        if velocity != slewed:
+            self._bent_at = t
         if clear_of:
             text += ", keeps clear"
         return Setpoint(t, velocity, yaw_rate, why, text, error, clear_of)
@@ -192,8 +222,8 @@ class Formation:
 
     def _law(
         self, trusted: list[tuple[int, int]], states: Mapping[int, RelativeState], own: OwnFlight
-    ) -> tuple[Velocity, float]:
-        """The level velocity to fly, and how far off its slot the drone is."""
+    ) -> SlotFlight:
+        """To the slot, and along with the references."""
         p = self.parameters
         seen = []
         for drone_id, track_id in trusted:
@@ -202,7 +232,21 @@ class Formation:
             seen.append(SeenReference(error, state.velocity + own.velocity, state.cov))
         (north, east, _), along = displacement(seen)
         x, y, _ = saturated((p.gain * north, p.gain * east, 0.0), p.approach)
-        return saturated((x + along[0], y + along[1], 0.0), p.limits.speed), math.hypot(north, east)
+        level = along[0], along[1], 0.0
+        return SlotFlight(
+            saturated((x + along[0], y + along[1], 0.0), p.limits.speed), (north, east, 0.0), level
+        )
+
+    def _berthed(self, slot: SlotFlight | None, own: OwnFlight, t: float) -> Berth:
+        """Of one that holds, it stays where it was when that began: else it would be led away step by step."""
+        if slot is None:
+            before = self._berth
+            return before if before is not None and before.holds else Berth(own.position, holds=True)
+        slack = math.hypot(*slot.error)
+        before = self._berth
+        if before is not None and not before.holds and 0.0 <= t - self._bent_at < BACK_S:
+            slack = min(slack, before.slack)
+        return Berth(added(own.position, slot.error), slot.velocity, slack)
 
     def _alone(self, t: float) -> tuple[Velocity, Why, str]:
         """Without a reference: the last command fades, then the drone holds."""
@@ -261,12 +305,16 @@ class Formation:
             pull=limits.climb,
         )
         near, aside = self._in_the_way(wanted, states, own, tracks)
-        spaces += near
-        north, east, down = nearest_velocity(added(velocity, aside), spaces)
+        north, east, down = nearest_velocity(added(velocity, aside), spaces + near)
+        if near and self._berth is not None:
+            berth = self._berth
+            held = leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
+            # What nobody is led beyond: where the barrier wants it otherwise, these have the last word.
+            north, east, down = nearest_velocity((north, east, down), spaces + held)
         most_down, most_up = (min(space.bound, limits.climb) for space in spaces[:2])
         down = min(max(down, -most_up), most_down)
         bent = saturated((north, east, down), limits.speed)
-        return bent, binding(velocity, spaces)
+        return bent, binding(velocity, spaces + near)
 
     def _in_the_way(
         self,

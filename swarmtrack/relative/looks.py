@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +75,20 @@ class TeamLook:
             by_pixel @ R @ by_pixel.swapaxes(1, 2),
             widths(z, size, camera, team_from_camera.rotation, padding_px),
             gains(size, padding_px),
+        )
+
+    def without(self, tracks: Collection[int]) -> TeamLook:
+        """The same look, but for these tracks."""
+        stay = [i for i, key in enumerate(self.keys) if key[1] not in tracks]
+        if len(stay) == len(self.keys):
+            return self
+        return replace(
+            self,
+            keys=tuple(self.keys[i] for i in stay),
+            ray=self.ray[stay],
+            ray_cov=self.ray_cov[stay],
+            width=self.width[stay],
+            gain=self.gain[stay],
         )
 
 

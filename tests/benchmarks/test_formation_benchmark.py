@@ -31,6 +31,19 @@ def test_the_leader_is_known_by_its_motion_before_it_flies_off():
     assert flights.leader_velocity(35.0, 1.5) == pytest.approx((0.0, 1.5, 0.0))
 
 
+def test_ghosts_stand_far_in_front_of_each_follower_and_look_near():
+    flight = FormationFlight(FlightPlan(name="haunted", drones=3, ghosts=4), seed=2)
+    scenario = flight.scenario
+    assert len(scenario.ghosts) == 8
+    for k, ghost in enumerate(scenario.ghosts):
+        follower = scenario.world.flown(2 + k // 4).position(0.0)
+        away = ghost.position_m[:2] - follower[:2]
+        ahead = (scenario.world.flown(1).position(0.0) - follower)[:2]
+        assert away @ ahead > 0.85 * np.linalg.norm(away) * np.linalg.norm(ahead)
+        assert 15.0 < np.linalg.norm(away) < 50.0
+        assert 3.0 < flights.SPAN_M * np.linalg.norm(away) / ghost.size_m < 7.0
+
+
 @pytest.fixture(scope="module")
 def flown():
     """Two drones until the leader is lost in flight, and the follower holds."""
@@ -60,7 +73,7 @@ def test_a_flight_is_the_same_again_to_the_last_bit():
 def test_rows_count_what_flights_say():
     def flight(seed, last, nearest):
         errors = SlotErrors(np.array([[0.5], [1.0]]), np.array([last]), nearest)
-        return benchmark.FlownFormation(seed, errors, 0.1)
+        return benchmark.FlownFormation(seed, errors, 0.1, farthest=last)
 
     row = benchmark._row("star-3", [flight(0, 0.4, 2.0), flight(1, 3.5, 1.4), flight(2, 0.6, 1.6)])
     assert (row["runs"], row["runs_below_1.5_m"], row["runs_with_a_lost_follower"]) == (3, 1, 1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.formation_states import HEIGHT, Flying, in_slot, leader_from, parameters, state, track
-from swarmtrack.formation.formation import FADED_S, HOLDS, Formation
+from swarmtrack.formation.formation import FADED_S, HOLDS, MOST_ASIDE_M, Formation
 from swarmtrack.formation.references import ENTRY_S, UNSEEN_S
 from swarmtrack.formation.setpoint import STILL, OwnSway, Why
 from swarmtrack.messages import TrackStatus
@@ -259,6 +259,68 @@ def test_after_a_leader_that_flies_off_a_drone_stays_within_its_fence():
         velocity = np.array(flying.tell(own, {10: leader}, [track()]).velocity)
         here = here + 0.1 * velocity
     assert 9.5 < here[0] - begun[0] <= 10.0
+
+
+class Chased:
+    """A drone that does at once what it is told, and somebody without a name that stays 2 m in the south of it and
+    comes at `speed`, wherever it goes: nobody can get away from that. `off` is how far it is from where it began."""
+
+    def __init__(self, speed=2.0, leader=None, **limits):
+        self.flying = Flying(Formation(parameters(limits=limits)))
+        self.here, self.velocity, self.off = np.zeros(3), np.zeros(3), []
+        self.speed, self.leader = speed, leader
+
+    def fly(self, seconds, chased=True):
+        for _ in range(round(10.0 * seconds)):
+            own = in_slot(off=self.here, velocity=tuple(self.velocity.tolist()))
+            seen, tracks = {}, []
+            if chased:
+                seen[11] = state((-2.0, 0.0, 0.0), (self.speed, 0.0, 0.0) - self.velocity, drone_id=0)
+                tracks.append(track(None, 11))
+            if self.leader is not None:
+                seen[10] = leader_from(
+                    own, velocity=self.leader, at=(self.leader[0] * self.flying.t, 0.0, -HEIGHT)
+                )
+                tracks.append(track())
+            self.velocity = np.array(self.flying.tell(own, seen, tracks).velocity)
+            self.here = self.here + 0.1 * self.velocity
+            self.off.append(float(np.linalg.norm(self.here[:2])))
+        return self
+
+
+def test_nobody_is_chased_beyond_the_fence():
+    chased = Chased(fence_radius=5.0).fly(60.0)
+    assert 4.5 < max(chased.off) <= 5.0 + 1e-6
+
+
+def test_who_holds_is_chased_no_farther_than_a_step_aside_may_take_it():
+    chased = Chased(fence_radius=100.0).fly(90.0)
+    assert MOST_ASIDE_M - 0.5 < max(chased.off) <= MOST_ASIDE_M + 1e-6
+
+
+def test_who_is_chased_again_and_again_while_it_holds_is_led_no_farther():
+    chased = Chased(fence_radius=100.0)
+    for _ in range(8):
+        chased.fly(10.0).fly(5.0, chased=False)
+    assert MOST_ASIDE_M - 0.5 < max(chased.off) <= MOST_ASIDE_M + 1e-6
+
+
+def test_a_slot_that_is_fled_from_is_at_most_so_far_away_and_is_flown_back_to():
+    chased = Chased(leader=(0.0, 0.0, 0.0), fence_radius=100.0)
+    chased.fly(3.0, chased=False)
+    assert max(chased.off) < 0.1
+    chased.fly(60.0)
+    # Round about it still steps aside, a little outwards with each step.
+    assert MOST_ASIDE_M - 0.5 < max(chased.off) < MOST_ASIDE_M + 0.5
+    chased.fly(30.0, chased=False)
+    assert chased.off[-1] < 0.1
+
+
+def test_a_retreat_along_with_a_leader_that_flies_that_way_is_not_held_back():
+    chased = Chased(leader=(1.0, 0.0, 0.0), fence_radius=500.0)
+    chased.fly(3.0, chased=False).fly(60.0)
+    # The slot itself went 60 m that way.
+    assert chased.off[-1] > 55.0
 
 
 @pytest.mark.parametrize(("height", "least", "expected"), [(5.0, 7.0, 7.0), (30.0, 2.0, 17.0)])
