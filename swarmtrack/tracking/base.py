@@ -80,6 +80,10 @@ class Filter(Protocol):
         """Take these rows (n,) of the table out, carried on as `extrapolated` does, for another camera's filter."""
         ...
 
+    def copied(self, rows: NDArray[np.bool_]) -> Handover:
+        """What `adopt` would take, of these rows (n,) of the table as they stand; nothing is changed."""
+        ...
+
     def adopt(self, arriving: Handover) -> None:
         """Rows that another filter of the same kind released, in this camera's pixels at the time of the belief."""
         ...
@@ -234,6 +238,15 @@ class Tracker:
         assert self._t is not None
         self._shown = None
         return self._filter.release(rows, t - self._t, rotation, rotation_variance)
+
+    def copied(self, rows: NDArray[np.bool_]) -> Handover:
+        """These rows (n,) of the `tracks` as they stand, to be adopted again where they have gone meanwhile."""
+        return self._filter.copied(rows)
+
+    @property
+    def missed(self) -> NDArray[np.bool_]:
+        """(n,) that a track was not detected in the last scan."""
+        return np.isfinite(self._filter.table.missed_since)
 
     def adopt(self, arriving: Handover) -> None:
         """Tracks that another one released, in pixels of this camera at the time of the state."""

@@ -48,5 +48,8 @@ class GaussianTracks:
         )
         return Handover(leaving, None)
 
+    def copied(self, rows: NDArray[np.bool_]) -> Handover:
+        return Handover(self.table.select(rows), None)
+
     def adopt(self, arriving: Handover) -> None:
         self.table.append(arriving.table)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
@@ -23,6 +24,11 @@ class Handover(NamedTuple):
 
     table: TrackTable
     motion: ModeMixture | None
+
+    def select(self, mask: NDArray[np.bool_]) -> Handover:
+        """Those whose mask (n,) is True."""
+        motion = None if self.motion is None else self.motion.take(np.flatnonzero(mask))
+        return Handover(self.table.select(mask), motion)
 
     def in_pixels_of(self, camera: PinholeCamera, before: PinholeCamera) -> Handover:
         """The same tracks for a camera that looks the same way through another lens."""

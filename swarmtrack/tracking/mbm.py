@@ -265,6 +265,10 @@ class Mbm:
         self._keep_rows(~rows)
         return Handover(leaving, motion)
 
+    def copied(self, rows: NDArray[np.bool_]) -> Handover:
+        """Of a track in dispute, what the published hypothesis says."""
+        return Handover(self.table.select(rows), self._published().take(np.flatnonzero(rows)))
+
     def adopt(self, arriving: Handover) -> None:
         self.table.append(arriving.table)
         self._grow_leaves(arriving.motion)
