@@ -18,7 +18,7 @@ from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
 from swarmtrack.tracking.handover import Handover
-from swarmtrack.tracking.lifecycle import Reach
+from swarmtrack.tracking.lifecycle import LOST_BELOW, Reach
 from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
@@ -247,6 +247,19 @@ class Tracker:
     def missed(self) -> NDArray[np.bool_]:
         """(n,) that a track was not detected in the last scan."""
         return np.isfinite(self._filter.table.missed_since)
+
+    @property
+    def gone_since(self) -> Array:
+        """(n,) s, of tracks that are lost because they are out of the picture: the first scan that missed them; NaN of
+        all others."""
+        table = self._filter.table
+        gone = table.lost & table.confirmed & (table.existence >= LOST_BELOW)
+        return np.where(gone, table.missed_since, np.nan)
+
+    def not_lost(self, rows: NDArray[np.bool_]) -> None:
+        """These rows (n,) are out of this picture, but not out of sight of the drone."""
+        self._shown = None
+        self._filter.table.lost[rows] = False
 
     def adopt(self, arriving: Handover) -> None:
         """Tracks that another one released, in pixels of this camera at the time of the state."""

@@ -157,7 +157,22 @@ class Rig:
             self._give_back(tracker, accepted=accepted)
         if self._foretold:
             self._learn_seams(camera, tracker)
+        if accepted and len(self._cameras) > 1:
+            self._keep_in_sight(camera, scan.t)
         return accepted
+
+    def _keep_in_sight(self, giver: int, t: float) -> None:
+        """Who has just left a picture, and should be in that of a camera which has not exposed since, is not lost."""
+        tracker = self._cameras[giver].tracker
+        since = tracker.gone_since
+        if np.isnan(since).all():
+            return
+        _, mean, cov = tracker.estimates
+        for taker, other in enumerate(self._cameras):
+            last = other.tracker.t
+            if taker != giver and last is not None and t - last < MOST_BACK and (since > last).any():
+                shown = self._shown_by(mean, cov, giver, taker, self._turn_to(taker, giver))
+                tracker.not_lost((since > last) & (shown.seen > 0.5))
 
     def _give_back(self, taker: Tracker, *, accepted: bool) -> None:
         """What was lent for this scan and is not in it: as it was."""
@@ -324,12 +339,22 @@ class Rig:
         """(n,) of tracks in the giver's pixels now: those that the taker may see, and of those that nobody sees the
         ones nearer to where it looks; and which of these are only lent. seam (3, 3): the taker's axes from the giver's.
         """
+        one = self._cameras[giver].camera
+        shown = self._shown_by(mean, cov, giver, taker, seam)
+        seen_here = probability_in_view(mean, cov, one)
+        nearer = shown.closer & (seen_here < 0.5)
+        for_good = nearer | ((shown.seen > 0.5) & (shown.seen >= np.minimum(seen_here, SURELY_SEES)))
+        lent = shown.possible & ~for_good & (shown.seen > MAY_SEE)
+        return np.asarray(lent | (shown.possible & for_good)), np.asarray(lent)
+
+    def _shown_by(self, mean: Array, cov: Array, giver: int, taker: int, seam: Array) -> _Shown:
+        """Tracks in the giver's pixels (n, 4), (n, 4, 4), as the taker would have them."""
         one, other = self._cameras[giver].camera, self._cameras[taker].camera
         ray = one.bearing_undistorted(mean[:, POSITION])
         there = ray @ seam.T
         pixel, _, ahead = other.project_undistorted(there)
         if not ahead.any():
-            return np.asarray(ahead), np.asarray(ahead)
+            return _Shown(np.zeros(len(mean)), np.asarray(ahead), np.asarray(ahead))
         size = self._cameras[giver].tracker.sizes * (other.fx / one.fx, other.fy / one.fy)
         by, by_cov = parallax(pixel, size, other, self._baseline(giver, taker))
         pixel = pixel + by
@@ -339,12 +364,18 @@ class Rig:
         by_cov[ahead] += self._of_seam(pixel[ahead], giver, taker)
         spread[:, 0, 0] = variance * other.fx**2 + by_cov[:, 0, 0]
         spread[:, 2, 2] = variance * other.fy**2 + by_cov[:, 1, 1]
-        seen, seen_here = probability_in_view(moved, spread, other), probability_in_view(mean, cov, one)
-        nearer = (there[:, 2] > ray[:, 2]) & (seen_here < 0.5)
-        for_good = nearer | ((seen > 0.5) & (seen >= np.minimum(seen_here, SURELY_SEES)))
+        seen = probability_in_view(moved, spread, other)
         possible = ahead & self._reach[taker].holds(moved, spread)
-        lent = possible & ~for_good & (seen > MAY_SEE)
-        return np.asarray(lent | (possible & for_good)), np.asarray(lent)
+        return _Shown(np.where(possible, seen, 0.0), np.asarray(possible), there[:, 2] > ray[:, 2])
+
+
+class _Shown(NamedTuple):
+    """Of tracks (n,): the probability that another camera shows them, whether it can have them at all, and whether they
+    are nearer to where it looks."""
+
+    seen: Array
+    possible: NDArray[np.bool_]
+    closer: NDArray[np.bool_]
 
 
 class _Lent(NamedTuple):

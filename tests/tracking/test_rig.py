@@ -216,6 +216,27 @@ def test_before_a_track_goes_over_it_is_asked_where_the_other_camera_sees_it():
     assert (track.camera, drone.rig.handed_over) == (0, 0)
 
 
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_who_has_left_one_picture_and_is_not_exposed_in_the_next_one_yet_is_not_lost(tracker):
+    poses = [looking(-40.0), looking(40.0)]
+    drone = Drone(rig_of(tracker, *poses), poses, [[5.0, -0.5, 0.1]])
+    for _ in range(12):
+        for camera in (0, 1):
+            drone.turn(0.0, 0.05)
+            drone.look(camera)
+    # 14 degrees in a twentieth of a second: out of the first picture before the second camera exposes again.
+    drone.turn(-5.0, 0.05)
+    drone.look(0)
+    assert [drone.seen_by(camera, drone.yaw)[1].any() for camera in (0, 1)] == [False, True]
+    (track,) = drone.tracks()
+    assert (track.id, track.camera) == (1, 0)
+    # The second one has stalled: for how long nobody waits.
+    for _ in range(10):
+        drone.turn(0.0, 0.1)
+        drone.look(0)
+    assert drone.tracks() == []
+
+
 # --- what crossings tell of the mounting ---
 
 
