@@ -10,6 +10,10 @@ from swarmtrack.errors import SourceError
 
 BENCHMARKS = {
     "agent": ("swarmtrack.benchmarks.agent_budget", "what an agent costs, next to the design's budgets"),
+    "all-round": (
+        "swarmtrack.benchmarks.all_round",
+        "names with several cameras per drone, and what seams cost them",
+    ),
     "box-width": ("swarmtrack.benchmarks.box_width", "how wide a detector's boxes are beside the drones"),
     "calibration": (
         "swarmtrack.benchmarks.calibration",

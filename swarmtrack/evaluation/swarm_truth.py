@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
-from swarmtrack.simulation.scenarios import ScenarioCamera
 from swarmtrack.simulation.sensors import shown
 from swarmtrack.simulation.world import World
 
@@ -19,6 +18,16 @@ from swarmtrack.simulation.world import World
 KNOTS_HZ = 20.0
 # s before and after, from whose difference a velocity is taken: no later than a judge has the truth.
 STEP_S = 0.5 / KNOTS_HZ
+
+
+class CarriedCamera(Protocol):
+    """One of the cameras that every drone carries."""
+
+    @property
+    def lens(self) -> PinholeCamera: ...
+
+    @property
+    def body_from_camera(self) -> Pose: ...
 
 
 class TrueView(NamedTuple):
@@ -34,7 +43,7 @@ class TrueView(NamedTuple):
 class SwarmTruth:
     """`simulation.sensors.visible` for every observer of a world, in undistorted pixels, with the hidden ones."""
 
-    def __init__(self, world: World, cameras: Sequence[ScenarioCamera]) -> None:
+    def __init__(self, world: World, cameras: Sequence[CarriedCamera]) -> None:
         """cameras: of every observer, in the order in which tracks count them."""
         self._world = world
         self._cameras = tuple(cameras)
@@ -54,7 +63,7 @@ class SwarmTruth:
         return TrueView(in_view, hidden, tuple({**seen, **others} for seen, others in views))
 
     def _seen_by(
-        self, mounted: ScenarioCamera, observer: int, eye: Pose, world_points: Array
+        self, mounted: CarriedCamera, observer: int, eye: Pose, world_points: Array
     ) -> tuple[dict[int, Array], dict[int, Array]]:
         """Boxes by drone, nearest first: of those in view of one camera, and of the others ahead of it. eye: of the
         observer's body."""

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
-from swarmtrack.tracking.handover import Handover
-from swarmtrack.tracking.lifecycle import Reach
+from swarmtrack.tracking.lifecycle import LOST_BELOW, Reach
 from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.smoothing import FixedLag
 from swarmtrack.tracking.table import TrackColumns, TrackIds, TrackTable
@@ -76,11 +76,15 @@ class Filter(Protocol):
 
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
-    ) -> Handover:
+    ) -> Passage:
         """Take these rows (n,) of the table out, carried on as `extrapolated` does, for another camera's filter."""
         ...
 
-    def adopt(self, arriving: Handover) -> None:
+    def copied(self, rows: NDArray[np.bool_]) -> Passage:
+        """What `adopt` would take, of these rows (n,) of the table as they stand; nothing is changed."""
+        ...
+
+    def adopt(self, arriving: Passage) -> None:
         """Rows that another filter of the same kind released, in this camera's pixels at the time of the belief."""
         ...
 
@@ -229,13 +233,35 @@ class Tracker:
 
     def release(
         self, rows: NDArray[np.bool_], t: float, rotation: Array, rotation_variance: float
-    ) -> Handover:
+    ) -> Passage:
         """Take these rows (n,) of the `tracks` out, carried on to t and turned, for another camera's tracker."""
         assert self._t is not None
         self._shown = None
         return self._filter.release(rows, t - self._t, rotation, rotation_variance)
 
-    def adopt(self, arriving: Handover) -> None:
+    def copied(self, rows: NDArray[np.bool_]) -> Passage:
+        """These rows (n,) of the `tracks` as they stand, to be adopted again where they have gone meanwhile."""
+        return self._filter.copied(rows)
+
+    @property
+    def missed(self) -> NDArray[np.bool_]:
+        """(n,) that a track was not detected in the last scan."""
+        return np.isfinite(self._filter.table.missed_since)
+
+    @property
+    def gone_since(self) -> Array:
+        """(n,) s, of tracks that are lost because they are out of the picture: the first scan that missed them; NaN of
+        all others."""
+        table = self._filter.table
+        gone = table.lost & table.confirmed & (table.existence >= LOST_BELOW)
+        return np.where(gone, table.missed_since, np.nan)
+
+    def not_lost(self, rows: NDArray[np.bool_]) -> None:
+        """These rows (n,) are out of this picture, but not out of sight of the drone."""
+        self._shown = None
+        self._filter.table.lost[rows] = False
+
+    def adopt(self, arriving: Passage) -> None:
         """Tracks that another one released, in pixels of this camera at the time of the state."""
         self._shown = None
         self._filter.adopt(arriving)

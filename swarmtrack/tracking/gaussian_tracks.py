@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
-from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.population import Population
 from swarmtrack.tracking.sensor_model import SensorModel
 from swarmtrack.tracking.table import TrackIds, TrackTable
@@ -41,12 +41,15 @@ class GaussianTracks:
 
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
-    ) -> Handover:
+    ) -> Passage:
         leaving = self._population.release(rows)
         leaving.mean, leaving.cov = self._motion.handed_over(
             leaving.mean, leaving.cov, dt, rotation, rotation_variance
         )
-        return Handover(leaving, None)
+        return Passage(leaving, None)
 
-    def adopt(self, arriving: Handover) -> None:
+    def copied(self, rows: NDArray[np.bool_]) -> Passage:
+        return Passage(self.table.select(rows), None)
+
+    def adopt(self, arriving: Passage) -> None:
         self.table.append(arriving.table)

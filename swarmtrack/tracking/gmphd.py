@@ -31,11 +31,11 @@ from swarmtrack.tracking.association import Indices
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian_tracks import GaussianTracks
-from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.marginals import SMALL, beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.population import FADED
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.table import TrackIds
@@ -147,12 +147,12 @@ class GmPhd(GaussianTracks):
 
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
-    ) -> Handover:
+    ) -> Passage:
         """Each label as the one Gaussian that it is shown as."""
         self.mixture = self.mixture.select(np.flatnonzero(~rows[blocks(self.mixture.label).row]))
         return super().release(rows, dt, rotation, rotation_variance)
 
-    def adopt(self, arriving: Handover) -> None:
+    def adopt(self, arriving: Passage) -> None:
         super().adopt(arriving)
         self._add_newest(len(arriving.table))
         self.table.arrange(np.argsort(self.table.id, kind="stable"))

@@ -33,11 +33,11 @@ from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
-from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
 from swarmtrack.tracking.manoeuvre import PLACE, Manoeuvres, ModeInnovations, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, propagate
 from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.population import Population, blend_sizes
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
 from swarmtrack.tracking.table import TrackIds, TrackTable
@@ -249,7 +249,7 @@ class Mbm:
 
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
-    ) -> Handover:
+    ) -> Passage:
         """Of a track in dispute, what the published hypothesis says; the others go on without it."""
         motion = manoeuvre.predict(
             self._published().take(np.flatnonzero(rows)),
@@ -263,9 +263,13 @@ class Mbm:
         leaving = self._population.release(rows)
         leaving.mean, leaving.cov = manoeuvre.merged(motion)
         self._keep_rows(~rows)
-        return Handover(leaving, motion)
+        return Passage(leaving, motion)
 
-    def adopt(self, arriving: Handover) -> None:
+    def copied(self, rows: NDArray[np.bool_]) -> Passage:
+        """Of a track in dispute, what the published hypothesis says."""
+        return Passage(self.table.select(rows), self._published().take(np.flatnonzero(rows)))
+
+    def adopt(self, arriving: Passage) -> None:
         self.table.append(arriving.table)
         self._grow_leaves(arriving.motion)
 

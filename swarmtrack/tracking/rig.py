@@ -4,6 +4,8 @@ Theory of operation. Each track is known in the pixels of one camera, that which
 around the drone. A scan of a camera first takes over from the others whatever should be in its picture; to the tracker
 this is one more turn, by the angle between the two cameras, and to the track nothing happened: its number, its motion,
 its doubts go along. Where two pictures overlap a track goes back and forth, so that every scan of either updates it.
+Nobody knows exactly where a picture ends: a track that only may be in it is lent for one scan, so that it explains its
+detection, and if it is not detected it never was away.
 With one camera nothing of this is ever done, and all is as it was.
 
 Exposures are not synchronised. A track goes over to the time of the scan that takes it, some hundredths of a second
@@ -18,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +30,9 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.motion.gyro import Orientation, rotation_between
 from swarmtrack.tracking.base import Tracker
-from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.lifecycle import Reach, probability_in_view
 from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.seams import FoundTurn, Seam, SeamNews
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
@@ -42,14 +44,13 @@ SETTLED_S = 0.7
 SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
 # Focal lengths off the axis: what another camera sees farther aside is not looked for in this one's picture.
 MOST_ASIDE = 10.0
-# That a track is in the picture, from which on it goes over: a detection of it would else begin another one. If it is
-# not, the next scan of the other camera takes it back.
-MAY_BE_SEEN = 0.1
 # m: nobody is nearer.
 NEAREST = 0.5
 # Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
 BORDER, MISSED_SCANS = 0.12, 8
 TURNED, LOST_SIGHT = "turned", "lost sight"
+# A track that a camera shows with this probability at least may be what it detects, and with that one surely is seen.
+MAY_SEE, SURELY_SEES = 0.01, 0.95
 # px: outside every picture.
 FAR_PX = 1e6
 # Tracks of whom it is kept when they came; most have ended by then.
@@ -133,6 +134,8 @@ class Rig:
         """By track: when it last came from another camera, s."""
         self._arrived: dict[int, _Arrived] = {}
         """By track that has yet to be detected, and will tell of a seam then."""
+        self._lent: list[_Lent] = []
+        """To the camera of the scan that comes."""
         self._said: set[tuple[int, int, str]] = set()
         self._foretold: dict[int, Foretold] = {}
         """Those among them of the camera of the scan that comes."""
@@ -165,6 +168,7 @@ class Rig:
         """Carry one camera's tracks to its next exposure, and take over what should be in its picture then."""
         turn = rotation_between(self._orientations[camera] or orientation, orientation)
         self._cameras[camera].tracker.predict(t, self._own(camera, turn.matrix), turn.variance)
+        self._lent = []
         for other, _ in enumerate(self._cameras):
             if other != camera:
                 self._take_over(other, camera, t, orientation)
@@ -176,9 +180,44 @@ class Rig:
         self._newest = camera
         tracker = self._cameras[camera].tracker
         accepted = tracker.update(scan)
+        if self._lent:
+            self._give_back(tracker, accepted=accepted)
         if self._foretold:
             self._learn_seams(camera, tracker)
+        if accepted and len(self._cameras) > 1:
+            self._keep_in_sight(camera, scan.t)
         return accepted
+
+    def _keep_in_sight(self, giver: int, t: float) -> None:
+        """Who has just left a picture, and should be in that of a camera which has not exposed since, is not lost."""
+        tracker = self._cameras[giver].tracker
+        since = tracker.gone_since
+        if np.isnan(since).all():
+            return
+        _, mean, cov = tracker.estimates
+        for taker, other in enumerate(self._cameras):
+            last = other.tracker.t
+            if taker != giver and last is not None and t - last < MOST_BACK and (since > last).any():
+                shown = self._shown_by(mean, cov, giver, taker, self._turn_to(taker, giver))
+                tracker.not_lost((since > last) & (shown.seen > 0.5))
+
+    def _give_back(self, taker: Tracker, *, accepted: bool) -> None:
+        """What was lent for this scan and is not in it: as it was."""
+        for lent in self._lent:
+            ids = taker.estimates[0]
+            gone = np.isin(lent.ids, ids[~taker.missed] if accepted else [], invert=True)
+            if not gone.any():
+                continue
+            back = lent.ids[gone]
+            assert taker.t is not None
+            taker.release(np.isin(ids, back), taker.t, np.eye(3), 0.0)
+            self._cameras[lent.giver].tracker.adopt(lent.as_it_was.select(gone))
+            self.handed_over -= len(back)
+            for track_id in back.tolist():
+                self._foretold.pop(track_id, None)
+                _restore(self._arrived, track_id, lent.arrived)
+                _restore(self._came, track_id, lent.came)
+        self._lent = []
 
     def _arrivals_at(self, camera: int) -> dict[int, Foretold]:
         """Where tracks are foretold that have come to a camera and were not detected since."""
@@ -306,9 +345,12 @@ class Rig:
         turn = rotation_between(then, orientation)
         own, seam = self._own(giver, turn.matrix), self._turn_to(taker, giver)
         mean, cov = one.tracker.extrapolated(t, own, turn.variance)
-        rows = self._wanted(mean, cov, giver, taker, seam)
+        rows, lent = self._wanted(mean, cov, giver, taker, seam)
         if not rows.any():
             return
+        if lent.any():
+            ids = one.tracker.estimates[0][lent]
+            self._lent.append(_Lent(giver, ids, one.tracker.copied(lent), {**self._arrived}, {**self._came}))
         leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
         arriving = leaving.in_pixels_of(other.camera, one.camera)
         baseline = self._baseline(giver, taker)
@@ -331,7 +373,7 @@ class Rig:
         camera = self._cameras[taker].camera
         return self._seam(giver, taker).flow_cov(pixel, camera, to_second=giver < taker)
 
-    def _note_arrivals(self, arriving: Handover, giver: int, taker: int, t: float) -> None:
+    def _note_arrivals(self, arriving: Passage, giver: int, taker: int, t: float) -> None:
         table = arriving.table
         for track_id, confirmed in zip(table.id.tolist(), table.confirmed.tolist(), strict=True):
             way, since = self._arrived.pop(track_id, None), self._came.get(track_id, -np.inf)
@@ -345,27 +387,67 @@ class Rig:
         if len(self._came) > MOST_REMEMBERED:
             self._came = {track_id: came for track_id, came in self._came.items() if t - came < SETTLED_S}
 
-    def _wanted(self, mean: Array, cov: Array, giver: int, taker: int, seam: Array) -> NDArray[np.bool_]:
-        """(n,) of tracks in the giver's pixels now: those that the taker should see, and of those that nobody sees the
-        ones nearer to where it looks. seam (3, 3): the taker's axes from the giver's."""
+    def _wanted(
+        self, mean: Array, cov: Array, giver: int, taker: int, seam: Array
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(n,) of tracks in the giver's pixels now: those that the taker may see, and of those that nobody sees the
+        ones nearer to where it looks; and which of these are only lent. seam (3, 3): the taker's axes from the giver's.
+        """
+        one = self._cameras[giver].camera
+        shown = self._shown_by(mean, cov, giver, taker, seam)
+        seen_here = probability_in_view(mean, cov, one)
+        nearer = shown.closer & (seen_here < 0.5)
+        for_good = nearer | ((shown.seen > 0.5) & (shown.seen >= np.minimum(seen_here, SURELY_SEES)))
+        lent = shown.possible & ~for_good & (shown.seen > MAY_SEE)
+        return np.asarray(lent | (shown.possible & for_good)), np.asarray(lent)
+
+    def _shown_by(self, mean: Array, cov: Array, giver: int, taker: int, seam: Array) -> _Shown:
+        """Tracks in the giver's pixels (n, 4), (n, 4, 4), as the taker would have them."""
         one, other = self._cameras[giver].camera, self._cameras[taker].camera
         ray = one.bearing_undistorted(mean[:, POSITION])
         there = ray @ seam.T
         pixel, _, ahead = other.project_undistorted(there)
         if not ahead.any():
-            return np.asarray(ahead)
+            return _Shown(np.zeros(len(mean)), np.asarray(ahead), np.asarray(ahead))
         size = self._cameras[giver].tracker.sizes * (other.fx / one.fx, other.fy / one.fy)
         by, by_cov = parallax(pixel, size, other, self._baseline(giver, taker))
         pixel = pixel + by
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
         moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
         variance = (cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0
-        by_cov += self._of_seam(np.where(ahead[:, None], pixel, 0.0), giver, taker)
+        by_cov[ahead] += self._of_seam(pixel[ahead], giver, taker)
         spread[:, 0, 0] = variance * other.fx**2 + by_cov[:, 0, 0]
         spread[:, 2, 2] = variance * other.fy**2 + by_cov[:, 1, 1]
-        seen = probability_in_view(moved, spread, other) > MAY_BE_SEEN
-        nearer = (there[:, 2] > ray[:, 2]) & (probability_in_view(mean, cov, one) < 0.5)
-        return np.asarray(ahead & (seen | nearer) & self._reach[taker].holds(moved, spread))
+        seen = probability_in_view(moved, spread, other)
+        possible = ahead & self._reach[taker].holds(moved, spread)
+        return _Shown(np.where(possible, seen, 0.0), np.asarray(possible), there[:, 2] > ray[:, 2])
+
+
+class _Shown(NamedTuple):
+    """Of tracks (n,): the probability that another camera shows them, whether it can have them at all, and whether they
+    are nearer to where it looks."""
+
+    seen: Array
+    possible: NDArray[np.bool_]
+    closer: NDArray[np.bool_]
+
+
+class _Lent(NamedTuple):
+    """Tracks (n,) of a camera that another one has for one scan, all of them as they were, and what was known of
+    theirs and others' crossings."""
+
+    giver: int
+    ids: NDArray[np.int64]
+    as_it_was: Passage
+    arrived: dict[int, _Arrived]
+    came: dict[int, float]
+
+
+def _restore(now: dict[int, Any], track_id: int, then: dict[int, Any]) -> None:
+    if track_id in then:
+        now[track_id] = then[track_id]
+    else:
+        now.pop(track_id, None)
 
 
 def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:

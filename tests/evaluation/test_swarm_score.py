@@ -309,6 +309,61 @@ def test_a_glance_says_who_its_tracks_are_and_how_far_off():
     assert math.isnan(seen[1].error_px)
 
 
+# --- several cameras -------------------------------------------------------------------------------
+
+
+def seen_by_two(flight, begin, end, tracks, ahead, in_view=(2,)):
+    """ahead: of each camera, where it has which drone."""
+    cameras = tuple({drone: box(*place) for drone, place in camera.items()} for camera in ahead)
+    places = {drone: place for camera in reversed(ahead) for drone, place in camera.items()}
+    boxes = {drone: box(*place) for drone, place in places.items()}
+    shown = {drone: where for drone, where in boxes.items() if drone in in_view}
+    hidden = {drone: where for drone, where in boxes.items() if drone not in in_view}
+    for k in range(begin, end):
+        flight.scorer.add(Glance(1, "a", k, k / 10, shown, hidden, tracks, cameras))
+
+
+def test_a_track_is_judged_in_the_pixels_of_its_own_camera():
+    flight = Flight()
+    ahead = ({2: (600.0, 100.0)}, {2: (40.0, 103.0)})
+    there = track(7, 2, 43.0, 107.0)._replace(camera=1)
+    seen_by_two(flight, 0, 30, (there,), ahead)
+    assert (flight.score.correct, flight.score.recall, flight.score.switches) == (1.0, 1.0, 0)
+    assert flight.score.rmse_px == {1: pytest.approx(5.0)}
+
+
+def test_at_a_place_that_is_right_in_another_camera_s_pixels_a_track_is_nobody():
+    flight = Flight()
+    seen_by_two(flight, 0, 30, (track(7, 2, 40.0, 103.0),), ({2: (600.0, 100.0)}, {2: (40.0, 103.0)}))
+    assert (flight.score.correct, flight.score.recall) == (0.0, 0.0)
+    assert flight.score.false_tracks_per_s > 0.0
+
+
+def test_a_track_of_a_camera_that_the_drone_is_not_ahead_of_is_nobody():
+    flight = Flight()
+    seen_by_two(flight, 0, 30, (track(7, None, *LEFT)._replace(camera=1),), ({2: LEFT}, {}))
+    assert (flight.score.unknown, flight.score.recall) == (1.0, 0.0)
+
+
+def test_a_second_track_of_a_drone_in_the_other_picture_is_a_double_and_false():
+    flight = Flight()
+    ahead = ({2: (600.0, 100.0)}, {2: (40.0, 103.0)})
+    one, other = track(7, 2, 600.0, 100.0), track(8, None, 40.0, 103.0)._replace(camera=1)
+    seen_by_two(flight, 0, 30, (one, other), ahead)
+    assert (flight.score.correct, flight.score.switches) == (1.0, 0)
+    assert flight.score.false_tracks_per_s == pytest.approx(1 / 3.0)
+
+
+def test_a_track_that_goes_over_to_the_next_camera_is_no_switch_another_one_there_is():
+    ahead = ({2: (630.0, 100.0)}, {2: (70.0, 103.0)})
+    here, there = track(7, 2, 630.0, 100.0), track(7, 2, 70.0, 103.0)._replace(camera=1)
+    kept, lost = Flight(), Flight()
+    for flight, after in ((kept, there), (lost, there._replace(id=9))):
+        seen_by_two(flight, 0, 15, (here,), ahead)
+        seen_by_two(flight, 15, 30, (after,), ahead)
+    assert (kept.score.switches, lost.score.switches) == (0, 1)
+
+
 # --- the truth beside it --------------------------------------------------------------------------
 
 
@@ -324,6 +379,26 @@ def test_the_truth_for_many_is_that_for_one(name):
             assert not view.in_view.keys() & view.hidden.keys()
             for drone, box in expected.items():
                 assert view.in_view[drone] == pytest.approx(box, abs=0.2)
+
+
+def test_the_truth_for_several_cameras_is_that_of_each():
+    scenario = load_scenario("all-round")
+    truth = SwarmTruth(scenario.world, scenario.cameras)
+    for t in (0.3, 7.01, 12.345):
+        for observer in scenario.members:
+            view = truth.view(observer, t)
+            each = [
+                visible(scenario.world, observer, camera.lens, camera.body_from_camera, t)
+                for camera in scenario.cameras
+            ]
+            assert view.in_view.keys() == {drone for seen in each for drone in seen}
+            assert view.in_view.keys() | view.hidden.keys() == set(scenario.members) - {observer}
+            for k, seen in enumerate(each):
+                for drone, box in seen.items():
+                    assert view.cameras[k][drone] == pytest.approx(box, abs=0.3)
+            for drone, box in view.in_view.items():
+                first = next(k for k, seen in enumerate(each) if drone in seen)
+                np.testing.assert_array_equal(box, view.cameras[first][drone])
 
 
 def test_the_truth_is_in_undistorted_pixels():

@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
+import aiohttp
 import numpy as np
 import pytest
 from pymavlink import mavutil
@@ -79,7 +80,7 @@ class Simulator:
         told = json.loads(first)
         assert told["ready"] is True
         self.truth: str | None = told.get("truth")
-        self.drones: dict[int, dict[str, str]] = {int(n): where for n, where in told["drones"].items()}
+        self.drones: dict[int, dict[str, Any]] = {int(n): where for n, where in told["drones"].items()}
 
     def world_time(self, t: float) -> float:
         return t - self.epoch
@@ -150,6 +151,33 @@ async def test_detections_and_their_stamps_are_those_of_the_true_flight(exact: P
             np.testing.assert_allclose(found[np.lexsort(found.T[::-1])], boxes, atol=2e-3)
             seen += len(boxes)
         assert seen > 20
+
+
+async def test_each_camera_of_a_drone_is_served_by_itself_and_its_detections_say_nothing_of_it() -> None:
+    scenario = load_scenario("two-cameras")
+    with simulator("two-cameras", "--detector", "oracle", epoch=time.monotonic() - 8.0) as simulated:
+        addresses = simulated.drones[1]["cameras"]
+        assert addresses[0] == simulated.drones[1]["camera"]
+        assert addresses[1] == f"{addresses[0]}/1"
+        async with opened(addresses[0]) as left, opened(addresses[1]) as right:
+            taken = [await scans(source, lambda taken: len(taken) == 12) for source in (left, right)]
+        absent = addresses[1].replace("detections:", "http:").removesuffix("1") + "2"
+        async with aiohttp.ClientSession() as session, session.get(absent) as response:
+            assert (response.status, await response.text()) == (404, "no such camera, known: 0 to 1\n")
+    phases = []
+    for camera, found in zip(scenario.cameras, taken, strict=True):
+        times = np.array([simulated.world_time(detections.t) for detections in found])
+        phases.append(float(np.median(times * camera.fps % 1.0)))
+        near = 0
+        for t, detections in zip(times.tolist(), found, strict=True):
+            assert detections.camera == 0
+            truth = visible(scenario.world, 1, camera.lens, camera.body_from_camera, t)
+            near += sum(
+                np.linalg.norm(detections.centre - box[:2], axis=1).min(initial=np.inf) < 6.0
+                for box in truth.values()
+            )
+        assert near > 12
+    assert (phases[1] - phases[0]) % 1.0 == pytest.approx(0.5, abs=0.02)
 
 
 async def test_an_image_shows_the_world_at_the_time_of_its_stamp(exact: Path) -> None:

@@ -29,13 +29,14 @@ ASKED = [
     "late-joiner",
     "lossy-radio",
 ]
-ASKED += ["mixed", "occlusion", "proof", "silent", "thirty", "yawing-observer"]
+ASKED += ["all-round", "mixed", "occlusion", "proof", "silent", "thirty", "two-cameras", "yawing-observer"]
 STARS = ["formation-3", "formation-5", "formation-8", "intruder-crosses", "leader-lost", "swapped-id"]
 ASKED = sorted([*ASKED, *STARS])
 FIXED = "yawing-observer"  # its three drones are described one by one
+ALSO_FIXED = "two-cameras"
 COMMANDED = "guided"  # its drones fly where somebody sends them
 ON_THE_GROUND = "errand"  # at first
-FREE = [name for name in ASKED if name not in (FIXED, COMMANDED, ON_THE_GROUND, *STARS)]
+FREE = [name for name in ASKED if name not in (FIXED, ALSO_FIXED, COMMANDED, ON_THE_GROUND, *STARS)]
 PLANNED = [name for name in ASKED if name not in (COMMANDED, *STARS)]
 SIZES = [2, 3, 4, 5, 7, 8, 13, 16, 29, 30]
 RING = "about = 'x'\nseconds = 9\n[formation]\ndrones = 3\nring = { radius_m = 3.0 }\n"
@@ -83,7 +84,12 @@ def test_a_formation_makes_as_many_drones_as_are_asked_for_and_each_sees_another
     instants = [Instant(scenario.world, t) for t in (-1.0, 0.5, 2.0, 3.5)]
     for member in scenario.members:
         company = [
-            set(instant.visible(member, scenario.camera, scenario.body_from_camera)) & set(scenario.members)
+            {
+                drone
+                for camera in scenario.cameras
+                for drone in instant.visible(member, camera.lens, camera.body_from_camera)
+                if drone in scenario.members
+            }
             for instant in instants
         ]
         assert sum(bool(others) for others in company) >= 3

@@ -181,6 +181,62 @@ def test_near_targets_cross_a_seam_between_cameras_that_sit_apart():
     assert track.id == 1
 
 
+@pytest.mark.parametrize("tracker", TRACKERS)
+@pytest.mark.parametrize(("told_deg", "azimuth_deg"), [(40.8, -4.8), (39.2, -5.2)])
+def test_at_a_border_that_is_not_where_it_is_told_a_target_has_one_track_all_the_time(
+    tracker, told_deg, azimuth_deg
+):
+    # The second camera's picture ends at -5 degrees: it shows the target 2 px inside where that was foretold 7 px
+    # outside, or does not show it where it was foretold inside.
+    azimuth = math.radians(azimuth_deg)
+    told, true = ([looking(-40.0), looking(second)] for second in (told_deg, 40.0))
+    drone = Drone(rig_of(tracker, *told), true, [[5.0 * math.cos(azimuth), 5.0 * math.sin(azimuth), 0.1]])
+    assert drone.seen_by(1, 0.0)[1].any() == (azimuth_deg > -5.0)
+    for k in range(60):
+        for camera in (0, 1):
+            drone.turn(0.0, 0.03)
+            drone.look(camera)
+            if k > 10:
+                (track,) = drone.tracks()
+                assert track.id == 1
+                assert math.sqrt(track.cov[0, 0]) < 12.0
+
+
+def test_before_a_track_goes_over_it_is_asked_where_the_other_camera_sees_it():
+    # From 0.2 m beside, what is 2 m away is 70 px further on: not in the second picture, whatever its direction says.
+    poses = [looking(-40.0), looking(40.0, (0.0, 0.2, 0.0))]
+    azimuth = math.radians(-3.0)
+    drone = Drone(rig_of("mbm", *poses), poses, [[2.0 * math.cos(azimuth), 2.0 * math.sin(azimuth), 0.0]])
+    assert not drone.seen_by(1, 0.0)[1].any()
+    for _ in range(30):
+        for camera in (0, 1):
+            drone.turn(0.0, 0.03)
+            drone.look(camera)
+    (track,) = drone.tracks()
+    assert (track.camera, drone.rig.handed_over) == (0, 0)
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_who_has_left_one_picture_and_is_not_exposed_in_the_next_one_yet_is_not_lost(tracker):
+    poses = [looking(-40.0), looking(40.0)]
+    drone = Drone(rig_of(tracker, *poses), poses, [[5.0, -0.5, 0.1]])
+    for _ in range(12):
+        for camera in (0, 1):
+            drone.turn(0.0, 0.05)
+            drone.look(camera)
+    # 14 degrees in a twentieth of a second: out of the first picture before the second camera exposes again.
+    drone.turn(-5.0, 0.05)
+    drone.look(0)
+    assert [drone.seen_by(camera, drone.yaw)[1].any() for camera in (0, 1)] == [False, True]
+    (track,) = drone.tracks()
+    assert (track.id, track.camera) == (1, 0)
+    # The second one has stalled: for how long nobody waits.
+    for _ in range(10):
+        drone.turn(0.0, 0.1)
+        drone.look(0)
+    assert drone.tracks() == []
+
+
 # --- what crossings tell of the mounting ---
 
 

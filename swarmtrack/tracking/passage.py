@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
@@ -18,13 +19,18 @@ from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.table import TrackTable
 
 
-class Handover(NamedTuple):
+class Passage(NamedTuple):
     """n tracks on their way. motion: what a filter with two models knows of them; None: `table` is all."""
 
     table: TrackTable
     motion: ModeMixture | None
 
-    def in_pixels_of(self, camera: PinholeCamera, before: PinholeCamera) -> Handover:
+    def select(self, mask: NDArray[np.bool_]) -> Passage:
+        """Those whose mask (n,) is True."""
+        motion = None if self.motion is None else self.motion.take(np.flatnonzero(mask))
+        return Passage(self.table.select(mask), motion)
+
+    def in_pixels_of(self, camera: PinholeCamera, before: PinholeCamera) -> Passage:
         """The same tracks for a camera that looks the same way through another lens."""
         scale = np.array([camera.fx / before.fx, camera.fy / before.fy])
         shift = np.array([camera.cx, camera.cy]) - scale * (before.cx, before.cy)
@@ -40,9 +46,9 @@ class Handover(NamedTuple):
         by_axis = np.concatenate([by_axis, scale])
         mean = mean * by_axis
         mean[..., PLACE] += shift
-        return Handover(table, ModeMixture(mean, cov * (by_axis[:, None] * by_axis), mode))
+        return Passage(table, ModeMixture(mean, cov * (by_axis[:, None] * by_axis), mode))
 
-    def moved(self, by: Array, cov: Array) -> Handover:
+    def moved(self, by: Array, cov: Array) -> Passage:
         """The same tracks by (n, 2) px beside where they were, and as much less certain; cov (n, 2, 2) px²."""
         table = self.table
         table.mean[:, POSITION] += by
