@@ -40,7 +40,10 @@ class FairTurns:
             try:
                 await granted
             except asyncio.CancelledError:
-                if self._waiting.pop(who, None) is None:
+                if granted.cancelled():
+                    self._waiting.pop(who, None)
+                else:
+                    # It came at the same moment.
                     self._pass_on()
                 raise
         self._busy = True
@@ -51,9 +54,11 @@ class FairTurns:
             self._pass_on()
 
     def _pass_on(self) -> None:
-        self._busy = bool(self._waiting)
-        if self._waiting:
-            following = min(self._waiting, key=lambda who: self._last.get(who, -1))
+        # Who gives up may not have come to say so yet.
+        waiting = [who for who, granted in self._waiting.items() if not granted.done()]
+        self._busy = bool(waiting)
+        if waiting:
+            following = min(waiting, key=lambda who: self._last.get(who, -1))
             self._waiting.pop(following).set_result(None)
 
 

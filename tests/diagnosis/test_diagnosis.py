@@ -358,9 +358,9 @@ FINE = LinkStatus("x", True, "fine", (("fps", 30.0), ("frames", 100.0), ("age_p5
 CUT_OFF = LinkStatus("zenoh", False, "no router answers")
 
 
-def readiness(camera=FINE, autopilot=FINE, network=FINE, clones=(), unmeasured_m=None):
+def readiness(camera=FINE, autopilot=FINE, network=FINE, clones=(), unmeasured_m=None, others=()):
     return judge(
-        camera=CameraFacts(3.0, 0.5, camera, frames=100),
+        cameras=[CameraFacts(3.0, 0.5, camera, frames=100), *others],
         autopilot=AutopilotFacts(3.0, status=autopilot),
         detector=None,
         network=network,
@@ -406,6 +406,15 @@ def test_each_failure_is_a_reason_not_to_fly():
         "network",
         "another agent speaks as this drone (boots aaaaaaaa)",
     ]
+
+
+def test_of_several_cameras_the_reason_says_which():
+    unplugged = CameraFacts(3.0, 0.5, LinkStatus("x", False, "unplugged; waiting for it"))
+    fine = CameraFacts(3.0, 0.5, FINE, frames=100)
+    assert readiness(others=[fine]) == (True, ())
+    ready, (reason,) = readiness(others=[fine, unplugged])
+    assert not ready
+    assert reason.startswith("camera 3: no camera: unplugged")
 
 
 def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):

@@ -97,6 +97,25 @@ async def test_who_gives_up_waiting_or_fails_leaves_the_turn_to_the_others():
     assert await asyncio.wait_for(look(3), 5.0) == 3
 
 
+async def test_all_may_give_up_at_once_as_at_the_end_of_a_flight_and_the_next_has_its_turn():
+    turns = FairTurns()
+
+    async def look(who: int) -> int:
+        async with turns.turn(who):
+            await asyncio.Event().wait()
+        return who
+
+    for _ in range(2):
+        tasks = [asyncio.create_task(look(who)) for who in range(4)]
+        await settled()
+        for task in tasks:
+            task.cancel()
+        ended = await asyncio.gather(*tasks, return_exceptions=True)
+        assert [type(error) for error in ended] == [asyncio.CancelledError] * 4
+    async with asyncio.timeout(5.0), turns.turn(2):
+        pass
+
+
 class SlotCamera:
     """A camera as most are: a slot for its newest frame."""
 
