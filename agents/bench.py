@@ -94,6 +94,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.rotating_observer",
         "what the gyro is worth to an observer that turns",
     ),
+    "seams": (
+        "swarmtrack.benchmarks.seams",
+        "tracks that go over from one camera of a drone to the next",
+    ),
     "silent": ("swarmtrack.benchmarks.silent", "who is who with nothing on the air: by a file, by codes"),
     "soak": ("swarmtrack.benchmarks.trackers.soak", "every tracker under a million random scans"),
     "swarm": ("swarmtrack.benchmarks.swarm_runs", "whole local swarms: who knows whom, and at what cost"),

@@ -77,6 +77,7 @@ from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
 from swarmtrack.tracking.rig import NOTHING_EXPECTED, ExpectedTracks, Rig, RigCamera
 from swarmtrack.tracking.scan import make_scan
+from swarmtrack.tracking.seams import SeamNews
 
 # s that a scan may stay away beyond the history: by then a target may be anywhere.
 MAX_SILENCE = 1.0
@@ -91,7 +92,17 @@ STRANGERS_SPEED = 1.0
 UNMEASURED = 0.35
 
 
-Output = ScanReport | Disagreement | PoseWanted | HeadingNews | DoubtNews | Astray | FrameNews | RangeNews
+Output = (
+    ScanReport
+    | Disagreement
+    | PoseWanted
+    | HeadingNews
+    | DoubtNews
+    | Astray
+    | FrameNews
+    | RangeNews
+    | SeamNews
+)
 
 
 @dataclass(slots=True)
@@ -272,7 +283,7 @@ class Onboard:
         """Where one of the cameras should see the tracks at t, that of its last scan at the earliest."""
         if self._rig.t is None:
             return NOTHING_EXPECTED
-        own = self._rig.tracker(camera).t
+        own = self._cameras[camera].tracker.t
         t = t if own is None else max(t, own)
         return self._rig.expected(camera, t, self.gyro.orientation(t))
 
@@ -487,6 +498,7 @@ class Onboard:
         scan = make_scan(detections, t, camera, tracker)
         self.camera_clocks[number].see(detections.t, scan, camera)
         self._rig.update(number, scan, orientation)
+        self._events += self._rig.take_news()
         self._orientation = orientation
         self.counters.scans += 1
         self.counters.detections += len(detections)

@@ -32,7 +32,7 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.posterior import nearest
 from swarmtrack.identity.proof import Astray
-from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, is_vague, joined
+from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, is_vague, joined, seen_from
 from swarmtrack.identity.self_doubt import SelfDoubt
 from swarmtrack.identity.standing import Event
 from swarmtrack.identity.team_fit import TeamFit
@@ -52,6 +52,9 @@ from swarmtrack.messages import (
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.relative.alignment import FrameTransform
 
+# s: what another camera saw so lately is part of what this drone sees now.
+RECENT_S = 0.2
+
 
 class Identities:
     """Announced poses, and the IDs assigned to tracks."""
@@ -67,6 +70,8 @@ class Identities:
         """cameras: of each its lens and body_from_camera. start_sigma_m: how well this drone knows where it starts, m
         per axis, beside its autopilot's sigma."""
         self._cameras = tuple(cameras)
+        self._view: ObserverCamera | None = None
+        """Of the last scan."""
         self._parameters = parameters
         self._teammates = Teammates(drone_id)
         self._names = Names()
@@ -180,7 +185,7 @@ class Identities:
     def observe(self, tracks: Iterable[Track], observer: TeamPose, camera: int = 0) -> None:
         """Look at all tracks after a scan of a camera, with this drone's own pose at its exposure."""
         t = observer.t
-        view = ObserverCamera.of(observer, *self._cameras[camera], camera)
+        self._view = view = ObserverCamera.of(observer, *self._cameras[camera], camera)
         self._names.follow({track.id: track for track in tracks}, t, camera)
         self._teammates.forget(t, self._names.drones)
         self._disputes.forget(t)
@@ -196,8 +201,15 @@ class Identities:
         return tuple(self._labelled(track) for track in tracks)
 
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
-        """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
-        return self._names.sightings(t)
+        """The rays to identified drones that were detected in the scan of t, or a moment ago by another camera, and how
+        surely it is they."""
+        if self._view is None or len(self._cameras) == 1:
+            return self._names.sightings(t)
+        latest = self._teammates.whereabouts.latest
+        return [
+            (ray if ray.t == t else seen_from(ray, latest(ray.drone_id).position, self._view), p)
+            for ray, p in self._names.sightings(t, t - RECENT_S)
+        ]
 
     def take_vouched(self) -> tuple[int, ...]:
         """The tracks that are a teammate although they look weak; each is returned once."""
@@ -275,14 +287,15 @@ class Identities:
         places = {drone: whereabouts.latest(drone) for drone in self._teammates.announced}
         self._weighing.watch(self._names.alive, view, places)
         self._judgement.call_out(view, places)
-        self._self_doubt.look(
-            self._names.shown,
-            self._names,
-            self._names.lost.values(),
-            view=view,
-            whereabouts=whereabouts,
-            weighing=self._weighing,
-        )
+        if self._shows_most(view.number):
+            self._self_doubt.look(
+                self._names.shown,
+                self._names,
+                self._names.lost.values(),
+                view=view,
+                whereabouts=whereabouts,
+                weighing=self._weighing,
+            )
         for name in [name for name in self._names if self._self_doubt.forbids(name, self._weighing)]:
             self._names.fire(name, Event.OVERRULED)
         if self.self_doubt:
@@ -291,6 +304,14 @@ class Identities:
                 if not proofs.lasts(held.track_id, held.drone_id, view.observer.t):
                     self._names.fire(held, Event.SELF_DOUBTED)
                     held.weaken(0.0)
+
+    def _shows_most(self, camera: int) -> bool:
+        """Whether that camera shows as many tracks as any: of several, one that sees nobody would tell that nothing is
+        wrong."""
+        shown = [0] * len(self._cameras)
+        for track in self._names.alive.values():
+            shown[track.camera] += track.status is TrackStatus.CONFIRMED
+        return camera == shown.index(max(shown))
 
     def _judge(self, track: Track, matches: Mapping[int, Match], t: float, *, seen_in: int) -> None:
         """One track, by what it may be: its name is judged, or it gets one."""

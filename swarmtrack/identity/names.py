@@ -66,12 +66,14 @@ class Names:
             return FOREIGN, unassigned.p_none
         return None, 0.0
 
-    def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
-        """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
+    def sightings(self, t: float, since: float | None = None) -> list[tuple[LastSeen, float]]:
+        """The rays to identified drones that were detected in the scan of t, or from since [s] on, and how surely it is
+        they."""
+        first = t if since is None else since
         return [
             (held.seen, held.probability * self.alive[held.track_id].probability)
             for held in self.settled
-            if held.seen and held.seen.t == t
+            if held.seen and first <= held.seen.t <= t
         ]
 
     def assign(self, held: Assignment) -> None:

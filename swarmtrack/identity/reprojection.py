@@ -7,6 +7,7 @@ fast.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -236,6 +237,25 @@ def rays_to(named: Sequence[tuple[int, Track]], view: ObserverCamera) -> list[La
         LastSeen(drone, track.t, here[i], (there[i] - here[i]) / AHEAD_S, float(sigma[i]), origin)
         for i, (drone, track) in enumerate(named)
     ]
+
+
+def seen_from(ray: LastSeen, place: Array, view: ObserverCamera) -> LastSeen:
+    """What another camera of the observer saw a moment ago, as if this one saw it now. place (3,) m: where the drone
+    says it is, which tells its distance well enough for the way between two cameras."""
+    t, origin = view.observer.t, view.team_from_camera.position
+    direction = ray.direction + (t - ray.t) * ray.rate
+    distance = max(float(np.linalg.norm(place - ray.origin)), NEAREST)
+    apart = ray.origin - origin
+    towards = distance * direction / np.linalg.norm(direction) + apart
+    beside = float(np.linalg.norm(apart)) / distance
+    return LastSeen(
+        ray.drone_id,
+        t,
+        towards / np.linalg.norm(towards),
+        ray.rate,
+        math.hypot(ray.sigma, 0.5 * beside),
+        origin,
+    )
 
 
 def retrace(seen: Sequence[LastSeen], view: ObserverCamera, *, turn_rate: float) -> Predictions:

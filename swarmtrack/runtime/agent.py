@@ -37,6 +37,7 @@ from swarmtrack.runtime.live_video import LiveVideo
 from swarmtrack.runtime.outputs import JsonLines, as_seen, video_paths
 from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
+from swarmtrack.runtime.seam_words import describe_seam
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
 from swarmtrack.runtime.turns import FairTurns, NewestFrames, in_order
@@ -44,6 +45,7 @@ from swarmtrack.sensors.base import Camera, DetectionSource
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.notices import Severity
 from swarmtrack.toml.sections import key_text
+from swarmtrack.tracking.seams import SeamNews
 
 if TYPE_CHECKING:
     from swarmtrack.runtime.annotated_video import AnnotatedVideo
@@ -322,6 +324,10 @@ class Agent:
                     self._team.on_heading(event)
                 case DoubtNews():
                     self._team.on_doubt(event)
+                case SeamNews():
+                    line = describe_seam(event)
+                    self.health.events.append(line)
+                    log.warning("%s", line)
 
     def _on_scan(self, report: ScanReport) -> None:
         """To whoever writes or shows it; and the publisher wakes."""

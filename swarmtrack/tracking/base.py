@@ -7,7 +7,7 @@ something about all targets at once: that is where the trackers differ.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import compress
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -101,6 +101,8 @@ class Tracker:
         self._t: float | None = None
         self._last_scan: float | None = None
         self._late_scans = 0
+        self._last: tuple[SurePairs, Measurements] | None = None
+        """Who made what in the last scan."""
         self._shown: TrackColumns | None = None  # of the state as it stands, once somebody asked
 
     @property
@@ -192,12 +194,28 @@ class Tracker:
         measured = self._sensor.usable(scan)
         explained = self._filter.update(scan.t, measured)
         self._smoother.note(scan.t, self._filter.table)
+        self._last = explained.pairs, measured
         # The window judges what was told, unless all was learned.
         nis = explained.pairs.nis
         self._innovations.add((nis * self._sensor.noise_scale).tolist())
         self._sensor.learn_clutter(explained.clutter, scan.coverage)
         self._sensor.learn_noise(explained.pairs, measured.size, steady=self._steady)
         return True
+
+    @property
+    def surely_detected(self) -> Iterator[tuple[int, Array, Array]]:
+        """Of the last scan, what confirmed tracks surely made: their number, the detection (2,) px and its R (2, 2)."""
+        if self._last is None:
+            return
+        pairs, measured = self._last
+        for track_id, row in zip(pairs.track.tolist(), pairs.detection.tolist(), strict=True):
+            yield track_id, measured.z[row], measured.R[row]
+
+    @property
+    def estimates(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """Numbers (n,), means (n, 4) and covariances (n, 4, 4) of all tracks at the time of the state."""
+        table = self._filter.table
+        return table.id, table.mean, table.cov
 
     def extrapolated(self, t: float, rotation: Array, rotation_variance: float) -> tuple[Array, Array]:
         """Means (n, 4) and covariances (n, 4, 4) of all tracks carried on to t; the tracker itself is unchanged."""

@@ -9,14 +9,15 @@ With one camera nothing of this is ever done, and all is as it was.
 Exposures are not synchronised. A track goes over to the time of the scan that takes it, some hundredths of a second
 back where that was exposed before its last one.
 
-How exactly the cameras are mounted is told (`mounting_sigma`), and paid for in variance at each seam. The cameras see
-from different places, so a track also moves by parallax: as far as its size tells its distance (`parallax`).
+How exactly the cameras are mounted is told, learned in flight, and paid for in variance at each seam (`seams.py`). The
+cameras see from different places, so a track also moves by parallax: as far as its size tells its distance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
+from dataclasses import dataclass
+from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -30,9 +31,12 @@ from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.handover import Handover
 from swarmtrack.tracking.lifecycle import Reach, probability_in_view
 from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.seams import FoundTurn, Seam, SeamNews
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
 MOST_BACK = 0.3
+# s that a track must have been with a camera, to tell how the next one is turned against it.
+SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
 SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
@@ -40,10 +44,18 @@ SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
 MOST_ASIDE = 10.0
 # m: nobody is nearer.
 NEAREST = 0.5
+# Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
+BORDER, MISSED_SCANS = 0.12, 8
+TURNED, LOST_SIGHT = "turned", "lost sight"
+# px: outside every picture.
+FAR_PX = 1e6
+# Tracks of whom it is kept when they came; most have ended by then.
+MOST_REMEMBERED = 200
 
 
 class RigCamera(NamedTuple):
-    """camera: its lens; body_from_camera: how it sits; mounting_sigma rad per axis: how exactly that is known."""
+    """camera: its lens; body_from_camera: how it sits; mounting_sigma rad per axis: how exactly it is known how it is
+    turned."""
 
     camera: PinholeCamera
     body_from_camera: Pose
@@ -51,13 +63,24 @@ class RigCamera(NamedTuple):
     mounting_sigma: float = 0.0
 
 
-class Seam(NamedTuple):
-    """From one camera to another: rotation (3, 3), to_camera_from_camera; baseline (3,) m: where the one that takes
-    over sits beside the other, in its own axes; variance rad² per axis of the rotation."""
+class Foretold(NamedTuple):
+    """A track that has come from another camera and was not detected since: from which, the pixel (2,) where the scan
+    that comes should show it, and its covariance (2, 2) px² but for the seam."""
 
-    rotation: Array
-    baseline: Array
-    variance: float
+    giver: int
+    pixel: Array
+    cov: Array
+
+
+@dataclass(slots=True)
+class _Arrived:
+    """From one camera to another; since when it had been with the first, s; scans of the second which should have shown
+    it."""
+
+    giver: int
+    taker: int
+    since: float
+    scans: int = 0
 
 
 class ExpectedTracks(NamedTuple):
@@ -96,6 +119,20 @@ class Rig:
         self._orientations: list[Orientation | None] = [None] * len(self._cameras)
         """Of the first camera, when each tracker's state holds."""
         self._newest = 0
+        self._seams = {
+            (i, j): Seam(
+                self._from_first[j] @ self._from_first[i].T,
+                float(np.hypot(self._cameras[i].mounting_sigma, self._cameras[j].mounting_sigma)),
+            )
+            for i, j in combinations(range(len(self._cameras)), 2)
+        }
+        self._came: dict[int, float] = {}
+        """By track: when it last came from another camera, s."""
+        self._arrived: dict[int, _Arrived] = {}
+        """By track that has yet to be detected, and will tell of a seam then."""
+        self._said: set[tuple[int, int, str]] = set()
+        self._foretold: dict[int, Foretold] = {}
+        """Those among them of the camera of the scan that comes."""
         self.handed_over = 0
 
     @property
@@ -112,8 +149,10 @@ class Rig:
                 total[name] = total.get(name, 0) + count
         return total if len(self._cameras) == 1 else {**total, "tracks_handed_over": self.handed_over}
 
-    def tracker(self, camera: int) -> Tracker:
-        return self._cameras[camera].tracker
+    @property
+    def found_turns(self) -> dict[tuple[int, int], FoundTurn]:
+        """By pairs of cameras between which tracks have gone: how the second is turned beside what was told."""
+        return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings}
 
     def turn_variance(self, camera: int, orientation: Orientation) -> float:
         """rad² per axis: how little is known of the turn since that camera's last scan."""
@@ -126,12 +165,66 @@ class Rig:
         for other, _ in enumerate(self._cameras):
             if other != camera:
                 self._take_over(other, camera, t, orientation)
+        self._foretold = self._arrivals_at(camera) if self._arrived else {}
 
     def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
         """Fold in a scan of a camera, after `predict`; False where it is refused, see `Tracker.update`."""
         self._orientations[camera] = orientation
         self._newest = camera
-        return self._cameras[camera].tracker.update(scan)
+        tracker = self._cameras[camera].tracker
+        accepted = tracker.update(scan)
+        if self._foretold:
+            self._learn_seams(camera, tracker)
+        return accepted
+
+    def _arrivals_at(self, camera: int) -> dict[int, Foretold]:
+        """Where tracks are foretold that have come to a camera and were not detected since."""
+        ids, mean, cov = self._cameras[camera].tracker.estimates
+        rows = {track_id: row for row, track_id in enumerate(ids.tolist())}
+        self._arrived = {id: way for id, way in self._arrived.items() if way.taker != camera or id in rows}
+        found = {}
+        for track_id, way in self._arrived.items():
+            if way.taker == camera:
+                pixel, P = mean[rows[track_id], POSITION], cov[rows[track_id], POSITION, POSITION]
+                of_seam = self._of_seam(pixel[None], way.giver, camera)[0]
+                found[track_id] = Foretold(way.giver, pixel.copy(), P - of_seam)
+        return found
+
+    def _learn_seams(self, taker: int, tracker: Tracker) -> None:
+        """From the tracks that have come to a camera, by its scan: those it shows, and those it does not."""
+        camera = self._cameras[taker].camera
+        for track_id, z, R in tracker.surely_detected:
+            foretold = self._foretold.pop(track_id, None)
+            if foretold is not None:
+                del self._arrived[track_id]
+                giver, pixel, cov = foretold
+                self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
+        low, high = camera.ideal_bounds
+        border = BORDER * (high - low)
+        for track_id, (giver, pixel, _) in self._foretold.items():
+            way = self._arrived[track_id]
+            way.scans += bool(((pixel > low + border) & (pixel < high - border)).all())
+            if way.scans >= MISSED_SCANS:
+                del self._arrived[track_id]
+                self._seam(giver, taker).lost += 1
+
+    def take_news(self) -> list[SeamNews]:
+        """What there is to say of seams; each is returned once."""
+        news = []
+        for (first, second), seam in self._seams.items():
+            said = None if seam.fits else LOST_SIGHT
+            said = TURNED if said is None and seam.is_turned else said
+            if said is not None and (first, second, said) not in self._said:
+                self._said.add((first, second, said))
+                news.append(self._news(first, second, said))
+        return news
+
+    def _news(self, first: int, second: int, said: str) -> SeamNews:
+        if said == LOST_SIGHT:
+            return SeamNews(first, second, None, None)
+        seam = self._seams[first, second]
+        body_from_first = self._cameras[first].body_from_camera.rotation
+        return SeamNews(first, second, seam.found, body_from_first @ seam.second_from_first.T)
 
     def tracks(self, orientation: Orientation) -> tuple[Track, ...]:
         """After a scan: those of its camera as they stand, the others carried on to its exposure."""
@@ -161,19 +254,23 @@ class Rig:
 
     def _seen_through(self, part: ExpectedTracks, giver: int, taker: int) -> ExpectedTracks:
         """What one camera expects, in another's pixels; without what is behind that."""
-        one, other, seam = self._cameras[giver].camera, self._cameras[taker].camera, self.seam(giver, taker)
-        there = one.bearing_undistorted(part.centre) @ seam.rotation.T
-        centre, _, ahead = other.project_undistorted(there)
-        scale = np.array([other.fx / one.fx, other.fy / one.fy])
-        size = part.size * scale
-        distance = np.maximum(SPAN * other.fx / size[:, 0], NEAREST)
+        one, other = self._cameras[giver], self._cameras[taker]
+        there = one.camera.bearing_undistorted(part.centre) @ self._turn_to(taker, giver).T
+        centre, _, ahead = other.camera.project_undistorted(there)
+        focal = np.array([other.camera.fx, other.camera.fy])
+        axis = np.array([other.camera.cx, other.camera.cy])
+        near = ahead & (np.abs(centre - axis) < MOST_ASIDE * focal).all(axis=1)
+        if not near.any():
+            return NOTHING_EXPECTED
+        scale = focal / (one.camera.fx, one.camera.fy)
+        centre, size = centre[near], part.size[near] * scale
+        distance = np.maximum(SPAN * other.camera.fx / size[:, 0], NEAREST)
         distance = np.where(np.isnan(distance), UNKNOWN_DISTANCE, distance)
-        beside = np.linalg.norm(seam.baseline) / distance
-        focal = np.array([other.fx, other.fy])
-        more = np.sqrt(seam.variance + beside**2)[:, None] * focal
-        sigma = np.hypot(part.sigma * scale, more)
-        near = ahead & (np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * focal).all(axis=1)
-        return ExpectedTracks(centre[near], sigma[near], size[near])
+        apart = np.linalg.norm(other.body_from_camera.position - one.body_from_camera.position)
+        mounting = np.sqrt(np.diagonal(self._of_seam(centre, giver, taker), axis1=1, axis2=2))
+        parallel = (apart / distance)[:, None] * focal
+        sigma = np.sqrt((part.sigma[near] * scale) ** 2 + mounting**2 + parallel**2)
+        return ExpectedTracks(centre, sigma, size)
 
     def vouch(self, track_id: int) -> None:
         """See `Tracker.vouch`."""
@@ -196,13 +293,13 @@ class Rig:
         own = self._from_first[camera]
         return own @ turn @ own.T
 
-    def seam(self, giver: int, taker: int) -> Seam:
-        """How the giver's picture becomes the taker's."""
-        one, other = self._cameras[giver], self._cameras[taker]
-        rotation = self._from_first[taker] @ self._from_first[giver].T
-        apart = other.body_from_camera.position - one.body_from_camera.position
-        baseline = other.body_from_camera.rotation.T @ apart
-        return Seam(rotation, baseline, one.mounting_sigma**2 + other.mounting_sigma**2)
+    def _seam(self, one: int, other: int) -> Seam:
+        return self._seams[min(one, other), max(one, other)]
+
+    def _turn_to(self, taker: int, giver: int) -> Array:
+        """(3, 3): the taker's axes from the giver's, as it is known by now."""
+        second_from_first = self._seam(giver, taker).second_from_first
+        return second_from_first if giver < taker else second_from_first.T
 
     def _take_over(self, giver: int, taker: int, t: float, orientation: Orientation) -> None:
         """What the giver knows and the taker should see, or is nearer to while neither sees it."""
@@ -210,34 +307,59 @@ class Rig:
         then, since = self._orientations[giver], one.tracker.t
         if then is None or since is None or since - t > MOST_BACK:
             return
-        turn, seam = rotation_between(then, orientation), self.seam(giver, taker)
-        rotation = seam.rotation @ self._own(giver, turn.matrix)
-        mean, cov = one.tracker.extrapolated(t, self._own(giver, turn.matrix), turn.variance)
-        if not len(mean):
-            return
+        turn = rotation_between(then, orientation)
+        own, seam = self._own(giver, turn.matrix), self._turn_to(taker, giver)
+        mean, cov = one.tracker.extrapolated(t, own, turn.variance)
         rows = self._wanted(mean, cov, giver, taker, seam)
         if not rows.any():
             return
-        leaving = one.tracker.release(rows, t, rotation, turn.variance + seam.variance)
+        leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
         arriving = leaving.in_pixels_of(other.camera, one.camera)
-        other.tracker.adopt(arriving.moved(*parallax(arriving, other.camera, seam.baseline)))
-        self.handed_over += int(rows.sum())
+        apart = other.body_from_camera.position - one.body_from_camera.position
+        arriving = arriving.moved(
+            *parallax(arriving, other.camera, other.body_from_camera.rotation.T @ apart)
+        )
+        pixel = arriving.table.mean[:, POSITION]
+        arriving = arriving.moved(np.zeros_like(pixel), self._of_seam(pixel, giver, taker))
+        self._note_arrivals(arriving, giver, taker, t)
+        other.tracker.adopt(arriving)
+        self.handed_over += len(pixel)
 
-    def _wanted(self, mean: Array, cov: Array, giver: int, taker: int, seam: Seam) -> NDArray[np.bool_]:
+    def _of_seam(self, pixel: Array, giver: int, taker: int) -> Array:
+        """(n, 2, 2) px² at pixels (n, 2) of the taker: by what the seam is not known."""
+        camera = self._cameras[taker].camera
+        return self._seam(giver, taker).flow_cov(pixel, camera, to_second=giver < taker)
+
+    def _note_arrivals(self, arriving: Handover, giver: int, taker: int, t: float) -> None:
+        table = arriving.table
+        for track_id, confirmed in zip(table.id.tolist(), table.confirmed.tolist(), strict=True):
+            way, since = self._arrived.pop(track_id, None), self._came.get(track_id, -np.inf)
+            if way is not None and (way.giver, way.taker) == (taker, giver):
+                # Taken back before the other camera had seen it: it never was away.
+                self._came[track_id] = way.since
+                continue
+            if confirmed and t - since > SETTLED_S:
+                self._arrived[track_id] = _Arrived(giver, taker, since)
+            self._came[track_id] = t
+        if len(self._came) > MOST_REMEMBERED:
+            self._came = {track_id: came for track_id, came in self._came.items() if t - came < SETTLED_S}
+
+    def _wanted(self, mean: Array, cov: Array, giver: int, taker: int, seam: Array) -> NDArray[np.bool_]:
         """(n,) of tracks in the giver's pixels now: those that the taker should see, and of those that nobody sees the
-        ones nearer to where it looks."""
+        ones nearer to where it looks. seam (3, 3): the taker's axes from the giver's."""
         one, other = self._cameras[giver].camera, self._cameras[taker].camera
         ray = one.bearing_undistorted(mean[:, POSITION])
-        there = ray @ seam.rotation.T
+        there = ray @ seam.T
         pixel, _, ahead = other.project_undistorted(there)
-        seen_here = probability_in_view(mean, cov, one)
-        sigma = np.sqrt((cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0 + seam.variance)
+        if not ahead.any():
+            return np.asarray(ahead)
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
-        moved[:, POSITION] = np.where(ahead[:, None], pixel, 1e6)
-        spread[:, 0, 0], spread[:, 2, 2] = (sigma * other.fx) ** 2, (sigma * other.fy) ** 2
-        wanted = ahead & (probability_in_view(moved, spread, other) > 0.5)
-        nearer = (there[:, 2] > ray[:, 2]) & (seen_here < 0.5) & ahead
-        return np.asarray((wanted | nearer) & self._reach[taker].holds(moved, spread))
+        moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
+        variance = (cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0
+        spread[:, 0, 0], spread[:, 2, 2] = variance * other.fx**2, variance * other.fy**2
+        seen = probability_in_view(moved, spread, other) > 0.5
+        nearer = (there[:, 2] > ray[:, 2]) & (probability_in_view(mean, cov, one) < 0.5)
+        return np.asarray(ahead & (seen | nearer) & self._reach[taker].holds(moved, spread))
 
 
 def parallax(arriving: Handover, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:

@@ -1,0 +1,25 @@
+"""What crossings from one camera to another say of how the cameras sit, as a sentence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarmtrack.geometry import rotation
+from swarmtrack.tracking.seams import SeamNews
+
+
+def describe_seam(news: SeamNews) -> str:
+    """Cameras are counted from 1, as people do."""
+    first, second = news.first + 1, news.second + 1
+    if news.turn is None or news.body_from_second is None:
+        return (
+            f"cameras {first} and {second} do not fit together: what leaves one does not come into the other. Are "
+            "their cables swapped, or is a body_from_camera wrong?"
+        )
+    turned = np.degrees(np.linalg.norm(news.turn.angle))
+    forward = rotation.BODY_FROM_FORWARD_CAMERA
+    roll, pitch, yaw = np.degrees(rotation.to_euler(news.body_from_second @ forward.T)).round(1) + 0.0
+    return (
+        f"camera {second} is turned by {turned:.1f}° beside its body_from_camera, by teammates that crossed from "
+        f"camera {first} or to it {news.turn.crossings} times. rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit"
+    )

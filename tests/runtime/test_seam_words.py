@@ -1,0 +1,23 @@
+"""What crossings say of the mounting of cameras, in words (runtime/seam_words.py)."""
+
+import math
+
+import numpy as np
+
+from swarmtrack.geometry import rotation
+from swarmtrack.runtime.seam_words import describe_seam
+from swarmtrack.tracking.seams import FoundTurn, SeamNews
+
+
+def test_a_camera_that_is_turned_is_said_with_the_angles_that_would_fit():
+    fits = rotation.from_euler(0.0, 0.0, math.radians(92.0)) @ rotation.BODY_FROM_FORWARD_CAMERA
+    turn = FoundTurn(np.array([0.0, math.radians(-2.0), 0.0]), math.radians(0.2), 9)
+    said = describe_seam(SeamNews(0, 1, turn, fits))
+    assert said.startswith("camera 2 is turned by 2.0° beside its body_from_camera")
+    assert said.endswith("camera 1 or to it 9 times. rpy_deg = [0, 0, 92] would fit")
+
+
+def test_cameras_that_do_not_fit_together_make_one_think_of_the_cables():
+    said = describe_seam(SeamNews(1, 3, None, None))
+    assert said.startswith("cameras 2 and 4 do not fit together")
+    assert "cables swapped" in said

@@ -1,0 +1,192 @@
+"""A drone with several cameras (onboard.py): names, metres and reports go round it as if it had one."""
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.messages import Announcement, Detections, EgoPose, ImuSample, PoseWanted, ScanReport
+from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.motion.mounting import Mounting
+from swarmtrack.onboard import Onboard, OnboardCamera
+from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.tracking import AGENT_PARAMETERS, create_trackers
+
+CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
+SPAN = 0.45
+PLACES = {2: np.array([6.0, 1.0, -3.0]), 3: np.array([2.0, 7.0, -2.2]), 4: np.array([-5.0, -4.0, -2.8])}
+HERE = np.array([0.0, 0.0, -2.5])
+# Of the gyro, from one scan to that of the next camera.
+SAMPLES_PER_SCAN = 12
+ALL_ROUND = (0.0, 90.0, 180.0, 270.0)
+
+
+def looking(azimuth_deg, place=(0.0, 0.0, 0.0)):
+    turned = rotation.from_euler(0.0, 0.0, math.radians(azimuth_deg))
+    return Pose(turned @ rotation.BODY_FROM_FORWARD_CAMERA, turned @ np.array([0.1, 0.0, 0.0]) + place)
+
+
+class Flight:
+    """Drone 1 hovers, and yaws; its teammates hover around it."""
+
+    def __init__(self, azimuths, seed=1, compass=0.0):
+        """compass rad: by how much the autopilot's heading is off."""
+        self.compass = compass
+        self.poses = [looking(azimuth) for azimuth in azimuths]
+        cameras = [CAMERA] * len(self.poses)
+        trackers = create_trackers("mbm", cameras=cameras, **AGENT_PARAMETERS)
+        self.drone = Onboard(
+            1,
+            cameras=[
+                OnboardCamera(CAMERA, Mounting(pose, sigma=math.radians(0.5)), tracker)
+                for pose, tracker in zip(self.poses, trackers, strict=True)
+            ],
+            gyro=GyroHistory(),
+            ego=EgoHistory(origin=HERE),
+            identity=IdentityParameters(),
+            relative=RelativeParameters(airframe_span_m=SPAN),
+            start_sigma_m=0.1,
+        )
+        self.chance = np.random.default_rng(seed)
+        self.t = self.yaw = 0.0
+        self.number = 0
+        self.reports = []
+        self.wanted = 0
+        for drone_id, place in PLACES.items():
+            self.drone.tell(
+                Announcement(drone_id, "0000000a", 1, 0.0, 0.0, place, np.eye(3), 0.01 * np.eye(3))
+            )
+
+    def fly(self, rate, seconds, hz=200):
+        n = len(self.poses)
+        for k in range(round(seconds * hz)):
+            self.t += 1.0 / hz
+            self.yaw += rate / hz
+            turned = rotation.from_euler(0.0, 0.0, self.yaw)
+            self.drone.tell(ImuSample(self.t, np.array([0.0, 0.0, rate]), np.full(3, np.nan)))
+            if k % 10 == 0:
+                said = rotation.from_euler(0.0, 0.0, self.yaw + self.compass)
+                self.drone.tell(EgoPose(self.t, np.zeros(3), said))
+            if k % SAMPLES_PER_SCAN == 0:
+                self.look(self.number % n, turned)
+                self.number += 1
+            for event in self.drone.events():
+                if isinstance(event, ScanReport):
+                    self.reports.append((event, self.yaw))
+                self.wanted += isinstance(event, PoseWanted)
+
+    def seen_by(self, camera, turned):
+        pose = Pose(turned, HERE) @ self.poses[camera]
+        places = np.array(list(PLACES.values()))
+        pixel, _, ahead = CAMERA.project_undistorted(pose.inverse().transform(places))
+        return pixel, ahead & (pixel > 0.0).all(axis=1) & (pixel < [639.0, 479.0]).all(axis=1)
+
+    def look(self, camera, turned):
+        pixel, inside = self.seen_by(camera, turned)
+        z = pixel[inside] + 1.5 * self.chance.standard_normal((int(inside.sum()), 2))
+        width = SPAN * CAMERA.fx / np.linalg.norm(np.array(list(PLACES.values())) - HERE, axis=1)[inside]
+        n = len(z)
+        size = np.column_stack([1.14 * width, 0.5 * width])
+        self.drone.tell(Detections(self.t, self.number, z, size, np.full(n, 0.9), camera=camera))
+
+    def entries(self, since=0.0):
+        """Each track of each report, its name, and who is nearest to it in its own camera's picture."""
+        ids = list(PLACES)
+        for report, yaw in self.reports:
+            if report.tracks.t < since:
+                continue
+            turned = rotation.from_euler(0.0, 0.0, yaw)
+            for entry in report.tracks.tracks:
+                pixel, _ = self.seen_by(entry.track.camera, turned)
+                away = np.linalg.norm(pixel - entry.track.mean[::2], axis=1)
+                yield report, entry, ids[int(np.nanargmin(away))], float(np.nanmin(away))
+
+
+@pytest.mark.parametrize("azimuths", [(0.0,), (-40.0, 40.0), ALL_ROUND])
+def test_names_stay_with_their_drones_while_these_cross_from_camera_to_camera(azimuths):
+    flight = Flight(azimuths)
+    flight.fly(0.0, 2.0)
+    flight.fly(0.7, 6.0)
+    flight.fly(-0.7, 6.0)
+    wrong = [
+        (entry.identity, nearest)
+        for _, entry, nearest, _ in flight.entries()
+        if entry.identity is not None and entry.identity != nearest
+    ]
+    assert wrong == []
+    # Nobody is asked again and again because another camera does not see it.
+    assert flight.wanted <= 12
+
+
+def test_all_around_everybody_has_a_name_all_the_time():
+    flight = Flight(ALL_ROUND)
+    flight.fly(0.0, 2.0)
+    flight.fly(0.7, 8.0)
+    by_scan = {}
+    for report, entry, _, _ in flight.entries(since=1.5):
+        by_scan.setdefault(report.tracks.t, []).append(entry.identity)
+    complete = [sorted(filter(None, names)) == [2, 3, 4] for names in by_scan.values()]
+    assert np.mean(complete) > 0.97
+    cameras = {entry.track.camera for _, entry, _, _ in flight.entries(since=1.5)}
+    assert cameras == {0, 1, 2, 3}
+
+
+def test_metres_are_from_the_first_camera_whichever_sees_the_teammate():
+    flight = Flight(ALL_ROUND)
+    flight.fly(0.0, 2.0)
+    flight.fly(0.5, 4.0)
+    found = 0
+    for report, entry, nearest, _ in flight.entries(since=2.0):
+        if entry.relative is None:
+            continue
+        yaw = next(yaw for other, yaw in flight.reports if other is report)
+        camera = Pose(rotation.from_euler(0.0, 0.0, yaw), HERE) @ flight.poses[0]
+        away = PLACES[nearest] - camera.position
+        assert entry.relative.drone_id == nearest
+        sigma = math.sqrt(float(np.trace(entry.relative.cov[:3, :3])))
+        assert np.linalg.norm(entry.relative.position - away) < 4.0 * sigma + 0.1
+        found += 1
+    assert found > 100
+
+
+def test_a_report_of_sightings_tells_of_all_cameras():
+    flight = Flight(ALL_ROUND)
+    flight.fly(0.0, 3.0)
+    report = flight.drone.sighting_report("0000000b", 1)
+    assert sorted(sighting.drone_id for sighting in report.sightings) == [2, 3, 4]
+    for sighting in report.sightings:
+        away = PLACES[sighting.drone_id] - report.position
+        assert sighting.direction @ away / np.linalg.norm(away) > math.cos(math.radians(1.5))
+
+
+def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_all_are_tracked_in_their_order():
+    flight = Flight((-40.0, 40.0))
+    flight.fly(0.0, 1.0)
+    before = len(flight.reports)
+    t = flight.t
+    for camera, late in ((1, 0.004), (0, 0.012)):
+        flight.drone.tell(
+            Detections(t + late, 900 + camera, np.empty((0, 2)), np.empty((0, 2)), np.empty(0), camera=camera)
+        )
+    flight.fly(0.0, 0.05)
+    times = [report.tracks.t for report, _ in flight.reports[before:]]
+    assert {round(t + 0.004, 6), round(t + 0.012, 6)} <= {round(time, 6) for time in times}
+    assert times == sorted(times)
+
+
+@pytest.mark.parametrize("azimuths", [(0.0, 90.0), ALL_ROUND])
+def test_a_compass_that_is_25_degrees_off_is_doubted_and_names_nobody_wrongly(azimuths):
+    flight = Flight(azimuths, compass=math.radians(25.0))
+    flight.fly(0.0, 5.0)
+    wrong = [
+        (entry.identity, nearest)
+        for _, entry, nearest, _ in flight.entries()
+        if isinstance(entry.identity, int) and entry.identity != nearest
+    ]
+    assert wrong == []
+    assert flight.drone.self_doubt

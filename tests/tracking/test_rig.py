@@ -1,0 +1,276 @@
+"""Several cameras of one drone: tracks that go over from one to the next (tracking/rig.py, tracking/seams.py)."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarmtrack.benchmarks import seams as bench
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.messages import Scan, TrackStatus
+from swarmtrack.motion.gyro import GyroHistory, rotation_between
+from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker, create_trackers
+from swarmtrack.tracking.motion_model import optical_flow
+from swarmtrack.tracking.rig import Rig, RigCamera
+from swarmtrack.tracking.seams import Seam
+
+CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
+OTHER = PinholeCamera(500.0, 510.0, 400.0, 300.0, 800, 600)
+FORWARD = rotation.BODY_FROM_FORWARD_CAMERA
+
+
+def looking(azimuth_deg, place=(0.0, 0.0, 0.0)):
+    return Pose(rotation.from_euler(0.0, 0.0, math.radians(azimuth_deg)) @ FORWARD, np.array(place))
+
+
+def rig_of(tracker, *poses, cameras=None, sigma_deg=0.5, **parameters):
+    cameras = cameras or [CAMERA] * len(poses)
+    trackers = create_trackers(tracker, cameras=cameras, **AGENT_PARAMETERS | parameters)
+    parts = zip(cameras, poses, trackers, strict=True)
+    return Rig([RigCamera(*part, math.radians(sigma_deg)) for part in parts])
+
+
+class Drone:
+    """Hovers, with a clock, and yaws to where it is told; everything around it stands still."""
+
+    def __init__(self, rig, poses, targets, cameras=None, span=0.45):
+        self.rig, self.poses, self.targets = rig, poses, np.array(targets)
+        self.cameras = cameras or [CAMERA] * len(poses)
+        self.gyro = GyroHistory()
+        self.span = span
+        self.yaw = self.t = 0.0
+        self.gyro.append(0.0, (0.0, 0.0, 0.0))
+
+    def turn(self, rate, seconds, hz=200.0):
+        axes = self.poses[0].rotation.T
+        for _ in range(round(seconds * hz)):
+            self.t += 1.0 / hz
+            self.yaw += rate / hz
+            self.gyro.append(self.t, tuple((axes @ [0.0, 0.0, rate]).tolist()))
+
+    def seen_by(self, camera, yaw):
+        pose = Pose(rotation.from_euler(0.0, 0.0, yaw), np.zeros(3)) @ self.poses[camera]
+        pixel, _, ahead = self.cameras[camera].project_undistorted(pose.inverse().transform(self.targets))
+        low, high = self.cameras[camera].ideal_bounds
+        return pixel, ahead & ((pixel > low) & (pixel < high)).all(axis=1)
+
+    def look(self, camera, late=0.0, rate=0.0):
+        """A scan, exposed `late` seconds ago while the drone yawed at that rate."""
+        t, yaw = self.t - late, self.yaw - rate * late
+        pixel, inside = self.seen_by(camera, yaw)
+        width = self.span * self.cameras[camera].fx / np.linalg.norm(self.targets[inside], axis=1)
+        orientation = self.gyro.orientation(t)
+        self.rig.predict(camera, t, orientation)
+        scan = Scan(
+            t, pixel[inside], size=np.column_stack([width, 0.5 * width]), score=np.full(len(width), 0.9)
+        )
+        self.rig.update(camera, scan, orientation)
+
+    def tracks(self):
+        found = self.rig.at(self.t, self.gyro.orientation(self.t))
+        return [track for track in found if track.status is TrackStatus.CONFIRMED]
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_a_track_that_crosses_the_seam_is_the_same_track_and_where_its_target_is(tracker):
+    poses = [looking(-40.0), looking(40.0)]
+    drone = Drone(rig_of(tracker, *poses), poses, [[6.0, -2.0, 0.3], [5.0, 3.0, -0.4]])
+    known = set()
+    for rate in (0.0, 1.0, -1.0, 1.0):
+        for _ in range(18):
+            drone.turn(rate, 0.05)
+            drone.look(0)
+            drone.turn(rate, 0.016)
+            drone.look(1)
+            known |= {track.id for track in drone.tracks()}
+        for track in drone.tracks():
+            pixel, _ = drone.seen_by(track.camera, drone.yaw)
+            assert np.linalg.norm(pixel - track.mean[::2], axis=1).min() < 3.0
+    assert len(drone.tracks()) == len(known) == 2
+    assert drone.rig.handed_over >= 4
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_where_two_pictures_overlap_a_target_has_one_track(tracker):
+    poses = [looking(-20.0), looking(20.0)]
+    drone = Drone(rig_of(tracker, *poses), poses, [[6.0, 0.2, 0.3], [8.0, 1.6, -0.4]])
+    for _ in range(40):
+        drone.turn(0.0, 0.04)
+        drone.look(0)
+        drone.turn(0.0, 0.03)
+        drone.look(1)
+        assert len(drone.tracks()) <= 2
+    assert len(drone.tracks()) == 2
+
+
+def test_a_target_is_followed_all_around_by_four_cameras_of_different_lenses():
+    poses = [looking(azimuth) for azimuth in (0.0, 90.0, 180.0, 270.0)]
+    cameras = [CAMERA, OTHER, CAMERA, OTHER]
+    drone = Drone(rig_of("mbm", *poses, cameras=cameras), poses, [[6.0, 0.0, 0.3]], cameras=cameras)
+    for k in range(260):
+        drone.turn(-1.2 if k > 20 else 0.0, 0.033)
+        drone.look(k % 4)
+    assert [track.id for track in drone.tracks()] == [1]
+    assert drone.rig.handed_over >= 3
+
+
+def test_across_a_gap_that_no_camera_sees_a_track_goes_on_and_is_the_same_on_the_other_side():
+    poses = [looking(-55.0), looking(55.0)]
+    drone = Drone(rig_of("mbm", *poses), poses, [[6.0, -3.5, 0.3]])
+    for k in range(70):
+        drone.turn(-1.0 if 20 < k < 50 else 0.0, 0.04)
+        drone.look(k % 2)
+        if k == 20:
+            (before,) = drone.tracks()
+    (after,) = drone.tracks()
+    assert (before.id, before.camera, after.id, after.camera) == (after.id, 0, before.id, 1)
+
+
+def test_a_camera_that_is_80_ms_late_takes_tracks_over_and_gives_them_back():
+    poses = [looking(-40.0), looking(40.0)]
+    drone = Drone(rig_of("mbm", *poses), poses, [[6.0, -1.0, 0.3]])
+    for rate in (0.0, -0.8, 0.8):
+        for k in range(20):
+            drone.turn(rate, 0.05)
+            drone.look(0)
+            drone.turn(rate, 0.016)
+            if k >= 2:
+                drone.look(1, late=0.08, rate=rate)
+    (track,) = drone.tracks()
+    assert track.id == 1
+    assert drone.rig.handed_over >= 2
+
+
+def test_one_camera_is_a_tracker_bit_for_bit():
+    alone = create_tracker("mbm", camera=CAMERA, **AGENT_PARAMETERS)
+    rig = rig_of("mbm", looking(0.0))
+    rng, gyro, before = np.random.default_rng(3), GyroHistory(), None
+    for k in range(60):
+        t = 0.05 * (k + 1)
+        gyro.append(t - 0.025, tuple(rng.normal(size=3) * 0.2))
+        gyro.append(t, tuple(rng.normal(size=3) * 0.2))
+        z = np.array([[300.0, 200.0], [100.0 + k, 300.0]]) + rng.normal(size=(2, 2))
+        now = gyro.orientation(t)
+        turn = rotation_between(before or now, now)
+        before = now
+        alone.predict(t, turn.matrix, turn.variance)
+        alone.update(Scan(t, z))
+        rig.predict(0, t, now)
+        rig.update(0, Scan(t, z), now)
+        for one, other in zip(alone.tracks, rig.tracks(now), strict=True):
+            assert one.id == other.id
+            np.testing.assert_array_equal(one.mean, other.mean)
+            np.testing.assert_array_equal(one.cov, other.cov)
+
+
+def test_near_targets_cross_a_seam_between_cameras_that_sit_apart():
+    poses = [looking(-40.0), looking(40.0, (0.0, 0.25, 0.0))]
+    # At 2 m a quarter of a metre is seven degrees.
+    drone = Drone(rig_of("mbm", *poses), poses, [[2.0, -0.5, 0.1]])
+    for rate in (0.0, -1.0, 1.0):
+        for _ in range(16):
+            drone.turn(rate, 0.05)
+            drone.look(0)
+            drone.turn(rate, 0.016)
+            drone.look(1)
+    (track,) = drone.tracks()
+    assert track.id == 1
+
+
+# --- what crossings tell of the mounting ---
+
+
+def test_a_mounting_that_is_two_degrees_off_is_found_in_flight_and_no_track_is_lost_meanwhile():
+    row = bench.Row("", 1.5, -10.0, 2.0, 1.0)
+    flown = bench.fly(row, "mbm", 3)
+    assert flown.crossings > 50
+    assert flown.kept == flown.crossings
+    assert flown.error_deg < 0.4
+    assert flown.doubles == 0.0
+
+
+def test_a_turn_that_is_worth_a_word_is_said_once():
+    poses = [looking(-40.0), looking(40.0)]
+    rig = rig_of("mbm", *poses, sigma_deg=1.0)
+    drone = Drone(rig, poses, [[6.0, -1.0, 0.3], [7.0, 1.5, -0.6]])
+    drone.poses = [
+        poses[0],
+        Pose(poses[1].rotation @ rotation.exp([0.0, math.radians(2.0), 0.0]), np.zeros(3)),
+    ]
+    news = []
+    for rate in (0.0, *[1.0, -1.0] * 8):
+        for _ in range(15):
+            drone.turn(rate, 0.05)
+            drone.look(0)
+            drone.turn(rate, 0.016)
+            drone.look(1)
+            news += rig.take_news()
+    ((first, second, turn, body_from_second),) = news
+    assert (first, second) == (0, 1)
+    # Rays turn against the camera.
+    assert math.degrees(turn.angle[1]) == pytest.approx(-2.0, abs=0.5)
+    roll, pitch, yaw = np.degrees(rotation.to_euler(body_from_second @ FORWARD.T))
+    assert (roll, pitch, yaw) == pytest.approx((0.0, 0.0, 42.0), abs=0.7)
+
+
+def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said():
+    poses = [looking(-40.0), looking(40.0)]
+    rig = rig_of("mbm", *poses)
+    drone = Drone(rig, poses[::-1], [[6.0, -1.0, 0.3], [7.0, 1.5, -0.6]])
+    news = []
+    for rate in (0.0, *[1.0, -1.0, -1.0, 1.0] * 3):
+        for _ in range(30):
+            drone.turn(rate, 0.05)
+            drone.look(0)
+            drone.turn(rate, 0.016)
+            drone.look(1)
+            news += rig.take_news()
+    assert news == [(0, 1, None, None)]
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    to_second=st.booleans(),
+    crossings=st.integers(30, 60),
+)
+@settings(max_examples=30, deadline=None)
+def test_a_seam_finds_its_turn_within_what_it_says(seed, to_second, crossings):
+    rng = np.random.default_rng(seed)
+    told = rotation.exp(rng.normal(size=3))
+    angle = math.radians(1.5) * rng.normal(size=3)
+    seam = Seam(told, math.radians(1.5))
+    for _ in range(crossings):
+        pixel = rng.uniform([0.0, 0.0], [640.0, 480.0])
+        true = rotation.exp(angle) @ told
+        # Where the assumed turn foretells it, and where the true one shows it.
+        ray = CAMERA.bearing_undistorted(pixel[None])[0]
+        off = seam.second_from_first @ true.T if to_second else seam.second_from_first.T @ true
+        foretold, _, ahead = CAMERA.project_undistorted((off @ ray)[None])
+        if not ahead[0]:
+            continue
+        z = pixel + 1.5 * rng.normal(size=2)
+        seam.learn(foretold[0], 1.5**2 * np.eye(2), z, CAMERA, to_second=to_second)
+    error = np.linalg.norm(seam.found.angle - angle)
+    assert error < 5.0 * seam.found.sigma + math.radians(0.1)
+    assert seam.found.sigma < math.radians(0.3)
+
+
+def test_a_detection_of_something_else_teaches_a_seam_nothing():
+    seam = Seam(np.eye(3), math.radians(0.5))
+    seam.learn(np.array([300.0, 200.0]), np.eye(2), np.array([400.0, 120.0]), CAMERA, to_second=True)
+    assert (seam.crossings, seam.refused) == (0, 1)
+    np.testing.assert_array_equal(seam.second_from_first, np.eye(3))
+
+
+def test_what_a_seam_adds_is_the_flow_of_what_is_not_known_of_it():
+    sigma = math.radians(1.0)
+    seam = Seam(rotation.exp([0.0, 1.2, 0.0]), sigma)
+    pixel = np.array([[20.0, 240.0], [500.0, 400.0]])
+    flow = optical_flow(pixel, CAMERA)
+    for to_second in (True, False):
+        added = seam.flow_cov(pixel, CAMERA, to_second=to_second)
+        np.testing.assert_allclose(added, sigma**2 * flow @ flow.swapaxes(1, 2), rtol=0.05)
