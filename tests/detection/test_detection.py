@@ -312,7 +312,7 @@ def test_the_shipped_model_says_how_wide_its_boxes_are_and_a_model_need_not(tmp_
     shipped = Detector().description.box_width
     assert shipped == box_width_of("default", metadata_of(model_path("default")))
     assert shipped is not None
-    assert shipped.padding_px > 10.0
+    assert shipped.padding_px > 5.0
 
     def silent(model) -> None:
         entries = [entry for entry in model.metadata_props if entry.key != "swarmtrack.box_width"]
