@@ -249,9 +249,9 @@ class Watch:
                 track.u_px,
                 track.v_px,
                 track.id in proved,
-                message.camera_of(place),
+                message.camera_of(row),
             )
-            for place, track in enumerate(message.tracks)
+            for row, track in enumerate(message.tracks)
             if track.status == "confirmed"
         )
         self._say(drone_id, agent, index, t, tracks, places=_places(message))
