@@ -128,6 +128,13 @@ class OnboardCamera(NamedTuple):
     mounting: Mounting
     tracker: Tracker
 
+    def on_a_rig(self) -> RigCamera:
+        mounting = self.mounting
+        return RigCamera(self.camera, mounting.body_from_camera, self.tracker, mounting.sigma)
+
+    def make_clock(self) -> CameraClock:
+        return CameraClock(self.mounting.time_offset_s, estimates=self.mounting.estimate_time_offset)
+
 
 class Onboard:
     """Told what happened; never asks, waits or sends."""
@@ -153,21 +160,13 @@ class Onboard:
         self.gyro = gyro
         self._cameras = tuple(cameras)
         camera, mounting, _ = cameras[0]
-        self.camera_clocks = tuple(
-            CameraClock(each.mounting.time_offset_s, estimates=each.mounting.estimate_time_offset)
-            for each in cameras
-        )
+        self.camera_clocks = tuple(each.make_clock() for each in cameras)
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self.camera = camera
         self._heading_steps = HeadingSteps(gyro, mounting.body_from_camera.rotation)
         self._heading_bulletin = HeadingBulletin()
         self._mounting = mounting
-        self._rig = Rig(
-            [
-                RigCamera(each.camera, each.mounting.body_from_camera, each.tracker, each.mounting.sigma)
-                for each in cameras
-            ]
-        )
+        self._rig = Rig([each.on_a_rig() for each in cameras])
         self._ego = ego
         self._identities = Identities(
             drone_id,
