@@ -107,6 +107,7 @@ def test_a_simulator_with_a_port_listens_where_the_configs_expect_it_and_says_wh
     with simulated(port, scenario) as drones:
         assert drones[2] == {
             "camera": f"detections://127.0.0.1:{port}/2",
+            "cameras": [f"detections://127.0.0.1:{port}/2"],
             "autopilot": f"udpout:127.0.0.1:{port + 2}",
             "ground": f"udpout:127.0.0.1:{port + 1002}",
             "truth": f"udpout:127.0.0.1:{port + 2002}",

@@ -160,7 +160,11 @@ async def test_each_camera_of_a_drone_is_served_by_itself_and_its_detections_say
         assert addresses[0] == simulated.drones[1]["camera"]
         assert addresses[1] == f"{addresses[0]}/1"
         async with opened(addresses[0]) as left, opened(addresses[1]) as right:
-            taken = [await scans(source, lambda taken: len(taken) == 12) for source in (left, right)]
+            # Until enough was seen: the drone turns, and where it looks by then is the machine's.
+            taken = [
+                await scans(source, lambda taken: len(taken) >= 12 and sum(map(len, taken)) >= 16)
+                for source in (left, right)
+            ]
         absent = addresses[1].replace("detections:", "http:").removesuffix("1") + "2"
         async with aiohttp.ClientSession() as session, session.get(absent) as response:
             assert (response.status, await response.text()) == (404, "no such camera, known: 0 to 1\n")
