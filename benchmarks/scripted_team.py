@@ -43,7 +43,6 @@ from swarmtrack.wire.video import VideoMessage
 CLOCK = SystemClock()
 FOCAL = 180.0  # px: 83 degrees, so that three on a circle see each other
 CAMERA = PinholeCamera(FOCAL, FOCAL, 160.0, 128.0, 320, 256)
-DOWN = np.array([0.0, 0.0, 1.0])
 
 
 class ScriptedDrone:
@@ -82,11 +81,10 @@ class ScriptedDrone:
         return np.array([self._radius * math.cos(turn), self._radius * math.sin(turn), -2.0])
 
     def camera(self, t: float) -> np.ndarray:
-        """world_from_camera (3, 3)."""
-        forward = np.array([0.0, 0.0, -2.0]) - self.position(t)
-        forward /= np.linalg.norm(forward)
-        right = np.cross(DOWN, forward)
-        return np.stack([right, np.cross(forward, right), forward], axis=1)
+        """world_from_camera (3, 3): level, right, down and ahead."""
+        turn = self._angle + 0.05 * t
+        north, east = -math.cos(turn), -math.sin(turn)
+        return np.array([[-east, 0.0, north], [north, 0.0, east], [0.0, 1.0, 0.0]])
 
     def start(self) -> None:
         token = keys.key(self._name, Kind.ALIVE, self.drone_id, self._boot)
@@ -137,14 +135,13 @@ class ScriptedDrone:
 
     def _in_view(self, now: float) -> dict[int, np.ndarray]:
         """Vectors in the camera's frame, by true ID."""
-        found = {}
-        for other in self.team:
-            if other is self:
-                continue
-            there = self.camera(now).T @ (other.position(now) - self.position(now))
-            if there[2] > 0.5 and abs(there[0]) < 0.85 * there[2]:
-                found[other.drone_id] = there
-        return found
+        others = [other for other in self.team if other is not self]
+        from_here = np.array([other.position(now) for other in others]).reshape(-1, 3) - self.position(now)
+        return {
+            other.drone_id: there
+            for other, there in zip(others, from_here @ self.camera(now), strict=True)
+            if there[2] > 0.5 and abs(there[0]) < 0.85 * there[2]
+        }
 
     def _say_sightings(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
         sightings = [

@@ -180,7 +180,7 @@ async def test_it_fits_its_screen(team: str, n: int, width: int, height: int) ->
 
 
 @needs_chromium
-@pytest.mark.parametrize("drones", [10])
+@pytest.mark.parametrize("drones", [10, pytest.param(30, marks=pytest.mark.long)])
 async def test_a_large_team_has_a_readable_matrix(team: str, drones: int) -> None:
     async with scripted_team(team, drones), monitor(team) as served, browser_page() as (page, misdeeds):
         await page.goto(served.url)
