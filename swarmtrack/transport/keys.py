@@ -22,6 +22,7 @@ ROOT = "swarmtrack"
 VERSION = "v1"
 USUAL_LENGTH = 128  # of a key; whoever makes up longer ones shall not fill our memory
 ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
+NOTHING_YET = b"nothing announced yet"  # the answer of who has no pose to tell: it hears the question
 
 ENCODINGS: dict[Kind, str] = {
     Kind.POSE: "application/msgpack;swarmtrack.Announcement/1",

@@ -17,6 +17,7 @@ from typing import Any, Final
 import zenoh
 
 from swarmtrack.clock import Clock
+from swarmtrack.transport import keys
 from swarmtrack.transport.base import Sample
 from swarmtrack.wire.fields import MAX_BYTES
 
@@ -62,10 +63,14 @@ class Bridge:
         return zenoh.handlers.Callback(self._on_sample, indirect=False)
 
     def replies(self, on_answer: Callable[[], object] | None = None) -> Any:
-        """For Zenoh's `get`. on_answer: to be called on the event loop for each answer, also one that says nothing."""
+        """For Zenoh's `get`. on_answer: to be called on the event loop for each answer, also one that has nothing to
+        tell yet. That time is over is told as a reply, too, and is none."""
 
         def on_reply(reply: zenoh.Reply) -> None:
-            if on_answer is not None:
+            is_answer = reply.ok is not None or (
+                reply.err is not None and reply.err.payload.to_bytes() == keys.NOTHING_YET
+            )
+            if on_answer is not None and is_answer:
                 self._schedule(self._loop.call_soon_threadsafe, on_answer)
             if reply.ok is not None:
                 self._on_sample(reply.ok)

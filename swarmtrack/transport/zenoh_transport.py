@@ -341,7 +341,7 @@ class ZenohTransport:
         if payload is not None:
             query.reply(self._outgoing.key, payload, encoding=keys.ENCODINGS[Kind.POSE])
         elif not self._outgoing.announced:
-            query.reply_err(b"")  # who asks wants to know whether it is heard
+            query.reply_err(keys.NOTHING_YET)  # who asks wants to know whether it is heard
         if keys.ANEW in query.parameters and self._outgoing.accept_request():
             with contextlib.suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._peers.on_request)

@@ -523,8 +523,9 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
     assert heard(victim.told) == [(2, friend.boot, 0), (2, friend.boot, 1)]
 
 
+@pytest.mark.parametrize("question", ["lost on its way", "kept without an answer"])
 async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stands_links_are_made_anew(
-    team: str, caplog: pytest.LogCaptureFixture
+    team: str, caplog: pytest.LogCaptureFixture, question: str
 ) -> None:
     zenoh = pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
     world = ZenohWorld()
@@ -539,7 +540,13 @@ async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stan
     await listener.hears(2, silent.boot)
     for entity in silent.transport._declared:
         if isinstance(entity, zenoh.Queryable):
-            entity.undeclare()  # as if it had been lost on its way
+            entity.undeclare()
+    kept: list[Any] = []
+    if question == "kept without an answer":
+        assert silent.transport._session is not None
+        silent.transport._session.declare_queryable(
+            keys.key(team, Kind.POSE, 2), zenoh.handlers.Callback(kept.append, indirect=False)
+        )
     await eventually(lambda: listener.counter("silent") == 1)
     assert "not heard: drone 2" in listener.transport.status().text
     await listener.until(lambda told: PeerDeparted(2, silent.boot) in told)
