@@ -32,7 +32,7 @@ LOSSES_S = (15.0, pytest.param(40.0, marks=LONG))  # 7 and 20 leases
 # Of world time. The first that comes after everybody was named is the one that is watched, on however slow a machine.
 REBOOTS_AT_S = (12.0, 32.0, 52.0, 92.0, 132.0, 172.0)
 REBOOT_S = 2.0
-CRASHES = 3
+CRASHES = (3, pytest.param(6, marks=LONG))
 LISTENING_S = 25.0
 TWO_HOURS = 7200.0
 STANDSTILL_S = 1.0  # half a lease: what an agent that gets no CPU does to the links, no radio need do
@@ -306,14 +306,17 @@ async def test_a_killed_agent_is_missed_and_met_and_named_again_when_it_comes_ba
     assert team.wrong(team.drones, since=killed, until=named) == 0
 
 
-async def test_an_agent_that_crashes_again_and_again_is_no_clone_and_keeps_its_name(gather: Gather) -> None:
+@pytest.mark.parametrize("crashes", CRASHES)
+async def test_an_agent_that_crashes_again_and_again_is_no_clone_and_keeps_its_name(
+    gather: Gather, crashes: int
+) -> None:
     """Each life ends before the links of the one before are missed."""
     team = await gather(TRIANGLE)
     agents = {drone: await team.start(drone) for drone in team.drones}
     await team.until_known(team.drones, since=time.monotonic())
 
     began = time.monotonic()
-    for _ in range(CRASHES):
+    for _ in range(crashes):
         await agents[2].end(signal.SIGKILL)
         agents[2] = await team.start(2)
         await agents[1].until("drone 2 announced itself", time.monotonic() - 0.1)
