@@ -147,7 +147,7 @@ class Peers:
 
     def listen_for_silence(self, linked: Collection[int], ask: Callable[[int], None]) -> list[int]:
         """To be called twice a second. Says who is not heard, has them asked, and tells for whose sake all links are to
-        be made anew. linked: whose links stand, by their certificates; ask: have one say anything."""
+        be made again. linked: whose links stand, by their certificates; ask: have one say anything."""
         now = asyncio.get_running_loop().time()
         present = self._present(linked)
         for line in self._silence.news(present, now):

@@ -4,7 +4,7 @@ A teammate is judged by what comes from it reliably: its reports, once a second,
 of life of a link say little. Where one of the two links of a pair breaks, Zenoh loses what was on its way there: a
 drone's token, or what it listens to, is then never said again, and the two stay half deaf to each other behind a link
 that stands. So who says nothing for longer than a report takes is asked, which its transport answers, whatever its
-autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made anew.
+autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made again.
 
 Zenoh closes no link to one peer only, so all are, and not again within `REST_S`. Whoever is not heard afterwards either
 may have its own reasons: for its sake it is done after four times as long, each time. Pure state; times by any clock
@@ -20,9 +20,9 @@ from typing import Final
 
 REPORTS_S: Final = 1.0  # between two of a teammate's reports
 ASK_S: Final = 1.2 * REPORTS_S  # without a word
-REOPEN_LEASES: Final = 2.0  # without a word, and links are made anew
+REOPEN_LEASES: Final = 2.0  # without a word, and links are made again
 PATIENCE: Final = 4.0  # as many times longer before it is done again
-REST_S: Final = 15.0  # between two times that all links are made anew; a start with two fifths lost takes ten
+REST_S: Final = 15.0  # between two times that all links are made again; a start with two fifths lost takes ten
 
 
 class Silence:
@@ -34,7 +34,7 @@ class Silence:
         """When last; at first, when it was first seen to be present."""
         self._told: set[int] = set()
         self._tried: Counter[int] = Counter()
-        """How often all links were made anew since this one was heard last."""
+        """How often all links were made again since this one was heard last."""
         self._reopened_at = -math.inf
 
     def heard(self, drone_id: int, now: float) -> None:
@@ -75,7 +75,7 @@ class Silence:
         ]
 
     def to_reopen(self, present: Iterable[int], now: float) -> list[int]:
-        """For whose sake all links are to be made anew."""
+        """For whose sake all links are to be made again."""
         if now - self._reopened_at < REST_S:
             return []
         silent = self.silent(present, now)

@@ -160,7 +160,7 @@ class ZenohTransport:
             if not deaf:
                 continue
             whom = ", ".join(map(str, deaf))
-            log.warning("network: drone %s is still not heard, though linked: links are made anew", whom)
+            log.warning("network: drone %s is still not heard, though linked: links are made again", whom)
             self._counters["links_renewed"] += 1
             async with self._changing:
                 await self._leave()

@@ -24,7 +24,7 @@ from swarmtrack.localswarm.radio import RadioError
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 # A cut within about a second of the first link may take with it what was said once (docs/swarm.md, "Faults"). It is
-# healed by links that are made anew, which takes longer than these tests' figures allow for.
+# healed by links that are made again, which takes longer than these tests' figures allow for.
 SETTLED_S = 3.0
 LONG = pytest.mark.long
 PARTITIONS_S = (8.0, pytest.param(30.0, marks=LONG))  # 4 and 15 leases
@@ -140,7 +140,7 @@ async def test_after_a_partition_everybody_is_met_and_named_again(gather: Gather
 
 
 async def test_after_a_change_of_its_address_a_drone_hears_what_becomes_of_the_others(gather: Gather) -> None:
-    """A new lease, roaming: packets of the old address stay unanswered, and links are made anew."""
+    """A new lease, roaming: packets of the old address stay unanswered, and links are made again."""
     team = await gather(TRIANGLE)
     agents = {drone: await team.start(drone) for drone in team.drones}
     await team.until_known(team.drones, since=time.monotonic())

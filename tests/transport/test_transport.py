@@ -524,7 +524,7 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
 
 
 @pytest.mark.parametrize("question", ["lost on its way", "kept without an answer"])
-async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stands_links_are_made_anew(
+async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stands_links_are_made_again(
     team: str, caplog: pytest.LogCaptureFixture, question: str
 ) -> None:
     zenoh = pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
@@ -561,7 +561,7 @@ async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stan
     await eventually(is_heard)
     said = [record.getMessage() for record in caplog.records]
     assert sum("drone 2 is linked and not heard" in line for line in said) >= 1
-    assert said.count("network: drone 2 is still not heard, though linked: links are made anew") == 1
+    assert said.count("network: drone 2 is still not heard, though linked: links are made again") == 1
     for agent in agents:
         await agent.leave()
 
