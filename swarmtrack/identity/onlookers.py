@@ -4,6 +4,9 @@ A drone whose start is off sees all others shifted, and so does one whose compas
 else says that it is not where it says, each on another ray. Each report may be wrong by itself, in its sender's heading
 or start; where several agree, it is this drone. Only rays that miss it count: a name is given by place, so who stands
 where this drone should be, and is taken for it, agrees with whatever it says.
+
+A ray misses the place where this drone thought that it was. When the own place leaps, as a receiver's does that loses
+its satellites for a while and finds them again, what was told before is forgotten.
 """
 
 from __future__ import annotations
@@ -22,6 +25,8 @@ from swarmtrack.messages import Array, Sighting, SightingReport
 MEMORY_S, SIMULTANEOUS_S = 2.0, 0.3
 # s that a report counts; and while the drone doubts itself, when teammates no longer know whom they see.
 COUNTS_S, COUNTS_IN_DOUBT_S = 3.0, 60.0
+# m/s, and m: the own place that moves farther from scan to scan has leapt.
+FASTEST_M_S, LEAPT_M = 8.0, 0.5
 # s, m and rad: a report that knows less tells nothing.
 VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 3.0, 0.3
 # Of reports: those as good as they say, those off by some of it, and those by much; these in rad and m.
@@ -53,6 +58,11 @@ class Onlookers:
 
     def follow(self, t: float, position: Array, sigma: float, *, in_doubt: bool) -> None:
         """Where this drone thinks that it is (3,) m at a scan. in_doubt: whether it doubts that."""
+        if self._path:
+            before, there, _ = self._path[-1]
+            if math.dist(position, there) > FASTEST_M_S * abs(t - before) + LEAPT_M:
+                self._path.clear()
+                self._rays.clear()
         self._path.append((t, position, sigma))
         while self._path[0][0] < t - MEMORY_S:
             self._path.popleft()

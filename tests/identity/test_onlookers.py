@@ -70,6 +70,14 @@ def test_what_tells_nothing_of_it_does_not_count(onlookers, said):
     assert not onlookers.are_puzzled
 
 
+def test_what_was_told_of_a_place_that_it_only_thought_it_had_is_forgotten(onlookers):
+    onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0]))
+    onlookers.follow(1.1, np.array([0.8, 0.0, 0.0]), 0.05, in_doubt=True)
+    assert onlookers.are_puzzled  # that fast a drone may fly
+    onlookers.follow(1.2, np.array([10.0, 0.0, 0.0]), 0.05, in_doubt=True)
+    assert not onlookers.are_puzzled
+
+
 @pytest.mark.parametrize(("in_doubt", "counts_s"), [(False, COUNTS_S), (True, COUNTS_IN_DOUBT_S)])
 def test_a_report_counts_for_longer_while_nobody_can_say_it_again(onlookers, in_doubt, counts_s):
     onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0]))
