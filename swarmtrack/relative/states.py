@@ -181,7 +181,7 @@ class RelativeStates:
         self._learn_pace(dt, posterior)
         last.onward = A @ F
         self._before.append(last)
-        while self._before[0].t < look.t - HISTORY_S:
+        while self._before and self._before[0].t < look.t - HISTORY_S:
             self._before.popleft()
         return posterior
 

@@ -72,6 +72,16 @@ def test_a_drone_of_known_span_has_a_range_from_its_first_box():
     assert state.range_sigma_log == pytest.approx(math.sqrt(0.18**2 + 0.12**2 + 0.06**2))
 
 
+@pytest.mark.parametrize("pause", [0.5, 1.5, 6.0])
+def test_a_camera_may_pause_for_longer_than_the_past_is_kept(pause):
+    states = RelativeStates(TOLD)
+    t = watched(states, [PLACE] * 8)
+    states.observe(look(t + pause, PLACE))
+    states.hear_motion(moves([0.0, 0.0, 0.0], t + 0.5 * pause))
+    states.observe(look(t + pause + DT, PLACE))
+    assert only(states, t + pause + DT).position == pytest.approx(PLACE, rel=0.05)
+
+
 def test_a_box_that_is_padding_for_the_most_part_tells_as_much_less():
     """What is off by 10 % of a box three times as wide as its drone is off by 30 % of the drone."""
     states = RelativeStates(TOLD)
