@@ -10,10 +10,13 @@ import numpy as np
 from swarmtrack.identity.motion_evidence import MotionEvidence
 from swarmtrack.identity.reprojection import NEAREST, ObserverCamera
 from swarmtrack.messages import Announcement, MotionProof, Track
+from swarmtrack.tracking.marginals_of_each import matched_of_each
 
 # Of a probability: from where on it is a proof, and below which it is one no more. Looking at every scan is a
 # sequential test, which stops at a lucky moment: hence so high.
 PROVED, KEPT = 0.999, 0.99
+# Odds from which on a pair may be proved.
+DECISIVE = PROVED / (1.0 - PROVED)
 # s: by then it has outlasted most lucky moments, and counts for more than a place.
 LASTS_S = 1.0
 # m/s: a drone that said where it is may have flown on since.
@@ -44,9 +47,14 @@ class Proofs:
         if not drones:
             return
         # The probability over all matchings is at least this: what else the track, or the drone, could be.
-        odds = np.exp(motion.log_ratios(tracks, drones))
+        ratios = motion.log_ratios(tracks, drones)
+        odds = np.exp(ratios)
         rivals = odds.sum(axis=1, keepdims=True) + odds.sum(axis=2, keepdims=True) - odds
-        probability = np.tensordot(motion.turn_weight, odds / (1.0 + rivals), axes=1)
+        by_turn = odds / (1.0 + rivals)
+        # Where a rival may as well be another drone, only all matchings tell: they cost more, and are asked then.
+        if ((by_turn < PROVED) & (odds > DECISIVE)).any():
+            by_turn = matched_of_each(ratios).probability
+        probability = np.tensordot(motion.turn_weight, by_turn, axes=1)
         for i, track in enumerate(tracks):
             for j, drone in enumerate(drones):
                 self._note((track, drone), float(probability[i, j]), t)

@@ -105,16 +105,18 @@ class SelfDoubt:
         latest = [place for place in known if not is_vague(place)]
         places = [place for place in latest if place.t > sight.get(place.drone_id, -math.inf) - SUPERSEDED_S]
         moved = {place.drone_id for place in latest} - {place.drone_id for place in places}
+        # Where they are now nobody said, but how they got there: that tells which way this drone looks.
+        moving = {drone for drone in moved if _tells_motion(drone, weighing)}
         tracks = [
             track
             for track in alive.values()
             if (track.status is TrackStatus.CONFIRMED or track.probability >= RIVAL)
             and track.status is not TrackStatus.LOST
-            and not (track.id in held and held[track.id].drone_id in moved)
+            and not (track.id in held and held[track.id].drone_id in moved - moving)
         ]
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
-        vague = _known_by_motion(whereabouts, weighing)
+        vague = [*_known_by_motion(whereabouts, weighing), *sorted(moving)]
         if self.said and not places and any(t - place.t < SOON_S for place in latest):
             # They will say in a moment where they are now.
             self._break_off(t)
@@ -205,5 +207,9 @@ def _known_by_motion(whereabouts: Whereabouts, weighing: Weighing) -> list[int]:
     return [
         drone
         for drone, said in whereabouts.announced.items()
-        if is_vague(said) and weighing.tells_motion(drone) and not weighing.is_agreed(drone)
+        if is_vague(said) and _tells_motion(drone, weighing)
     ]
+
+
+def _tells_motion(drone: int, weighing: Weighing) -> bool:
+    return weighing.tells_motion(drone) and not weighing.is_agreed(drone)
