@@ -277,18 +277,18 @@ def _in_step(link: str) -> str:
 def _transport(
     config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub
 ) -> tuple[Transport, KeyRenewal | None]:
-    network, drone_id = config.network, config.drone.id
+    network, drone_id, cameras = config.network, config.drone.id, len(config.cameras)
     if network.transport == "memory":
         return MemoryTransport(hub, network.team, drone_id, boot, clock), None
     credentials = credentials_of(config, clock)
     settings = topology.of_drone(network, drone_id, credentials)
     if credentials is None:
-        return ZenohTransport(settings, drone_id, boot, clock), None
+        return ZenohTransport(settings, drone_id, boot, clock, cameras=cameras), None
     from swarmtrack.runtime.key_renewal import KeyRenewal  # noqa: PLC0415
     from swarmtrack.security.roster_watch import RosterWatch  # noqa: PLC0415
 
     sign, verify = credentials.sign, credentials.verify
-    transport = ZenohTransport(settings, drone_id, boot, clock, sign=sign, verify=verify)
+    transport = ZenohTransport(settings, drone_id, boot, clock, sign=sign, verify=verify, cameras=cameras)
     return transport, KeyRenewal(RosterWatch(credentials.ca.parent, credentials, clock), transport)
 
 
