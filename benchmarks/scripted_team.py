@@ -57,8 +57,8 @@ class InView(NamedTuple):
 
 
 class ScriptedDrone:
-    """One on a circle, looking at its middle; with several cameras, which look all around, it turns. calls: by what name
-    it calls whom; imu_hz: what it gets; pictures: how many it has sent, of each camera."""
+    """One on a circle, looking at its middle; with several cameras, which look all around, it turns. calls: by which
+    name it calls whom; imu_hz: what it gets; pictures: how many it has sent, of each camera."""
 
     def __init__(
         self,

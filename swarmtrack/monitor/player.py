@@ -97,7 +97,7 @@ class Playback:
             if few or drone["id"] in whom:
                 tracks = self.timeline.newest_tracks(drone["id"], t, max_age=VIEW_S)
                 drone["metres"] = metres(tracks)
-                drone["around"] = around_state(team.rig(drone["id"]), tracks)
+                drone["around"] = around_state(team.rig(drone["id"]), tracks, few=few)
         return state
 
     def seek(self, step: int) -> None:

@@ -340,7 +340,7 @@ class MonitoredTeam:
             "position_m": None if position is None else [round(p, 2) for p in position],
             "wedges": [wedge for view in fresh if (wedge := _wedge(view))],
             "cameras": _cameras_of(drone),
-            "around": around_state(drone.rig, tracks),
+            "around": around_state(drone.rig, tracks, few=len(self._drones) <= MAPPED),
             "rays": []
             if report is None
             else [[s.drone_id, *np.round(s.direction, 3).tolist()] for s in report.sightings],
@@ -372,12 +372,12 @@ def _cameras_of(drone: Drone) -> int:
     return max(drone.views, default=0) + 1
 
 
-def around_state(rig: Rig | None, tracks: TracksMessage | None) -> dict[str, Any] | None:
-    """All directions around a drone with several cameras: its fields of view, and its tracks; None where that is not
-    known."""
-    if rig is None or tracks is None:
+def around_state(rig: Rig | None, tracks: TracksMessage | None, *, few: bool) -> dict[str, Any] | None:
+    """All directions around a drone with several cameras: its fields of view, and its tracks; None where nobody knows,
+    or, of many drones, nobody looks."""
+    if rig is None or (tracks is None and not few):
         return None
-    return {"outlines": rig.outlines, "tracks": rig.around(tracks)}
+    return {"outlines": rig.outlines, "tracks": [] if tracks is None else rig.around(tracks)}
 
 
 def _wedge(view: VideoMessage) -> list[float] | None:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.protobuf_topics import decoded
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config, mount_camera
 from swarmtrack.errors import ConfigError, RecordingError
@@ -22,8 +23,9 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
-from swarmtrack.monitor.own_recording import DroneRecording
-from swarmtrack.monitor.timeline import BlobFile
+from swarmtrack.monitor.overlay import boxes
+from swarmtrack.monitor.player import Playback
+from swarmtrack.monitor.recorded import read_timeline
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Recording, recordings_below
 from swarmtrack.recording.settings import FlightSettings, attachments, read_settings
@@ -116,19 +118,36 @@ def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
     assert [len(seen) for seen in shades.values()] == [6, 6]
 
 
-def test_the_page_of_a_recording_shows_the_first_camera_s_pictures_and_the_tracks_of_all(tmp_path):
-    shown = DroneRecording(recorded(tmp_path), BlobFile())
-    shown.read()
-    assert shown.refused == 0
-    views = list(shown.views(0.0))
-    # Up to 10 Hz, of the 6 pictures that it has.
-    assert len(views) == 6
-    pictures = [shown._blob_file.get(view.picture) for view in views if view.picture is not None]
-    shades = {
-        round(float(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_GRAYSCALE).mean()))
-        for one in pictures
+def test_the_page_of_a_recording_shows_the_pictures_of_each_camera(tmp_path):
+    recorded(tmp_path)
+    playback = Playback(read_timeline([tmp_path / "rec"]))
+    playback.seek(playback.steps)
+    assert playback.timeline.notes == []
+    assert playback.cameras == ((3, 0), (3, 1))
+    (drone,) = playback.state()["drones"]
+    assert [round(np.ptp(np.array(line)[:, 0])) for line in drone["around"]["outlines"]] == [56, 56]
+    # The first sees one left of its middle, the second, which looks right, one where its middle is.
+    assert [(round(track.right_deg), track.camera) for track in drone["around"]["tracks"]] == [
+        (-11, 0),
+        (88, 1),
+    ]
+    for camera, shade in ((0, 40), (1, 100)):
+        view, tracks = playback.seen(3, camera)
+        picture = cv2.imdecode(np.frombuffer(view.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert round(float(picture.mean())) == shade
+        (box,) = boxes(view, tracks, camera, playback.rig(3))
+        assert box["box"][0] == pytest.approx(100.0 + 50.0 * camera, abs=2.0)
+
+
+def test_a_viewer_finds_the_pictures_of_each_camera_in_its_frame(tmp_path):
+    recorded(tmp_path)
+    told = decoded(tmp_path / "rec")
+    assert {image.frame_id for image in told["/camera/image"]} == {"drone-3/camera"}
+    assert {image.frame_id for image in told["/camera/2/image"]} == {"drone-3/camera-2"}
+    assert {entity.frame_id for entity in told["/cameras"][0].entities} == {
+        "drone-3/camera",
+        "drone-3/camera-2",
     }
-    assert shades == {40}
 
 
 @pytest.mark.parametrize(
