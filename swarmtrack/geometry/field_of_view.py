@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.camera import Mask, PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 
@@ -87,7 +87,7 @@ def _all_but(hole: Array, axis: float) -> Array:
     return np.vstack([frame[0], one, frame[1], other[::-1] - [2.0 * math.pi, 0.0], closing])
 
 
-def _sees(camera: PinholeCamera, body_from_camera: Pose, directions: Array) -> Array:
+def _sees(camera: PinholeCamera, body_from_camera: Pose, directions: Array) -> Mask:
     """Which directions (n, 3) in body axes are in the picture (n,)."""
     pixels, _, valid = camera.project(directions @ np.asarray(body_from_camera.rotation))
     return np.asarray(valid & camera.contains(np.where(valid[:, None], pixels, -1e9)))
@@ -109,5 +109,5 @@ def _within_reach(camera: PinholeCamera, border: Array) -> Array:
     return within
 
 
-def _is_seen(camera: PinholeCamera, pixels: Array) -> Array:
-    return np.isfinite(camera.bearing(pixels)).all(axis=1)
+def _is_seen(camera: PinholeCamera, pixels: Array) -> Mask:
+    return np.asarray(np.isfinite(camera.bearing(pixels)).all(axis=1))

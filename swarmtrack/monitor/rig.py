@@ -14,7 +14,7 @@ from swarmtrack.geometry.field_of_view import around, outline_around
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 from swarmtrack.monitor.metres import ORIGIN
-from swarmtrack.wire.camera import CameraMessage, mounting_from
+from swarmtrack.wire.camera import CameraMessage, OtherCamera, mounting_from
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -54,7 +54,7 @@ class Rig:
 
     @classmethod
     def of(cls, message: CameraMessage) -> Rig:
-        cameras = (message, *message.others)
+        cameras: tuple[CameraMessage | OtherCamera, ...] = (message, *message.others)
         return cls(
             tuple(camera_from(one.lens) for one in cameras), tuple(mounting_from(one) for one in cameras)
         )
@@ -82,10 +82,12 @@ class Rig:
             for track, (centre, *_), (_, left, right, top, bottom) in zip(shown, where, rays, strict=True):
                 if not (np.isfinite(centre).all() and np.isfinite([left, right, top, bottom]).all()):
                     continue
+                to_right, up = centre.round(1).tolist()
                 found.append(
                     SeenAround(
                         track.identity,
-                        *centre.round(1).tolist(),
+                        to_right,
+                        up,
                         _angle_deg(left, right),
                         _angle_deg(top, bottom),
                         track.status == "lost",
