@@ -437,7 +437,7 @@ def make_notices(parts: Parts) -> PilotNotices:
         autopilot if isinstance(autopilot, MavlinkAutopilot) else None,
         config.autopilot.tell,
         parts.door.perceived,
-        parts.lens,
+        parts.lenses,
         drone_id=config.drone.id,
         boot=parts.boot,
         team=config.network.team,
