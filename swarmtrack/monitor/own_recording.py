@@ -32,7 +32,7 @@ from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
 from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
-from swarmtrack.replay.replayer import jpeg_of
+from swarmtrack.replay.recorded_frames import jpeg_of
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.transport import keys

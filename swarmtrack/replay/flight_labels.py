@@ -29,7 +29,7 @@ from swarmtrack.recording.merge import shifts
 from swarmtrack.recording.outputs import FRAMES_TOPIC, IMAGES_TOPIC
 from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings, read_settings
-from swarmtrack.replay.replayer import jpeg_of
+from swarmtrack.replay.recorded_frames import jpeg_of
 from swarmtrack.runtime.perception import make_ego_history
 
 TOPICS = {

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from support.protobuf_topics import decoded
+from swarmtrack.agents.main import main
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config, mount_camera
 from swarmtrack.errors import ConfigError, RecordingError
@@ -30,6 +31,7 @@ from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Recording, recordings_below
 from swarmtrack.recording.settings import FlightSettings, attachments, read_settings
 from swarmtrack.replay.replayer import Replayer
+from swarmtrack.replay.tiled_video import WIDEST, Tiles
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.flight_recorder import FlightRecorder
 from swarmtrack.runtime.perception import make_onboard
@@ -148,6 +150,55 @@ def test_a_viewer_finds_the_pictures_of_each_camera_in_its_frame(tmp_path):
         "drone-3/camera",
         "drone-3/camera-2",
     }
+
+
+def pictures_of(path: Path) -> list[np.ndarray]:
+    video = cv2.VideoCapture(str(path))
+    found = []
+    while (read := video.read())[0]:
+        found.append(read[1])
+    return found
+
+
+def test_a_replay_shows_the_pictures_of_all_cameras_side_by_side_with_the_boxes_of_each(tmp_path, capsys):
+    recorded(tmp_path)
+    whole, one = tmp_path / "whole.webm", tmp_path / "one.mp4"
+    assert main(["replay", str(tmp_path / "rec"), "--video", str(whole)]) == 0
+    assert f"12 pictures in {whole}" in capsys.readouterr().out
+    last = pictures_of(whole)[-1]
+    assert last.shape == (240, 640, 3)
+    # Above the boxes and below the line at the top.
+    assert last[60:80, :320].mean() == pytest.approx(40, abs=5)
+    assert last[60:80, 320:].mean() == pytest.approx(100, abs=5)
+    assert main(["replay", str(tmp_path / "rec"), "--video", str(one), "--camera", "2"]) == 0
+    last = pictures_of(one)[-1]
+    assert last.shape == (240, 320, 3)
+    assert last[60:80].mean() == pytest.approx(100, abs=5)
+    # Its own target is at 150, and that of the other camera at 100 is not drawn here.
+    columns = np.flatnonzero((np.ptp(last[105:135].astype(int), axis=2) > 60).any(axis=0))
+    assert 135 < columns.min() < columns.max() < 200
+
+
+def test_of_cameras_that_a_drone_had_not_there_is_no_video(tmp_path, capsys):
+    recorded(tmp_path)
+    words = ["replay", str(tmp_path / "rec"), "--video", str(tmp_path / "x.mp4"), "--camera", "3"]
+    assert main(words) == 2
+    assert "--camera 3: expected 1 to 2" in capsys.readouterr().err
+
+
+def test_eight_pictures_fit_into_one_and_each_has_its_place():
+    tiles = Tiles([(640, 480)] * 8)
+    for k in range(8):
+        tiles.put(k, np.full((480, 640, 3), 20 * (k + 1), np.uint8))
+    height, width, _ = tiles.picture.shape
+    assert width <= WIDEST + 8
+    assert height % 2 == width % 2 == 0
+    at = [
+        (tiles.picture[height // 4 + row * height // 2, width // 8 + k * width // 4, 0])
+        for row in (0, 1)
+        for k in range(4)
+    ]
+    assert at == [20 * (k + 1) for k in range(8)]
 
 
 @pytest.mark.parametrize(
