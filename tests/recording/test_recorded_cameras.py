@@ -14,11 +14,16 @@ from swarmtrack.agents.main import main
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config import load_config, mount_camera
 from swarmtrack.errors import ConfigError, RecordingError
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import (
+    Announcement,
+    Array,
     Detections,
+    EgoPose,
     Frame,
     IdentifiedTrack,
     ScanReport,
+    SightingReport,
     StampKind,
     Track,
     TrackList,
@@ -30,6 +35,7 @@ from swarmtrack.monitor.recorded import read_timeline
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Recording, recordings_below
 from swarmtrack.recording.settings import FlightSettings, attachments, read_settings
+from swarmtrack.replay.flight_labels import Body, FlightLabels
 from swarmtrack.replay.replayer import Replayer
 from swarmtrack.replay.tiled_video import WIDEST, Tiles
 from swarmtrack.runtime.door import Door
@@ -57,18 +63,26 @@ TURNED = (
 )
 
 
-def recorded(folder: Path) -> Recording:
-    """A second of two cameras, of which either sees one target."""
+def recorded(folder: Path, *, teammate: Array | None = None) -> Recording:
+    """A second of two cameras, of which either sees one target. teammate: where drone 5 says it stands, of one that
+    stands in the team's origin and looks north."""
+    start = None if teammate is None else Pose.identity()
     settings = settings_of(folder, "", TURNED)
+    settings = FlightSettings(settings.config, settings.cameras, start)
     clock = ManualClock(100.0, 1.8e9)
     recorder = FlightRecorder(settings, "0123abcd", clock, SystemClock(), waits=True)
     recorder.open()
-    door = Door(make_onboard(settings.config, settings.cameras, None))
+    door = Door(make_onboard(settings.config, settings.cameras, start))
     door.listener = recorder
     one = np.ones((1, 2))
     for k in range(30):
         camera, t = k % 2, 100.0 + k / 30.0
         clock.set(t)
+        if teammate is not None:
+            door.tell(EgoPose(t, np.zeros(3), np.eye(3), 0.01, 0.001))
+            if not k:
+                door.tell(Announcement(5, "00000005", 1, t, 0.0, teammate, np.eye(3), 1e-4 * np.eye(3)))
+            door.tell(SightingReport(5, "00000005", k, t, 0.0, teammate, 0.01, (), ()))
         picture = np.full((240, 320), 40 + 60 * camera, np.uint8)
         recorder.frame(Frame(t, 0.0, k // 2, picture, StampKind.EXPOSURE, camera))
         centre = np.array([[100.0 + 50.0 * camera, 120.0]])
@@ -150,6 +164,27 @@ def test_a_viewer_finds_the_pictures_of_each_camera_in_its_frame(tmp_path):
         "drone-3/camera",
         "drone-3/camera-2",
     }
+
+
+def test_pictures_of_every_camera_are_labelled_each_by_its_own_lens_and_mounting(tmp_path):
+    """One metre north and eight east: in the picture of the second camera, which looks right, not in the first's."""
+    recording = recorded(tmp_path, teammate=np.array([1.0, 8.1, 0.0]))
+    labels = FlightLabels([recording], Body(3.0, 1.0))
+    pictures = list(labels.pictures())
+    by_camera = {k: [one for one in pictures if one.camera == k] for k in (0, 1)}
+    assert [len(by_camera[k]) >= 4 for k in (0, 1)] == [True, True]
+    assert all(picture.labels == [] for picture in by_camera[0])
+    for picture in by_camera[1]:
+        (label,) = picture.labels
+        assert label.drone_id == 5
+        # Of a cuboid of 3 m its near face is the larger, 6.5 m away; north is left.
+        left, right = (159.5 - 300.0 * side / 6.5 for side in (1.0 + 1.5, 1.0 - 1.5))
+        assert label.box[0] == pytest.approx(left, abs=0.5)
+        assert label.box[0] + label.box[2] == pytest.approx(right, abs=0.5)
+    out = tmp_path / "data"
+    assert main(["label", str(tmp_path / "rec"), "--span", "3", "--out", str(out)]) == 0
+    names = {path.name.rpartition("_")[0] for path in (out / "images").iterdir()}
+    assert names == {"drone-3", "drone-3_camera-2"}
 
 
 def pictures_of(path: Path) -> list[np.ndarray]:
