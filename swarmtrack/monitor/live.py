@@ -9,8 +9,8 @@ from typing import Any, Protocol
 
 from swarmtrack.errors import TransportError
 from swarmtrack.evaluation.flight_end import FlightEnd
+from swarmtrack.monitor.drone_cameras import ViewKey
 from swarmtrack.monitor.overlay import boxes
-from swarmtrack.monitor.rig import ViewKey
 from swarmtrack.monitor.server import STATE_HZ, Audience
 from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.transport import keys

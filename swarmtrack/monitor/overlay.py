@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.messages import Array
-from swarmtrack.monitor.rig import FAR_M, Rig, distances, tracks_of
+from swarmtrack.monitor.drone_cameras import FAR_M, DroneCameras, distances, tracks_of
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage, track_cov
@@ -28,7 +28,7 @@ class _Placed(NamedTuple):
 
 
 def boxes(
-    view: VideoMessage, tracks: TracksMessage | None, camera: int = 0, rig: Rig | None = None
+    view: VideoMessage, tracks: TracksMessage | None, camera: int = 0, rig: DroneCameras | None = None
 ) -> list[dict[str, Any]]:
     """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad).
 
@@ -79,7 +79,9 @@ def _own(view: VideoMessage, tracks: TracksMessage, number: int) -> Iterator[_Pl
             yield _Placed(track, uv, np.linalg.inv(J), np.array([track.w_px, track.h_px]))
 
 
-def _of_others(tracks: TracksMessage, away: dict[int, float], camera: int, rig: Rig) -> Iterator[_Placed]:
+def _of_others(
+    tracks: TracksMessage, away: dict[int, float], camera: int, rig: DroneCameras
+) -> Iterator[_Placed]:
     """Tracks in other cameras' pixels that this one sees, too."""
     for number in range(len(rig.lenses)):
         for track in tracks_of(tracks, number) if number != camera else ():

@@ -308,7 +308,7 @@ class _View(NamedTuple):
     picture: Blob | None
 
 
-class _Scan(msgspec.Struct):
+class _ScanHead(msgspec.Struct):
     """As much of a record as tells its time, and whose picture it was."""
 
     t_s: float
@@ -331,7 +331,7 @@ class _Seen(NamedTuple):
 
 
 _DECODE_SAID = msgspec.json.Decoder(_Said).decode
-_DECODE_SCAN = msgspec.json.Decoder(_Scan).decode
+_DECODE_SCAN = msgspec.json.Decoder(_ScanHead).decode
 
 
 def _is_due(views: list[_View], t: float) -> bool:

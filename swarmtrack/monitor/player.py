@@ -16,9 +16,9 @@ from typing import Any
 
 import msgspec
 
+from swarmtrack.monitor.drone_cameras import DroneCameras, ViewKey
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.overlay import boxes
-from swarmtrack.monitor.rig import Rig, ViewKey
 from swarmtrack.monitor.server import Audience
 from swarmtrack.monitor.team import VIEW_S, MonitoredTeam, around_state
 from swarmtrack.monitor.timeline import Blob, Timeline
@@ -121,7 +121,7 @@ class Playback:
             message = msgspec.structs.replace(message, jpeg=self.timeline.blob_file.get(view.picture))
         return message, self.timeline.tracks_at(drone_id, message.t_utc_s)
 
-    def rig(self, drone_id: int) -> Rig | None:
+    def rig(self, drone_id: int) -> DroneCameras | None:
         """The cameras of a drone with several."""
         return self._scene.team.rig(drone_id)
 

@@ -23,7 +23,7 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from swarmtrack.monitor.access import AccessGuard
-from swarmtrack.monitor.rig import ViewKey
+from swarmtrack.monitor.drone_cameras import ViewKey
 from swarmtrack.wire.video import VideoMessage
 
 PAGE = Path(__file__).parent / "page" / "index.html"

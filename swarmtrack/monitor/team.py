@@ -14,8 +14,8 @@ from swarmtrack.clock import Clock
 from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.geometry.field_of_view import half_angles
 from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.monitor.drone_cameras import CameraView, DroneCameras, ViewKey
 from swarmtrack.monitor.metres import MAPPED, metres
-from swarmtrack.monitor.rig import CameraView, Rig, ViewKey
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -64,7 +64,7 @@ class Drone:
     tracked_at: float = -math.inf
     health: HealthMessage | None = None
     history: deque[tuple[float, ...]] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    rig: Rig | None = None
+    rig: DroneCameras | None = None
     """Of a drone with several cameras that told of them."""
     views: dict[int, tuple[float, VideoMessage]] = field(default_factory=dict)
     """The newest of each camera, and when it came."""
@@ -147,7 +147,7 @@ class MonitoredTeam:
             (drone_id, k) for drone_id, drone in self._drones.items() for k in range(_cameras_of(drone))
         )
 
-    def rig(self, drone_id: int) -> Rig | None:
+    def rig(self, drone_id: int) -> DroneCameras | None:
         """The cameras of a drone with several; None where it has one, or has not told of them."""
         drone = self._drones.get(drone_id)
         return None if drone is None else drone.rig
@@ -237,7 +237,7 @@ class MonitoredTeam:
             case HealthMessage():
                 self._on_health(drone_id, drone, message)
             case CameraMessage() if message.drone_id == drone_id:
-                drone.rig = Rig.of(message) if message.others else None
+                drone.rig = DroneCameras.of(message) if message.others else None
                 drone.views = {k: view for k, view in drone.views.items() if k <= len(message.others)}
 
     def _on_sightings(self, drone: Drone, message: SightingsMessage, arrived: float) -> None:
@@ -372,7 +372,9 @@ def _cameras_of(drone: Drone) -> int:
     return max(drone.views, default=0) + 1
 
 
-def around_state(rig: Rig | None, tracks: TracksMessage | None, *, few: bool) -> dict[str, Any] | None:
+def around_state(
+    rig: DroneCameras | None, tracks: TracksMessage | None, *, few: bool
+) -> dict[str, Any] | None:
     """All directions around a drone with several cameras: its fields of view, and its tracks; None where nobody knows,
     or, of many drones, nobody looks."""
     if rig is None or (tracks is None and not few):

@@ -46,14 +46,14 @@ class SeenAround(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Rig:
+class DroneCameras:
     """lenses, mountings (body_from_camera): in the order of the drone's config."""
 
     lenses: tuple[PinholeCamera, ...]
     mountings: tuple[Pose, ...]
 
     @classmethod
-    def of(cls, message: CameraMessage) -> Rig:
+    def of(cls, message: CameraMessage) -> DroneCameras:
         cameras: tuple[CameraMessage | OtherCamera, ...] = (message, *message.others)
         return cls(
             tuple(camera_from(one.lens) for one in cameras), tuple(mounting_from(one) for one in cameras)

@@ -16,8 +16,8 @@ from support.seen_swarm import LENS, UTC, seen, teammate
 from swarmtrack.clock import ManualClock
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, from_euler, to_quaternion
+from swarmtrack.monitor.drone_cameras import DroneCameras, SeenAround
 from swarmtrack.monitor.overlay import boxes
-from swarmtrack.monitor.rig import Rig, SeenAround
 from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -130,8 +130,8 @@ def test_the_map_has_a_wedge_for_each_camera_that_is_looked_at_but_none_for_one_
 # --- boxes in the pictures ------------------------------------------------------------------------
 
 
-def rig(*mountings: Pose) -> Rig:
-    return Rig((LENS,) * len(mountings), mountings)
+def rig(*mountings: Pose) -> DroneCameras:
+    return DroneCameras((LENS,) * len(mountings), mountings)
 
 
 def test_a_picture_has_the_boxes_of_its_own_camera():
