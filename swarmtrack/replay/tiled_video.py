@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.messages import Array, Frame, Image, ScanReport
+from swarmtrack.messages import Frame, Image, ScanReport
 from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.replay.recorded_frames import RecordedFrames
@@ -93,10 +93,10 @@ class Tiles:
         return self._whole.copy()
 
     def put(self, place: int, image: Image) -> None:
-        tile: Array | Image = image
+        tile = image
         if self._share < 1.0:
             size = (round(self._share * image.shape[1]), round(self._share * image.shape[0]))
-            tile = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+            tile = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         row, column = divmod(place, self._columns)
         top, left = row * self._height, column * self._width
         self._whole[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
