@@ -85,7 +85,8 @@ def _write(out: Path, pictures: Iterable[LabelledPicture]) -> tuple[int, int]:
         image_rows.writerow(["image", "source", "scene"])
         label_rows.writerow(["image", "x", "y", "w", "h", "label"])
         for picture in pictures:
-            name = f"drone-{picture.observer}_{picture.sequence:07d}.jpg"
+            camera = f"_camera-{picture.camera + 1}" if picture.camera else ""
+            name = f"drone-{picture.observer}{camera}_{picture.sequence:07d}.jpg"
             (out / "images" / name).write_bytes(picture.jpeg)
             image_rows.writerow([name, f"drone-{picture.observer}", out.name])
             for label in picture.labels:

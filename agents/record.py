@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         network = network_of_monitor(args)
         wanted = keys.all_but_video(network.team)
         if args.video:
-            wanted.append(keys.key(network.team, Kind.VIDEO, "*"))
+            wanted.append(keys.key(network.team, Kind.VIDEO, "*", "**"))
         listener = ZenohListener(network, wanted, clock)
     except TransportError as error:
         print(f"swarmtrack record: {error}", file=sys.stderr)

@@ -62,6 +62,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(parser, "--json", "write results, tracks and differences to this file")
     add_file(parser, "--plot", "draw the differences, .png or .svg (needs matplotlib)")
+    add_file(
+        parser,
+        "--video",
+        "write the recorded pictures with what is tracked in them, of several cameras side by side; .webm or .mp4",
+    )
+    parser.add_argument(
+        "--camera", type=count, metavar="N", help="of several cameras only this one in --video, from 1"
+    )
     add_flag(
         parser,
         "--exact",
@@ -82,6 +90,9 @@ class _Task:
     detect: bool
     for_verdict: bool
     every_answer: bool
+    video: Path | None
+    camera: int | None
+    """From 0; None: all."""
 
 
 @dataclass(slots=True)
@@ -97,6 +108,8 @@ class _Flown:
     published: Published
     scans: list[SeenScan]
     recorded_scans: list[SeenScan]
+    pictures: int | None
+    """In its video."""
     diff: ReplayDiff | None = None
 
 
@@ -115,18 +128,31 @@ def run(args: argparse.Namespace) -> int:
             f"{', '.join(map(str, args.paths))}: nothing there that a drone was told, expected an agent's recording"
         )
     if args.detect:
-        _check_pictures(drones)
+        _check_pictures(drones, "--detect")
+    if args.video is not None:
+        _check_video(args, drones)
     other = None if args.against in (None, RECORDED) else _read_other(Path(args.against))
     tasks = [
-        _Task(recording, args.tracker, tuple(args.changes), args.detect, flight is not None, args.exact)
+        _Task(
+            recording,
+            args.tracker,
+            tuple(args.changes),
+            args.detect,
+            flight is not None,
+            args.exact,
+            _video_of(args.video, recording, drones),
+            None if args.camera is None else args.camera - 1,
+        )
         for recording in drones
     ]
     what_if = bool(args.tracker or args.changes or args.detect)
     flown, as_heard = _replay_all(tasks, None if what_if else flight, args.jobs)
     if args.against is not None or what_if or args.plot:
         _compare(flown, other)
-    for one in flown:
+    for one, task in zip(flown, tasks, strict=True):
         _print(one, what_if)
+        if task.video is not None:
+            print(f"  {one.pictures} pictures in {task.video}")
     judged = None if flight is None else _judge(flight, flown, as_heard, what_if)
     if args.plot is not None:
         _plot(flown, args.plot, args.against or RECORDED)
@@ -142,14 +168,31 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(judged.report)
 
 
-def _check_pictures(recordings: list[Recording]) -> None:
-    """Raises RecordingError where a detector would have nothing to look at."""
-    from swarmtrack.recording.outputs import IMAGES_TOPIC
+def _check_video(args: argparse.Namespace, recordings: list[Recording]) -> None:
+    from swarmtrack.runtime.outputs import check_outputs
+
+    check_outputs(None, args.video)
+    _check_pictures(recordings, "--video")
+
+
+def _video_of(path: Path | None, recording: Recording, recordings: list[Recording]) -> Path | None:
+    """Of several drones each has its own, and each life of one."""
+    if path is None or len(recordings) == 1:
+        return path
+    lives = [one for one in recordings if one.drone_id == recording.drone_id]
+    life = "" if len(lives) == 1 else f"-{lives.index(recording) + 1}"
+    return path.with_stem(f"{path.stem}-drone-{recording.drone_id}{life}")
+
+
+def _check_pictures(recordings: list[Recording], wish: str) -> None:
+    """Raises RecordingError where there would be nothing to look at."""
+    from swarmtrack.messages import MOST_CAMERAS
+    from swarmtrack.recording.outputs import image_topic
 
     for recording in recordings:
-        if not any(True for _ in recording.messages({IMAGES_TOPIC})):
+        if not any(True for _ in recording.messages({image_topic(k) for k in range(MOST_CAMERAS)})):
             raise RecordingError(
-                f"{recording.folder}: --detect: holds no pictures, expected a recording with [recording] "
+                f"{recording.folder}: {wish}: holds no pictures, expected a recording with [recording] "
                 'frames = "jpeg"'
             )
 
@@ -207,6 +250,11 @@ def _replay(task: _Task) -> _Flown:
         if task.for_verdict and not replayed.exact:
             changed = []
             replayed = fly(changed.append)
+    seconds, pictures = clock.now() - began, None
+    if task.video is not None:
+        from swarmtrack.replay.tiled_video import write_video
+
+        pictures = write_video(task.video, task.recording, settings, replayed.scans, task.camera)
     scans, recorded = (
         seen_scans(reports, replayed.begin) for reports in (replayed.scans, replayed.recorded_scans)
     )
@@ -215,11 +263,12 @@ def _replay(task: _Task) -> _Flown:
         task.recording,
         settings.config.tracker.name,
         replayed,
-        clock.now() - began,
+        seconds,
         notes,
         Published(replayed.asked, changed),
         scans,
         recorded,
+        pictures,
     )
 
 

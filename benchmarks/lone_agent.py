@@ -105,12 +105,11 @@ def scripted_entries(port: int, team: str) -> dict[str, Any]:
 
 @contextmanager
 def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subprocess.Popen[bytes]]:
-    """`python -m MODULE… --config` with these dotted keys as its config, ended on leaving."""
+    """`python -m MODULE… --config` with these dotted keys as its config, ended on leaving. A list of tables, each of
+    dotted keys, is an array of tables: `{"camera": [{"source": …}, …]}`."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "drone.toml"
-        config.write_text(
-            "".join(f"{key} = {json.dumps(value)}\n" for key, value in entries.items()), encoding="utf-8"
-        )
+        config.write_text(_as_toml(entries), encoding="utf-8")
         command = [sys.executable, "-m", *module, "--config", str(config)]
         process = subprocess.Popen(command, env=agent_environment(), stdout=subprocess.DEVNULL)
         try:
@@ -122,6 +121,19 @@ def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subpro
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+def _as_toml(entries: Mapping[str, Any]) -> str:
+    plain = {key: value for key, value in entries.items() if not _is_tables(value)}
+    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in plain.items())
+    for key, tables in entries.items():
+        if _is_tables(tables):
+            text += "".join(f"[[{key}]]\n{_as_toml(table)}" for table in tables)
+    return text
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(one, dict) for one in value)
 
 
 @asynccontextmanager

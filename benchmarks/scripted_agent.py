@@ -83,7 +83,8 @@ class ScriptedDetector:
         phase = 0.7 * frame.t + np.arange(DRONES)
         path = 30.0 * np.stack([np.sin(phase), np.cos(phase)], axis=1)
         centre = self._centre + path + CENTRE_SIGMA * self._rng.standard_normal((DRONES, 2))
-        return Detections(frame.t, frame.sequence, centre, np.full((DRONES, 2), 30.0), np.full(DRONES, 0.9))
+        size, score = np.full((DRONES, 2), 30.0), np.full(DRONES, 0.9)
+        return Detections(frame.t, frame.sequence, centre, size, score, camera=frame.camera)
 
     def warm_up(self, width: int, height: int) -> None:
         if self._real is not None:
@@ -102,12 +103,12 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     parts = assemble(load_config(options.config), SystemClock())
     size = parts.lens.width, parts.lens.height
-    parts.camera = ScriptedCamera(parts.clock, options.fps, *size)
+    parts.cameras = [ScriptedCamera(parts.clock, options.fps, *size) for _ in parts.cameras]
     scripted = ScriptedDetector(parts.detector if options.detector else None, 1e-3 * options.look_ms, *size)
     parts.detector = cast(Detector, scripted)  # it has what the agent asks of one
 
     async def fly() -> None:
-        agent = Agent(parts, console=Console(parts.lens, quiet=True))
+        agent = Agent(parts, console=Console(*parts.lenses, quiet=True))
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, agent.stop)
         await agent.run()
 

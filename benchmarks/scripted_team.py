@@ -9,7 +9,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +17,8 @@ import zenoh
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, exp, to_quaternion
 from swarmtrack.messages import (
     Announcement,
     IdentifiedTrack,
@@ -34,6 +35,7 @@ from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import announcement_message
+from swarmtrack.wire.camera import camera_message
 from swarmtrack.wire.health import HealthMessage, LatencyHealth, LinkHealth, RateHealth
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.sightings import sightings_message
@@ -43,18 +45,37 @@ from swarmtrack.wire.video import VideoMessage
 CLOCK = SystemClock()
 FOCAL = 180.0  # px: 83 degrees, so that three on a circle see each other
 CAMERA = PinholeCamera(FOCAL, FOCAL, 160.0, 128.0, 320, 256)
+DOWN = np.array([0.0, 0.0, 1.0])
+SPIN = 0.15  # rad/s of a drone with several cameras: who it sees goes from one to the next
+
+
+class InView(NamedTuple):
+    """A teammate in one of the cameras: number, and vector in its frame (3,)."""
+
+    camera: int
+    vector: np.ndarray
 
 
 class ScriptedDrone:
-    """One on a circle, looking at its middle. calls: by what name it calls whom; imu_hz: what it gets."""
+    """One on a circle, looking at its middle; with several cameras, which look all around, it turns. calls: by which
+    name it calls whom; imu_hz: what it gets; pictures: how many it has sent, of each camera."""
 
     def __init__(
-        self, session: zenoh.Session, team: str, drone_id: int, *, angle: float, radius: float
+        self,
+        session: zenoh.Session,
+        team: str,
+        drone_id: int,
+        *,
+        angle: float,
+        radius: float,
+        cameras: int = 1,
     ) -> None:
         self.drone_id = drone_id
         self.calls: dict[int, int] = {}
         self.imu_hz = 200.0
-        self.pictures = 0
+        self.pictures: list[int] = []
+        self._mountings: list[Pose] = []
+        self._pictures: list[zenoh.Publisher] = []
         self._angle = angle
         self._radius = radius
         self._boot = keys.new_boot()
@@ -63,8 +84,9 @@ class ScriptedDrone:
         self._token: zenoh.LivelinessToken | None = None
         self._publishers = {
             kind: session.declare_publisher(keys.key(team, kind, drone_id))
-            for kind in (Kind.POSE, Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
+            for kind in (Kind.POSE, Kind.CAMERA, Kind.IDENTITIES, Kind.TRACKS, Kind.HEALTH)
         }
+        self.look_around(cameras)
         self._sequence = 0
         self.team: list[ScriptedDrone] = []
         rng = np.random.default_rng(drone_id)
@@ -76,15 +98,32 @@ class ScriptedDrone:
         scene = np.where(row < 0.6, sky, ground) + rng.normal(0.0, 3.0, (CAMERA.height, CAMERA.width, 3))
         self._scene = np.clip(scene, 0, 255).astype(np.uint8)
 
+    def look_around(self, cameras: int) -> None:
+        """With so many cameras from now on."""
+        self._mountings = [
+            Pose(exp(2.0 * math.pi * k / cameras * DOWN) @ BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+            for k in range(cameras)
+        ]
+        for k in range(len(self._pictures), cameras):
+            key = keys.video_key(self._name, self.drone_id, k)
+            self._pictures.append(self._session.declare_publisher(key))
+            self.pictures.append(0)
+
     def position(self, t: float) -> np.ndarray:
         turn = self._angle + 0.05 * t
         return np.array([self._radius * math.cos(turn), self._radius * math.sin(turn), -2.0])
 
-    def camera(self, t: float) -> np.ndarray:
-        """world_from_camera (3, 3): level, right, down and ahead."""
-        turn = self._angle + 0.05 * t
-        north, east = -math.cos(turn), -math.sin(turn)
-        return np.array([[-east, 0.0, north], [north, 0.0, east], [0.0, 1.0, 0.0]])
+    def body(self, t: float) -> np.ndarray:
+        """world_from_body (3, 3), level."""
+        ahead = self._angle + 0.05 * t + math.pi  # to the middle of the circle
+        if len(self._mountings) > 1:
+            ahead += SPIN * t
+        north, east = math.cos(ahead), math.sin(ahead)
+        return np.array([[north, -east, 0.0], [east, north, 0.0], [0.0, 0.0, 1.0]])
+
+    def camera(self, t: float, number: int = 0) -> np.ndarray:
+        """world_from_camera (3, 3)."""
+        return self.body(t) @ self._mountings[number].rotation
 
     def start(self) -> None:
         token = keys.key(self._name, Kind.ALIVE, self.drone_id, self._boot)
@@ -103,8 +142,13 @@ class ScriptedDrone:
 
     @property
     def is_watched(self) -> bool:
-        status: Any = self._publishers[Kind.VIDEO].matching_status  # Zenoh's stubs call it a bool
-        return bool(status.matching)
+        return bool(self.watched)
+
+    @property
+    def watched(self) -> list[int]:
+        """Cameras whose pictures somebody listens to."""
+        status: list[Any] = [one.matching_status for one in self._pictures]  # Zenoh's stubs call it a bool
+        return [number for number, one in enumerate(status) if one.matching]
 
     def _say(self, kind: Kind, payload: bytes) -> None:
         self._publishers[kind].put(payload)
@@ -121,9 +165,12 @@ class ScriptedDrone:
             if tick % 10 == 0:
                 self._announce(now, offset)
                 self._say(Kind.HEALTH, codec.encode(self._health()))
+                lenses = [CAMERA] * len(self._mountings)
+                told = camera_message(self.drone_id, self._boot, lenses, self._mountings)
+                self._say(Kind.CAMERA, codec.encode(told))
             self._say_tracks(now, offset, seen)
-            if self.is_watched:
-                self._say_video(now, offset, seen)
+            for number in self.watched:
+                self._say_video(now, offset, seen, number)
             tick += 1
             await asyncio.sleep(0.1)
 
@@ -133,20 +180,21 @@ class ScriptedDrone:
         )
         self._say(Kind.POSE, codec.encode(announcement_message(pose, offset, now)))
 
-    def _in_view(self, now: float) -> dict[int, np.ndarray]:
-        """Vectors in the camera's frame, by true ID."""
+    def _in_view(self, now: float) -> dict[int, InView]:
+        """By true ID."""
         others = [other for other in self.team if other is not self]
         from_here = np.array([other.position(now) for other in others]).reshape(-1, 3) - self.position(now)
         return {
-            other.drone_id: there
-            for other, there in zip(others, from_here @ self.camera(now), strict=True)
+            other.drone_id: InView(number, there)
+            for number in range(len(self._mountings))
+            for other, there in zip(others, from_here @ self.camera(now, number), strict=True)
             if there[2] > 0.5 and abs(there[0]) < 0.85 * there[2]
         }
 
-    def _say_sightings(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
+    def _say_sightings(self, now: float, offset: float, seen: dict[int, InView]) -> None:
         sightings = [
-            Sighting(self.calls.get(who, who), 0.99, self.camera(now) @ (v / np.linalg.norm(v)), 0.01)
-            for who, v in seen.items()
+            Sighting(self.calls.get(who, who), 0.99, self.camera(now, k) @ (v / np.linalg.norm(v)), 0.01)
+            for who, (k, v) in seen.items()
         ]
         named = {s.drone_id: s for s in sightings}  # of each name one
         report = SightingReport(
@@ -162,9 +210,9 @@ class ScriptedDrone:
         )
         self._say(Kind.IDENTITIES, codec.encode(sightings_message(report, offset, now)))
 
-    def _say_tracks(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
+    def _say_tracks(self, now: float, offset: float, seen: dict[int, InView]) -> None:
         tracks = []
-        for who, v in seen.items():
+        for who, (number, v) in seen.items():
             u, w = FOCAL * v[0] / v[2] + 160.0, FOCAL * v[1] / v[2] + 128.0
             size = np.array([FOCAL, 0.4 * FOCAL]) * 0.9 / v[2]
             track = Track(
@@ -175,6 +223,7 @@ class ScriptedDrone:
                 TrackStatus.CONFIRMED,
                 1.0,
                 size,
+                camera=number,
             )
             called = self.calls.get(who, who)
             tracks.append(IdentifiedTrack(track, called, 0.99, relative=self._relative(who, called, now)))
@@ -190,9 +239,9 @@ class ScriptedDrone:
         cov = np.block([[spread, np.zeros((3, 3))], [np.zeros((3, 3)), 0.01 * np.eye(3)]])
         return RelativeState(called, now, there, (there - then) / 0.1, cov, 0.05, ("announcement",))
 
-    def _say_video(self, now: float, offset: float, seen: dict[int, np.ndarray]) -> None:
+    def _say_video(self, now: float, offset: float, seen: dict[int, InView], number: int) -> None:
         picture = self._scene.copy()
-        for v in seen.values():
+        for v in (one.vector for one in seen.values() if one.camera == number):
             centre = (round(FOCAL * v[0] / v[2] + 160.0), round(FOCAL * v[1] / v[2] + 128.0))
             cv2.ellipse(
                 picture,
@@ -205,13 +254,13 @@ class ScriptedDrone:
                 -1,
             )
         jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
-        camera = self.camera(now)
+        camera = self.camera(now, number)
         view = VideoMessage(
             1, now + offset, 0.05, self._sequence, CAMERA.width, CAMERA.height, jpeg, lens_message(CAMERA),
             tuple(self.position(now).tolist()), tuple(to_quaternion(camera).tolist()),
         )  # fmt: skip
-        self._say(Kind.VIDEO, codec.encode(view))
-        self.pictures += 1
+        self._pictures[number].put(codec.encode(view))
+        self.pictures[number] += 1
 
     def _health(self) -> HealthMessage:
         rng = np.random.default_rng(self._sequence)
@@ -231,11 +280,13 @@ class ScriptedDrone:
 
 
 @asynccontextmanager
-async def scripted_team(team: str, n: int) -> AsyncIterator[list[ScriptedDrone]]:
-    """n of them, 1 … n, on one circle."""
+async def scripted_team(team: str, n: int, cameras: int = 1) -> AsyncIterator[list[ScriptedDrone]]:
+    """n of them, 1 … n, on one circle, each with so many cameras."""
     session = await open_session(NetworkSettings(team=team))
     drones = [
-        ScriptedDrone(session, team, i + 1, angle=2.0 * math.pi * i / n, radius=4.0 + 0.6 * n)
+        ScriptedDrone(
+            session, team, i + 1, angle=2.0 * math.pi * i / n, radius=4.0 + 0.6 * n, cameras=cameras
+        )
         for i in range(n)
     ]
     try:

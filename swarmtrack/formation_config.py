@@ -12,7 +12,9 @@ from pydantic import Field, Strict, field_validator, model_validator
 from swarmtrack.formation.parameters import BOUNDS, FlightLimits, FormationParameters
 from swarmtrack.formation.plan import FormationPlan, HalfView, PlanFault, plan_faults
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.field_of_view import half_angles
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, to_euler
 from swarmtrack.toml.layers import Layers, Problem
 from swarmtrack.toml.sections import Number, Section, Switch, Vector, check_drone_ids, found
 
@@ -200,9 +202,7 @@ def _problem(layers: Layers, fault: PlanFault) -> Problem:
 
 def field_of_view(camera: PinholeCamera, body_from_camera: Pose) -> HalfView:
     """Of a drone that stands level."""
-    axis = np.asarray(body_from_camera.rotation)[:, 2]
-    return HalfView(
-        math.atan(0.5 * camera.width / camera.fx),
-        math.atan(0.5 * camera.height / camera.fy),
-        math.asin(min(max(-float(axis[2]), -1.0), 1.0)),
-    )
+    # As a drone that is turned like that camera would have it if it looked straight ahead.
+    turned = np.asarray(body_from_camera.rotation) @ BODY_FROM_FORWARD_CAMERA.T
+    roll, pitch, yaw = to_euler(turned).tolist()
+    return HalfView(*half_angles(camera), pitch, yaw, roll)

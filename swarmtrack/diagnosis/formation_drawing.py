@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from swarmtrack.formation.plan import VIEW_SHARE, FormationPlan, HalfView, neighbours_at_one_height
+from swarmtrack.formation.plan import (
+    VIEW_SHARE,
+    FormationPlan,
+    HalfView,
+    nearest_view,
+    neighbours_at_one_height,
+)
 
 # Signs of the text's drawing, at most; a sign is twice as high as wide.
 COLUMNS, ROWS = 61, 21
 # px of the SVG: one drawing's width, and the margin around it.
 PANEL, MARGIN = 440.0, 76.0
+ARC_STEPS = 8  # of the border of half a view
 COLOURS = {
     "leader": "#c2410c",
     "follower": "#1d4ed8",
@@ -20,9 +27,9 @@ COLOURS = {
 }
 
 
-def as_text(plan: FormationPlan, drone: int, view: HalfView) -> str:
-    """Seen from above, and a line for each slot. drone: whose config this is, with its view."""
-    lines = [*_grid(plan), *_slot_lines(plan, drone, view)]
+def as_text(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> str:
+    """Seen from above, and a line for each slot. drone: whose config this is, with the views of its cameras."""
+    lines = [*_grid(plan), *_slot_lines(plan, drone, views)]
     lines.append(
         f"the leader flies at most {plan.most_speed():.1f} m/s, and turns by 20°/s or less: else they fall behind"
     )
@@ -58,14 +65,15 @@ def _grid(plan: FormationPlan) -> Iterator[str]:
     yield from ("    " + "".join(row).rstrip() for row in signs)
 
 
-def _slot_lines(plan: FormationPlan, drone: int, view: HalfView) -> Iterator[str]:
+def _slot_lines(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> Iterator[str]:
     yield f"{plan.leader:5d}  leads, {plan.height_of(plan.leader):.1f} m high"
     for follower in plan.followers:
         north, east, _ = plan.slots[follower]
         looks = []
-        for look in plan.looks(follower, view.up):
-            share = max(abs(look.right) / view.half_width, abs(look.up) / view.half_height)
-            seen = f", at {share:.0%} of the half view" if follower == drone else ""
+        for look in plan.looks(follower):
+            number, share = nearest_view(look, views)
+            which = f" of camera {number + 1}" if len(views) > 1 else ""
+            seen = f", at {share:.0%} of the half view{which}" if follower == drone else ""
             looks.append(f"drone {look.reference} {look.distance:.1f} m away{seen}")
         mine = "  (this drone)" if follower == drone else ""
         yield (
@@ -74,8 +82,8 @@ def _slot_lines(plan: FormationPlan, drone: int, view: HalfView) -> Iterator[str
         )
 
 
-def as_svg(plan: FormationPlan, drone: int, view: HalfView) -> str:
-    """The same from above and from the south, with this drone's view; for a browser."""
+def as_svg(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> str:
+    """The same from above and from the south, with this drone's views; for a browser."""
     span = max(
         [2.0] + [abs(a - b) for axis in range(3) for a in _axis(plan, axis) for b in _axis(plan, axis)]
     )
@@ -86,10 +94,11 @@ def as_svg(plan: FormationPlan, drone: int, view: HalfView) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '
         f'viewBox="0 0 {width:.0f} {height:.0f}" font-family="sans-serif" font-size="14" fill="{COLOURS["text"]}">',
         '<rect width="100%" height="100%" fill="white"/>',
-        *_panel(plan, drone, view, scale, 0.0, above=True),
-        *_panel(plan, drone, view, scale, PANEL, above=False),
+        *_panel(plan, drone, views, scale, 0.0, above=True),
+        *_panel(plan, drone, views, scale, PANEL, above=False),
         f'<text x="{0.5 * MARGIN:.0f}" y="{PANEL + 24.0:.0f}">grid of {metres} m; heights above the team '
-        f"frame's origin; shaded: {VIEW_SHARE:.0%} of the view of drone {drone}</text>",
+        f"frame's origin; shaded: {VIEW_SHARE:.0%} of {'the view' if len(views) == 1 else 'each view'} of drone "
+        f"{drone}</text>",
         "</svg>",
     ]
     return "\n".join(parts) + "\n"
@@ -100,7 +109,7 @@ def _axis(plan: FormationPlan, axis: int) -> list[float]:
 
 
 def _panel(
-    plan: FormationPlan, drone: int, view: HalfView, scale: float, offset: float, *, above: bool
+    plan: FormationPlan, drone: int, views: Sequence[HalfView], scale: float, offset: float, *, above: bool
 ) -> Iterator[str]:
     """From above: north up, east to the right. From the south: up is up."""
     across, upward = 1, 0 if above else 2
@@ -115,7 +124,7 @@ def _panel(
     yield f"{'from above, north up' if above else 'from the south'}</text>"
     yield from _metres(scale, offset)
     if above and drone in plan.references:
-        yield _wedge(plan, drone, view, scale, at(plan.slots[drone]))
+        yield from (_wedge(plan, drone, view, scale, at(plan.slots[drone])) for view in views)
     for follower in plan.followers:
         for reference in plan.references[follower]:
             (x1, y1), (x2, y2) = at(plan.slots[follower]), at(plan.slots[reference])
@@ -142,13 +151,12 @@ def _metres(scale: float, offset: float) -> Iterator[str]:
 
 
 def _wedge(plan: FormationPlan, drone: int, view: HalfView, scale: float, corner: tuple[float, float]) -> str:
-    """What the camera sees level, towards the middle of the references."""
+    """What a camera sees level, the nose towards the middle of the references."""
     look = plan.looks(drone)[0]
     there, here = plan.slots[look.reference], plan.slots[drone]
-    middle = math.atan2(there[1] - here[1], there[0] - here[0]) - look.right
+    middle = math.atan2(there[1] - here[1], there[0] - here[0]) - look.right + view.right
     half, x, y = VIEW_SHARE * view.half_width, *corner
     length = scale * (max(look.distance for look in plan.looks(drone)) + 0.5)
-    (x1, y1), (x2, y2) = (
-        (x + length * math.sin(middle + side), y - length * math.cos(middle + side)) for side in (-half, half)
-    )
-    return f'<path d="M{x:.1f} {y:.1f}L{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}Z" fill="{COLOURS["view"]}"/>'
+    turns = [middle + half * (k / ARC_STEPS - 1.0) for k in range(2 * ARC_STEPS + 1)]
+    border = "".join(f"L{x + length * math.sin(a):.1f} {y - length * math.cos(a):.1f}" for a in turns)
+    return f'<path d="M{x:.1f} {y:.1f}{border}Z" fill="{COLOURS["view"]}"/>'

@@ -7,7 +7,7 @@ lines hide the leader; chains amplify.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
@@ -30,14 +30,31 @@ LONGEST_SIZE_ERROR = 0.12
 NEIGHBOURS_M, ONE_HEIGHT_M = 6.0, 0.5
 # s: a leader that covers its distance to a follower in less is upon it before the follower knows.
 GAP_S = 3.0
+# Length of the mean of the directions to the references, below which the nose has nowhere to turn: of two, 145° apart.
+LEAST_MIDDLE = 0.3
 
 
 class HalfView(NamedTuple):
-    """Half of the width and of the height of what a camera sees, and how far its axis looks up; rad."""
+    """Half of the width and of the height of what a camera sees, how far its axis looks up and right of the nose, and
+    how far its picture is turned clockwise about that axis; rad."""
 
     half_width: float
     half_height: float
     up: float
+    right: float = 0.0
+    roll: float = 0.0
+
+    def where(self, look: LookAt) -> tuple[float, float]:
+        """Right and up of this camera's axis [rad], of what is right and up of the nose of a level drone."""
+        right, level = look.right - self.right, math.cos(look.up)
+        x, y, up = level * math.cos(right), level * math.sin(right), math.sin(look.up)
+        ahead = x * math.cos(self.up) + up * math.sin(self.up)
+        up = up * math.cos(self.up) - x * math.sin(self.up)
+        y, up = (
+            y * math.cos(self.roll) - up * math.sin(self.roll),
+            up * math.cos(self.roll) + y * math.sin(self.roll),
+        )
+        return math.atan2(y, ahead), math.atan2(up, math.hypot(ahead, y))
 
 
 class PlanFault(NamedTuple):
@@ -48,7 +65,7 @@ class PlanFault(NamedTuple):
 
 
 class LookAt(NamedTuple):
-    """A reference from a slot: distance [m], and where in the view it is: right and up of the camera's axis [rad]."""
+    """A reference from a slot: distance [m], and where it is: right of the nose, and above the level [rad]."""
 
     reference: int
     distance: float
@@ -75,18 +92,26 @@ class FormationPlan:
         """m above the team frame's origin."""
         return self.height - self.slots[drone][2]
 
-    def looks(self, drone: int, camera_up: float = 0.0) -> list[LookAt]:
-        """Where a follower in its slot sees its references, its nose towards their middle."""
+    def middle(self, drone: int) -> tuple[float, float]:
+        """The mean of the level directions from a follower's slot to its references: north and east, shorter than 1."""
         here = self.slots[drone]
         ways = [_minus(self.slots[other], here) for other in self.references[drone]]
         units = [(n / level, e / level) for n, e, _ in ways if (level := math.hypot(n, e)) > 1e-3]
-        middle = math.atan2(sum(e for _, e in units), sum(n for n, _ in units))
+        count = max(len(units), 1)
+        return sum(n for n, _ in units) / count, sum(e for _, e in units) / count
+
+    def looks(self, drone: int) -> list[LookAt]:
+        """Where a follower in its slot sees its references, its nose towards their middle."""
+        here = self.slots[drone]
+        ways = [_minus(self.slots[other], here) for other in self.references[drone]]
+        north, east = self.middle(drone)
+        middle = math.atan2(east, north)
         return [
             LookAt(
                 other,
                 math.hypot(n, e, d),
                 math.remainder(math.atan2(e, n) - middle, 2.0 * math.pi),
-                math.atan2(-d, math.hypot(n, e)) - camera_up,
+                math.atan2(-d, math.hypot(n, e)),
             )
             for other, (n, e, d) in zip(self.references[drone], ways, strict=True)
         ]
@@ -113,31 +138,59 @@ def plan_faults(plan: FormationPlan, span: float) -> list[PlanFault]:
 
 
 def view_faults(
-    plan: FormationPlan, drone: int, view: HalfView, acceleration: float = 0.0
+    plan: FormationPlan, drone: int, views: Sequence[HalfView], acceleration: float = 0.0
 ) -> list[PlanFault]:
-    """References that are too near to the border of this drone's view, or beyond it. acceleration [m/s²]: with which it
-    flies, and for which it tilts."""
+    """References that are too near to the border of each of this drone's views, or beyond it. acceleration [m/s²]: with
+    which it flies, and for which it tilts."""
     faults = []
     tilt = math.atan(acceleration / GRAVITY_M_S2)
-    high = min(VIEW_SHARE * view.half_height, view.half_height - tilt)
-    for look in plan.looks(drone, view.up):
-        up = "above" if look.up > 0.0 else "below"
-        for off, most, axis, name in (
-            (
-                look.right,
-                VIEW_SHARE * view.half_width,
-                "beside",
-                f"{VIEW_SHARE:.0%} of half the view's width",
-            ),
-            (look.up, high, up, f"of half the view's height, {math.degrees(tilt):.0f}° are for its tilt"),
-        ):
-            if abs(off) > most:
-                text = (
-                    f"drone {look.reference} is {math.degrees(abs(off)):.0f}° {axis} the camera's axis, expected at "
-                    f"most {math.degrees(most):.0f}°: {name}"
-                )
-                faults.append(PlanFault(("slots", str(drone)), text))
+    if len(views) > 1 and math.hypot(*plan.middle(drone)) < LEAST_MIDDLE:
+        text = "its references lie in opposite directions, expected a middle to which its nose can turn"
+        faults.append(PlanFault(("references", str(drone)), text))
+    for look in plan.looks(drone):
+        share, number = min((share_of_view(look, view, tilt), number) for number, view in enumerate(views))
+        if share > 1.0:
+            axis = "the camera's axis" if len(views) == 1 else f"the axis of camera {number + 1}, the nearest"
+            texts = _off_view(look, views[number], tilt, axis)
+            faults += [PlanFault(("slots", str(drone)), text) for text in texts]
     return faults
+
+
+def share_of_view(look: LookAt, view: HalfView, tilt: float = 0.0) -> float:
+    """How far a reference is off the axis, as a share of how far it may be."""
+    right, up = view.where(look)
+    return max(abs(right) / (VIEW_SHARE * view.half_width), abs(up) / max(_most_up(view, tilt), 1e-3))
+
+
+def nearest_view(look: LookAt, views: Sequence[HalfView]) -> tuple[int, float]:
+    """Which view has a reference nearest to its axis, and at which share of its half."""
+    return min(
+        ((number, VIEW_SHARE * share_of_view(look, view)) for number, view in enumerate(views)),
+        key=lambda one: one[1],
+    )
+
+
+def _most_up(view: HalfView, tilt: float) -> float:
+    return min(VIEW_SHARE * view.half_height, view.half_height - tilt)
+
+
+def _off_view(look: LookAt, view: HalfView, tilt: float, axis: str) -> Iterator[str]:
+    right, up = view.where(look)
+    sense = "above" if up > 0.0 else "below"
+    for off, most, side, name in (
+        (right, VIEW_SHARE * view.half_width, "beside", f"{VIEW_SHARE:.0%} of half the view's width"),
+        (
+            up,
+            _most_up(view, tilt),
+            sense,
+            f"of half the view's height, {math.degrees(tilt):.0f}° are for its tilt",
+        ),
+    ):
+        if abs(off) > most:
+            yield (
+                f"drone {look.reference} is {math.degrees(abs(off)):.0f}° {side} {axis}, expected at most "
+                f"{math.degrees(most):.0f}°: {name}"
+            )
 
 
 def range_faults(box_width: BoxWidth, *, told: bool) -> list[PlanFault]:

@@ -9,11 +9,14 @@ from typing import Any, Protocol
 
 from swarmtrack.errors import TransportError
 from swarmtrack.evaluation.flight_end import FlightEnd
+from swarmtrack.monitor.drone_cameras import ViewKey
+from swarmtrack.monitor.overlay import boxes
 from swarmtrack.monitor.server import STATE_HZ, Audience
 from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.base import Sample
 from swarmtrack.transport.listening import hint_at, other_teams
+from swarmtrack.wire.video import VideoMessage
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +33,7 @@ class Listener(Protocol):
 
 
 class LiveFeed:
-    """A drone's video is subscribed to while at least one viewer watches it."""
+    """A camera's pictures are subscribed to while at least one viewer watches them."""
 
     def __init__(
         self,
@@ -44,12 +47,12 @@ class LiveFeed:
         self._ending = ending
         team.starting = ending is not None
         self._last: dict[str, Any] | None = None
-        self._subscribed: set[int] = set()
+        self._subscribed: set[ViewKey] = set()
         self._wishes = asyncio.Event()
 
     @property
-    def drones(self) -> tuple[int, ...]:
-        return self._team.drones
+    def cameras(self) -> tuple[ViewKey, ...]:
+        return self._team.cameras
 
     async def run(self, audience: Audience) -> None:
         """Until cancelled, or until the listener is closed."""
@@ -82,12 +85,9 @@ class LiveFeed:
             if self._last is not None:
                 continue
             view = self._team.on_sample(sample)
-            if view is not None:
-                address = keys.parse(sample.key)
-                assert address is not None
-                drone_id = address.drone_id
-                if drone_id in audience.watched:  # else it is a last one, after the last viewer went
-                    audience.show(drone_id, view, self._team.tracks_at(drone_id, view.t_utc_s))
+            # Else it is a last one, after the last viewer went.
+            if view is not None and view.key in audience.watched:
+                self._show(audience, view.key, view.message)
 
     async def _tell_state(self, audience: Audience) -> None:
         loop = asyncio.get_running_loop()
@@ -122,18 +122,22 @@ class LiveFeed:
                 self._show_last_pictures(audience, wanted)
                 continue
             try:
-                for drone_id in wanted - self._subscribed:
-                    await self._listener.listen_to(keys.key(self._team.name, Kind.VIDEO, drone_id))
-                    self._subscribed.add(drone_id)
-                for drone_id in self._subscribed - wanted:
-                    self._subscribed.discard(drone_id)
-                    await self._listener.leave(keys.key(self._team.name, Kind.VIDEO, drone_id))
+                for one in wanted - self._subscribed:
+                    await self._listener.listen_to(keys.video_key(self._team.name, *one))
+                    self._subscribed.add(one)
+                for one in self._subscribed - wanted:
+                    self._subscribed.discard(one)
+                    await self._listener.leave(keys.video_key(self._team.name, *one))
             except TransportError as error:
                 log.warning("video: %s", error)
 
-    def _show_last_pictures(self, audience: Audience, watched: frozenset[int]) -> None:
+    def _show_last_pictures(self, audience: Audience, watched: frozenset[ViewKey]) -> None:
         """After the flight: those that somebody looked at in it."""
-        for drone_id in watched:
-            view = self._team.last_view(drone_id)
+        for key in watched:
+            view = self._team.last_view(key)
             if view is not None:
-                audience.show(drone_id, view, self._team.tracks_at(drone_id, view.t_utc_s))
+                self._show(audience, key, view)
+
+    def _show(self, audience: Audience, key: ViewKey, view: VideoMessage) -> None:
+        tracks = self._team.tracks_at(key[0], view.t_utc_s)
+        audience.show(key, view, boxes(view, tracks, key[1], self._team.rig(key[0])))

@@ -29,16 +29,17 @@ from swarmtrack.monitor.timeline import Blob, BlobFile, TimelineEvent, Tracked
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
-from swarmtrack.recording.outputs import FRAMES_TOPIC, IMAGES_TOPIC
+from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
-from swarmtrack.replay.replayer import jpeg_of
+from swarmtrack.replay.recorded_frames import jpeg_of
 from swarmtrack.runtime import periods
 from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import announcement_message
+from swarmtrack.wire.camera import camera_message
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.fields import VERSION
 from swarmtrack.wire.health import HealthMessage
@@ -86,9 +87,8 @@ class DroneRecording:
         self._offset = utc_offset(recording)
         settings, _ = read_settings(recording)
         self._cameras = settings.cameras
-        self._camera = settings.mounted.camera
-        self._body_from_camera = settings.mounted.body_from_camera
-        self._lens = lens_message(self._camera)
+        self._lenses = [lens_message(one.camera) for one in self._cameras]
+        self._image_topics = {image_topic(k): k for k in range(len(self._cameras))}
         self._ego = make_ego_history(settings.config, settings.start, history_s=EGO_HISTORY_S)
         self.tracked = Tracked(self._tracks)
         self._first = self._last = math.nan
@@ -96,9 +96,10 @@ class DroneRecording:
         self._heard: list[tuple[float, Heard]] = []
         self._health: list[tuple[float, bytes]] = []
         self._reports: list[tuple[float, SightingReport]] = []
-        self._scans: list[tuple[float, VideoMessage, Blob | None]] = []
-        self._pictures: list[tuple[float, VideoMessage, Blob | None]] = []
-        self._frame_t = math.nan
+        self._scans: list[list[_View]] = [[] for _ in self._cameras]
+        self._pictures: list[list[_View]] = [[] for _ in self._cameras]
+        self._frame: tuple[int, float] | None = None
+        """Of which camera the next picture is, and when it was exposed."""
         self._seen: _Seen | None = None
 
     def read(self) -> None:
@@ -132,12 +133,9 @@ class DroneRecording:
             self._health.append((t, codec.encode(health)))
         elif topic == FRAMES_TOPIC:
             exact = msgspec.json.decode(message.data)
-            if not exact.get("camera"):
-                self._frame_t = float(exact["t_s"])
-        elif topic == IMAGES_TOPIC:
-            jpeg = jpeg_of(message.data)
-            if jpeg is not None and math.isfinite(self._frame_t) and _is_due(self._pictures, t):
-                self._pictures.append((t, self._view(self._frame_t), self._blob_file.put(jpeg)))
+            self._frame = int(exact.get("camera", 0)), float(exact["t_s"])
+        elif topic in self._image_topics:
+            self._on_picture(self._image_topics[topic], message.data, t)
 
     def _on_input(self, event: Input, t: float) -> None:
         match event:
@@ -157,11 +155,20 @@ class DroneRecording:
         if not self._spoke or t - self._spoke[-1] >= SPOKE_S:
             self._spoke.append(t)
 
+    def _on_picture(self, camera: int, data: bytes, t: float) -> None:
+        frame, self._frame = self._frame, None
+        if frame is None or frame[0] != camera:
+            return
+        jpeg = jpeg_of(data)
+        if jpeg is not None and _is_due(self._pictures[camera], t):
+            self._pictures[camera].append(_View(t, self._view(frame[1], camera), self._blob_file.put(jpeg)))
+
     def _on_scan(self, data: bytes, t: float) -> None:
-        exposed = _DECODE_TIME(data).t_s
+        scan = _DECODE_SCAN(data)
+        exposed, camera = scan.t_s, scan.camera
         self.tracked.add(exposed + self._offset, self._blob_file.put(data), t)
-        if _is_due(self._scans, t):
-            self._scans.append((t, self._view(exposed), None))
+        if camera < len(self._cameras) and _is_due(self._scans[camera], t):
+            self._scans[camera].append(_View(t, self._view(exposed, camera), None))
         observer = self._ego.at(exposed)
         if observer is not None:
             self._seen = _Seen(data, observer)
@@ -183,22 +190,23 @@ class DroneRecording:
             camera = ObserverCamera.of(observer, mounted.camera, mounted.body_from_camera)
             rays = rays_to([(drone_id, track) for drone_id, track, _ in in_it], camera)
             seen += list(zip(rays, (p for *_, p in in_it), strict=True))
-        view = OwnView.of(observer, self._body_from_camera, seen)
+        view = OwnView.of(observer, self._cameras[0].body_from_camera, seen)
         self._reports.append((t, view.report(self.drone_id, said.boot, said.sequence, ())))
 
-    def _view(self, exposed: float) -> VideoMessage:
+    def _view(self, exposed: float, camera: int) -> VideoMessage:
         """Without its picture. exposed: on our own clock."""
-        ego = self._ego.at(exposed)
-        pose = None if ego is None else Pose(ego.world_from_body, ego.position) @ self._body_from_camera
+        ego, lens = self._ego.at(exposed), self._lenses[camera]
+        mounting = self._cameras[camera].body_from_camera
+        pose = None if ego is None else Pose(ego.world_from_body, ego.position) @ mounting
         return VideoMessage(
             version=VERSION,
             t_utc_s=exposed + self._offset,
             t_sigma_s=UTC_SIGMA,
             frame=0,
-            width=self._camera.width,
-            height=self._camera.height,
+            width=lens.width,
+            height=lens.height,
             jpeg=b"",
-            lens=self._lens,
+            lens=lens,
             position_m=None if pose is None else tuple(pose.position.tolist()),
             quaternion_wxyz=None if pose is None else tuple(to_quaternion(pose.rotation).tolist()),
         )
@@ -210,14 +218,20 @@ class DroneRecording:
     # --- telling ------------------------------------------------------------------------
 
     def views(self, shift: float) -> Iterator[TimelineEvent]:
-        """Where its camera looked, with pictures where it recorded any."""
-        for t, view, picture in self._pictures or self._scans:
-            try:
-                payload = codec.encode(view)
-            except ValueError:
-                self.refused += 1
-                continue
-            yield self._message(Kind.VIDEO, self.drone_id, t + shift, payload)._replace(picture=picture)
+        """Where its cameras looked, with pictures where it recorded any; and of several, how they are mounted."""
+        if len(self._cameras) > 1 and not math.isnan(self._first):
+            mountings = [one.body_from_camera for one in self._cameras]
+            told = camera_message(self.drone_id, self.boot, [one.camera for one in self._cameras], mountings)
+            yield self._message(Kind.CAMERA, self.drone_id, self._first + shift, codec.encode(told))
+        for camera in range(len(self._cameras)):
+            key = keys.video_key(self._team, self.drone_id, camera)
+            for t, view, picture in self._pictures[camera] or self._scans[camera]:
+                try:
+                    payload = codec.encode(view)
+                except ValueError:
+                    self.refused += 1
+                    continue
+                yield TimelineEvent(t + shift, self.drone_id, Sample(key, payload, True, t + shift), picture)
 
     def events(
         self, shift: float, *, lives: set[tuple[int, str]], says_itself: bool
@@ -286,10 +300,19 @@ class DroneRecording:
         )
 
 
-class _Time(msgspec.Struct):
-    """As much of a record as tells its time."""
+class _View(NamedTuple):
+    """When it was recorded, and where its picture lies."""
+
+    t: float
+    message: VideoMessage
+    picture: Blob | None
+
+
+class _ScanHead(msgspec.Struct):
+    """As much of a record as tells its time, and whose picture it was."""
 
     t_s: float
+    camera: int = 0
 
 
 class _Said(msgspec.Struct):
@@ -308,8 +331,8 @@ class _Seen(NamedTuple):
 
 
 _DECODE_SAID = msgspec.json.Decoder(_Said).decode
-_DECODE_TIME = msgspec.json.Decoder(_Time).decode
+_DECODE_SCAN = msgspec.json.Decoder(_ScanHead).decode
 
 
-def _is_due(views: list[tuple[float, VideoMessage, Blob | None]], t: float) -> bool:
-    return not views or t - views[-1][0] >= periods.VIDEO - JITTER_S
+def _is_due(views: list[_View], t: float) -> bool:
+    return not views or t - views[-1].t >= periods.VIDEO - JITTER_S

@@ -16,9 +16,11 @@ from typing import Any
 
 import msgspec
 
+from swarmtrack.monitor.drone_cameras import DroneCameras, ViewKey
 from swarmtrack.monitor.metres import MAPPED, metres
+from swarmtrack.monitor.overlay import boxes
 from swarmtrack.monitor.server import Audience
-from swarmtrack.monitor.team import VIEW_S, MonitoredTeam
+from swarmtrack.monitor.team import VIEW_S, MonitoredTeam, around_state
 from swarmtrack.monitor.timeline import Blob, Timeline
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -44,7 +46,7 @@ class PlayedClock:
 
 @dataclass(slots=True)
 class View:
-    """The newest of one drone. picture: where it lies."""
+    """The newest of one camera. picture: where it lies."""
 
     t: float
     message: VideoMessage
@@ -58,7 +60,7 @@ class _Scene:
     clock: PlayedClock
     team: MonitoredTeam
     told: int
-    views: dict[int, View]
+    views: dict[ViewKey, View]
 
 
 class Playback:
@@ -77,24 +79,25 @@ class Playback:
         self.seek(0)
 
     @property
-    def drones(self) -> tuple[int, ...]:
-        return self._scene.team.drones
+    def cameras(self) -> tuple[ViewKey, ...]:
+        return self._scene.team.cameras
 
     @property
-    def views(self) -> dict[int, View]:
-        """The newest of each drone that is not too old to be looked at."""
+    def views(self) -> dict[ViewKey, View]:
+        """The newest of each camera that is not too old to be looked at."""
         return {i: view for i, view in self._scene.views.items() if self._scene.clock.t - view.t < VIEW_S}
 
-    def state(self, watched: frozenset[int] = frozenset()) -> dict[str, Any]:
-        """As of a running swarm. watched: drones whose metres are told, however many there are."""
-        state = self._scene.team.state()
-        few = len(self.drones) <= MAPPED
+    def state(self, watched: frozenset[ViewKey] = frozenset()) -> dict[str, Any]:
+        """As of a running swarm. watched: cameras of drones whose metres are told, however many there are."""
+        team, t = self._scene.team, self._scene.clock.t
+        state = team.state()
+        few, whom = len(team.drones) <= MAPPED, {drone_id for drone_id, _ in watched}
         for drone in state["drones"]:
             # The team is told no tracks, which wait in their file until they are shown.
-            if few or drone["id"] in watched:
-                drone["metres"] = metres(
-                    self.timeline.newest_tracks(drone["id"], self._scene.clock.t, max_age=VIEW_S)
-                )
+            if few or drone["id"] in whom:
+                tracks = self.timeline.newest_tracks(drone["id"], t, max_age=VIEW_S)
+                drone["metres"] = metres(tracks)
+                drone["around"] = around_state(team.rig(drone["id"]), tracks, few=few)
         return state
 
     def seek(self, step: int) -> None:
@@ -108,15 +111,19 @@ class Playback:
         while self.step < step:
             self._take_step(self.step + 1)
 
-    def seen(self, drone_id: int) -> tuple[VideoMessage, TracksMessage | None] | None:
+    def seen(self, drone_id: int, camera: int = 0) -> tuple[VideoMessage, TracksMessage | None] | None:
         """What a drone's camera shows now, with its picture, and what it tracked then."""
-        view = self.views.get(drone_id)
+        view = self.views.get((drone_id, camera))
         if view is None:
             return None
         message = view.message
         if view.picture is not None:
             message = msgspec.structs.replace(message, jpeg=self.timeline.blob_file.get(view.picture))
         return message, self.timeline.tracks_at(drone_id, message.t_utc_s)
+
+    def rig(self, drone_id: int) -> DroneCameras | None:
+        """The cameras of a drone with several."""
+        return self._scene.team.rig(drone_id)
 
     def _take_step(self, step: int) -> None:
         scene, events = self._scene, self.timeline.events
@@ -130,7 +137,7 @@ class Playback:
                 continue
             view = scene.team.on_sample(event.sample)
             if view is not None:
-                scene.views[event.drone_id] = View(event.t, view, event.picture)
+                scene.views[view.key] = View(event.t, view.message, event.picture)
         scene.clock.t = end
         scene.team.look()
         self.step = step
@@ -150,13 +157,13 @@ class RecordingPlayer:
         self._sought: float | None = None
         self._owed = 0.0
         """Part of a step that is due but not taken."""
-        self._shown: dict[int, float] = {}
+        self._shown: dict[ViewKey, float] = {}
         """Whose view of which time the viewers have."""
         self._news = asyncio.Event()
 
     @property
-    def drones(self) -> tuple[int, ...]:
-        return self._playback.drones
+    def cameras(self) -> tuple[ViewKey, ...]:
+        return self._playback.cameras
 
     async def run(self, audience: Audience) -> None:
         """Until cancelled. Nobody's absence stops it: it is paused by hand, or stops at its end."""
@@ -227,9 +234,9 @@ class RecordingPlayer:
             "views": sorted(playback.views),
         }
         audience.tell(state)
-        for drone_id, view in playback.views.items():
-            if drone_id in audience.watched and self._shown.get(drone_id) != view.t:
-                self._shown[drone_id] = view.t
-                seen = playback.seen(drone_id)
+        for key, view in playback.views.items():
+            if key in audience.watched and self._shown.get(key) != view.t:
+                self._shown[key] = view.t
+                seen = playback.seen(*key)
                 if seen is not None:
-                    audience.show(drone_id, *seen)
+                    audience.show(key, seen[0], boxes(*seen, key[1], playback.rig(key[0])))

@@ -1,14 +1,14 @@
 """The monitor's web side: one page, and one WebSocket to each viewer.
 
-Theory of operation. A viewer is sent the state STATE_HZ times a second, and the pictures of the drones it watches as
+Theory of operation. A viewer is sent the state STATE_HZ times a second, and the pictures of the cameras it watches as
 they come. Each has one slot for the state and one for each picture: what is newer takes the place of what still waits.
 The page acknowledges each message once it is drawn, and gets the next handful only then, so that a slow phone sees
-fewer pictures and never older ones; no buffer on the way can fill. A drone's video is subscribed to while at least one
-viewer watches it.
+fewer pictures and never older ones; no buffer on the way can fill. A camera's pictures are subscribed to while at least
+one viewer watches them.
 
 To the page: text, the state (`Team.state`); binary, a header's length (uint32, little endian), the header in JSON
-(`drone`, `width`, `height`, `boxes`) and the JPEG. From the page: `{"watch": [IDs]}`, `"+"` for each message drawn,
-and of a recording `{"seek": s}`, `{"play": true}` and `{"speed": 2}`.
+(`drone`, `camera` from 0, `width`, `height`, `boxes`) and the JPEG. From the page: `{"watch": [[ID, camera]]}`, `"+"`
+for each message drawn, and of a recording `{"seek": s}`, `{"play": true}` and `{"speed": 2}`.
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from swarmtrack.monitor.access import AccessGuard
-from swarmtrack.monitor.overlay import boxes
-from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.monitor.drone_cameras import ViewKey
 from swarmtrack.wire.video import VideoMessage
 
 PAGE = Path(__file__).parent / "page" / "index.html"
 STATE_HZ = 5.0
 MAX_VIEWERS = 32
-MAX_WATCHED = 32  # drones, by one viewer
+MAX_WATCHED = 64  # cameras, by one viewer
 MAX_WORD = 2048  # bytes that a page may say at a time
 HEARTBEAT_S = 5.0
 
@@ -43,19 +42,19 @@ class Audience(Protocol):
         """Whether anybody looks."""
 
     @property
-    def watched(self) -> frozenset[int]:
+    def watched(self) -> frozenset[ViewKey]:
         """Whose pictures somebody has on the screen."""
 
     def tell(self, state: dict[str, Any]) -> None: ...
-    def show(self, drone_id: int, view: VideoMessage, tracks: TracksMessage | None) -> None: ...
+    def show(self, key: ViewKey, view: VideoMessage, boxes: list[dict[str, Any]]) -> None: ...
 
 
 class Feed(Protocol):
     """Where all comes from: a swarm that runs, or a recording."""
 
     @property
-    def drones(self) -> tuple[int, ...]:
-        """Who can be watched."""
+    def cameras(self) -> tuple[ViewKey, ...]:
+        """What can be watched."""
 
     async def run(self, audience: Audience) -> None:
         """Until cancelled, or at its end."""
@@ -71,16 +70,16 @@ class OpenPage:
     """One open page."""
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
-        self.watched: frozenset[int] = frozenset()
+        self.watched: frozenset[ViewKey] = frozenset()
         self.replaced = 0
         """Messages that a newer one overtook."""
         self._socket = socket
-        self._waiting: dict[str | int, str | bytes] = {}
+        self._waiting: dict[str | ViewKey, str | bytes] = {}
         self._news = asyncio.Event()
         self._drawn = asyncio.Event()
         self._unacknowledged = 0
 
-    def give(self, slot: str | int, message: str | bytes) -> None:
+    def give(self, slot: str | ViewKey, message: str | bytes) -> None:
         """The newest of its kind; it is sent once the viewer has drawn what it has."""
         self.replaced += slot in self._waiting
         self._waiting[slot] = message
@@ -137,7 +136,7 @@ class MonitorServer:
         return bool(self._viewers)
 
     @property
-    def watched(self) -> frozenset[int]:
+    def watched(self) -> frozenset[ViewKey]:
         return frozenset().union(*(viewer.watched for viewer in self._viewers))
 
     def tell(self, state: dict[str, Any]) -> None:
@@ -145,18 +144,20 @@ class MonitorServer:
         for viewer in self._viewers:
             viewer.give("state", text)
 
-    def show(self, drone_id: int, view: VideoMessage, tracks: TracksMessage | None) -> None:
+    def show(self, key: ViewKey, view: VideoMessage, boxes: list[dict[str, Any]]) -> None:
+        drone_id, camera = key
         header = {
             "drone": drone_id,
+            "camera": camera,
             "width": view.width,
             "height": view.height,
-            "boxes": boxes(view, tracks),
+            "boxes": boxes,
         }
         text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
         message = struct.pack("<I", len(text)) + text + view.jpeg
         for viewer in self._viewers:
-            if drone_id in viewer.watched:
-                viewer.give(drone_id, message)
+            if key in viewer.watched:
+                viewer.give(key, message)
 
     # --- serving ------------------------------------------------------------------------
 
@@ -201,12 +202,11 @@ class MonitorServer:
             wish: Any = json.loads(word)
             if not isinstance(wish, dict) or "watch" not in wish:
                 return isinstance(wish, dict) and self._feed.on_wish(wish)
-            ids = wish["watch"]
-            wished = frozenset(drone_id for drone_id in ids if type(drone_id) is int and 0 < drone_id < 65536)
+            wished = frozenset((d, k) for d, k in wish["watch"] if type(d) is int and type(k) is int)
         except (ValueError, TypeError, RecursionError):
             return False
         # Only of those that are there: nobody makes us subscribe to a thousand drones that are not.
-        viewer.watched = frozenset(sorted(wished.intersection(self._feed.drones))[:MAX_WATCHED])
+        viewer.watched = frozenset(sorted(wished.intersection(self._feed.cameras))[:MAX_WATCHED])
         self._feed.on_watched()
         return True
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.evaluation.flight_end import FlightEnd
+from swarmtrack.geometry.field_of_view import half_angles
 from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.monitor.drone_cameras import CameraView, DroneCameras, ViewKey
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.transport import keys
@@ -19,9 +22,11 @@ from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.sender_clock import REPORTED_CLOCKS_AGREE_S, SenderClock
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage
+from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.health import HealthMessage, LatencyHealth, RateHealth
+from swarmtrack.wire.lens import LensMessage, camera_from
 from swarmtrack.wire.sightings import SightingsMessage, report_from
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -40,6 +45,7 @@ JUDGING_S = 0.5  # s: reports come once a second, and thirty drones' cost 20 ms 
 PLACED = {"leader", "slot_north_m", "slot_east_m", "engaged"}  # what a follower tells of itself
 SLOW = 0.7  # of the rate that was asked for
 SETTLED_S = 5.0  # s of an agent's life, after which it is judged by its rates
+STEEP = 0.2  # length of a camera's axis seen from above, below which it looks up or down
 
 
 @dataclass(slots=True)
@@ -58,7 +64,10 @@ class Drone:
     tracked_at: float = -math.inf
     health: HealthMessage | None = None
     history: deque[tuple[float, ...]] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    view: VideoMessage | None = None
+    rig: DroneCameras | None = None
+    """Of a drone with several cameras that told of them."""
+    views: dict[int, tuple[float, VideoMessage]] = field(default_factory=dict)
+    """The newest of each camera, and when it came."""
     view_at: float = -math.inf
     told_events: tuple[str, ...] = ()
 
@@ -82,7 +91,7 @@ class MonitoredTeam:
         self._verdict = TeamVerdict((), ())
         self._judged_at = -math.inf
 
-    def on_sample(self, sample: Sample) -> VideoMessage | None:
+    def on_sample(self, sample: Sample) -> CameraView | None:
         """Take it in; a view is also handed back."""
         address = keys.parse(sample.key)
         if address is None or address.team != self.name:
@@ -106,7 +115,13 @@ class MonitoredTeam:
             self.unreadable += 1
             return None
         self._on_word(address.drone_id, drone, sample.arrived)
-        return self._on_message(address.drone_id, drone, message, sample.arrived)
+        if isinstance(message, VideoMessage):
+            camera = keys.camera_of(address)
+            return (
+                None if camera is None else self._on_view((address.drone_id, camera), drone, message, sample)
+            )
+        self._on_message(address.drone_id, drone, message, sample.arrived)
+        return None
 
     def on_sign_of_life(self, drone_id: int, arrived: float) -> None:
         """It said something that need not be read."""
@@ -124,6 +139,18 @@ class MonitoredTeam:
     @property
     def drones(self) -> tuple[int, ...]:
         return tuple(self._drones)
+
+    @property
+    def cameras(self) -> tuple[ViewKey, ...]:
+        """Of all drones."""
+        return tuple(
+            (drone_id, k) for drone_id, drone in self._drones.items() for k in range(_cameras_of(drone))
+        )
+
+    def rig(self, drone_id: int) -> DroneCameras | None:
+        """The cameras of a drone with several; None where it has one, or has not told of them."""
+        drone = self._drones.get(drone_id)
+        return None if drone is None else drone.rig
 
     def is_alive(self, drone_id: int) -> bool:
         drone = self._drones.get(drone_id)
@@ -154,9 +181,10 @@ class MonitoredTeam:
         light = {"kind": end.kind, "text": end.text, "also": end.also}
         return {**state, "light": light, "over": {"rows": end.rows, "again": end.again}}
 
-    def last_view(self, drone_id: int) -> VideoMessage | None:
+    def last_view(self, key: ViewKey) -> VideoMessage | None:
+        drone_id, camera = key
         drone = self._drones.get(drone_id)
-        return None if drone is None else drone.view
+        return None if drone is None or camera not in drone.views else drone.views[camera][1]
 
     def look(self) -> None:
         """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
@@ -192,9 +220,12 @@ class MonitoredTeam:
             drone.gone_since = None
             self._note(drone_id, "is back", "ok")
 
-    def _on_message(
-        self, drone_id: int, drone: Drone, message: Message, arrived: float
-    ) -> VideoMessage | None:
+    def _on_view(self, key: ViewKey, drone: Drone, message: VideoMessage, sample: Sample) -> CameraView:
+        drone.views[key[1]] = sample.arrived, message
+        drone.view_at = sample.arrived
+        return CameraView(key, message)
+
+    def _on_message(self, drone_id: int, drone: Drone, message: Message, arrived: float) -> None:
         match message:
             case AnnouncementMessage() if message.drone_id == drone_id:
                 drone.announcement = message
@@ -205,10 +236,9 @@ class MonitoredTeam:
                 drone.unread, drone.tracked_at = None, arrived
             case HealthMessage():
                 self._on_health(drone_id, drone, message)
-            case VideoMessage():
-                drone.view, drone.view_at = message, arrived
-                return message
-        return None
+            case CameraMessage() if message.drone_id == drone_id:
+                drone.rig = DroneCameras.of(message) if message.others else None
+                drone.views = {k: view for k, view in drone.views.items() if k <= len(message.others)}
 
     def _on_sightings(self, drone: Drone, message: SightingsMessage, arrived: float) -> None:
         if message.boot != drone.boot:
@@ -297,30 +327,25 @@ class MonitoredTeam:
         drone = self._drones[drone_id]
         report = self._reports.newest(drone_id)
         position: tuple[float, ...] | None = None
-        axis: list[float] | None = None
-        fov: float | None = None
         if report is not None:
             position = tuple(report.position.tolist())
         elif drone.announcement is not None:
             position = drone.announcement.position_m
-        view = drone.view
-        if view is not None and now - drone.view_at < VIEW_S:
-            position = view.position_m or position
-            fov = 2.0 * math.atan2(view.lens.width / 2.0, view.lens.fx)
-            if view.quaternion_wxyz is not None:
-                forward = from_quaternion(view.quaternion_wxyz)[:, 2]
-                axis = [round(float(forward[0]), 4), round(float(forward[1]), 4)]
+        fresh = [view for _, (at, view) in sorted(drone.views.items()) if now - at < VIEW_S]
+        position = next((view.position_m for view in fresh if view.position_m), position)
+        tracks = self._newest_tracks(drone, now)
         return {
             "id": drone_id,
             "gone_s": None if drone.gone_since is None else round(now - drone.gone_since, 1),
             "position_m": None if position is None else [round(p, 2) for p in position],
-            "axis": axis,
-            "fov_rad": fov and round(fov, 3),
+            "wedges": [wedge for view in fresh if (wedge := _wedge(view))],
+            "cameras": _cameras_of(drone),
+            "around": around_state(drone.rig, tracks, few=len(self._drones) <= MAPPED),
             "rays": []
             if report is None
             else [[s.drone_id, *np.round(s.direction, 3).tolist()] for s in report.sightings],
             "link_age_s": round(max(0.0, now - drone.heard), 2) if math.isfinite(drone.heard) else None,
-            "metres": metres(self._newest_tracks(drone, now)),
+            "metres": metres(tracks),
             "formation": _formation_state(drone.health),
             "troubles": troubles(drone.health),
             "health": None if drone.health is None else _health_state(drone.health),
@@ -338,6 +363,41 @@ class MonitoredTeam:
             except DecodeError:
                 self.unreadable += 1
         return drone.tracks[-1] if drone.tracks else None
+
+
+def _cameras_of(drone: Drone) -> int:
+    if drone.rig is not None:
+        return len(drone.rig.lenses)
+    # A recording may hold pictures, and not what was told of cameras before it began.
+    return max(drone.views, default=0) + 1
+
+
+def around_state(
+    rig: DroneCameras | None, tracks: TracksMessage | None, *, few: bool
+) -> dict[str, Any] | None:
+    """All directions around a drone with several cameras: its fields of view, and its tracks; None where nobody knows,
+    or, of many drones, nobody looks."""
+    if rig is None or (tracks is None and not few):
+        return None
+    return {"outlines": rig.outlines, "tracks": [] if tracks is None else rig.around(tracks)}
+
+
+def _wedge(view: VideoMessage) -> list[float] | None:
+    """Of a camera's view, from above: where its axis points north and east, and how wide it sees [rad]; None where it
+    looks up or down, or nobody knows."""
+    width = _width_of(view.lens)
+    if view.quaternion_wxyz is None or width is None:
+        return None
+    north, east = from_quaternion(view.quaternion_wxyz)[:2, 2].tolist()
+    return [round(north, 4), round(east, 4), width] if math.hypot(north, east) > STEEP else None
+
+
+@lru_cache(maxsize=256)
+def _width_of(lens: LensMessage) -> float | None:
+    try:
+        return round(2.0 * half_angles(camera_from(lens))[0], 3)
+    except DecodeError:
+        return None
 
 
 def troubles(health: HealthMessage | None) -> list[str]:

@@ -21,15 +21,16 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from swarmtrack.config import MountedCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Announcement, Array, AutopilotRebooted, EgoPose, FlightState, SightingReport
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.recording import inputs
 from swarmtrack.recording.merge import shifts
-from swarmtrack.recording.outputs import FRAMES_TOPIC, IMAGES_TOPIC
+from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings, read_settings
-from swarmtrack.replay.replayer import jpeg_of
+from swarmtrack.replay.recorded_frames import jpeg_of
 from swarmtrack.runtime.perception import make_ego_history
 
 TOPICS = {
@@ -64,13 +65,15 @@ class Label(NamedTuple):
 
 
 class LabelledPicture(NamedTuple):
-    """One picture of a flight, as its JPEG. t: exposure on the observer's clock."""
+    """One picture of a flight, as its JPEG. t: exposure on the observer's clock; camera: which of the observer's, by
+    its place in the config."""
 
     observer: int
     sequence: int
     t: float
     jpeg: bytes
     labels: list[Label]
+    camera: int = 0
 
 
 @dataclass(slots=True)
@@ -135,16 +138,20 @@ class FlightLabels:
         return [flown.drone_id for flown in self._flown]
 
     def pictures(self, every: int = 1) -> Iterator[LabelledPicture]:
-        """Every n-th picture of each recording that can be labelled."""
+        """Every n-th picture of each camera of each recording that can be labelled."""
         for observer in self._flown:
-            for number, (t, sequence, jpeg) in enumerate(_pictures(observer.recording)):
+            cameras = observer.settings.cameras
+            seen: Counter[int] = Counter()
+            for camera, t, sequence, jpeg in _pictures(observer.recording, len(cameras)):
+                number = seen[camera]
+                seen[camera] += 1
                 if number % every:
                     continue
-                labels = self._labels(observer, t + observer.settings.mounted.time_offset_s)
+                labels = self._labels(observer, cameras[camera], t + cameras[camera].time_offset_s)
                 if labels is not None:
-                    yield LabelledPicture(observer.drone_id, sequence, t, jpeg, labels)
+                    yield LabelledPicture(observer.drone_id, sequence, t, jpeg, labels, camera)
 
-    def _labels(self, observer: RecordedDrone, exposed: float) -> list[Label] | None:
+    def _labels(self, observer: RecordedDrone, mounted: MountedCamera, exposed: float) -> list[Label] | None:
         """None where somebody who may be in the picture cannot be labelled; exposed: on the observer's clock."""
         common = exposed + observer.clock_offset
         here = observer.pose_at(common)
@@ -157,7 +164,7 @@ class FlightLabels:
             if there is None:
                 self.skipped["a teammate's pose is not known"] += 1
                 return None
-            found = self._project(observer, here, there)
+            found = self._project(mounted, here, there)
             if found is None:
                 continue
             box, sigma = found
@@ -167,11 +174,9 @@ class FlightLabels:
             labels.append(Label(drone_id, box))
         return labels
 
-    def _project(
-        self, observer: RecordedDrone, here: TeamPose, there: TeamPose
-    ) -> tuple[Array, float] | None:
+    def _project(self, mounted: MountedCamera, here: TeamPose, there: TeamPose) -> tuple[Array, float] | None:
         """The box (4,) clipped to the picture, and the sigma of its centre, px; None where it is not in the picture."""
-        camera, mount = observer.settings.mounted.camera, observer.settings.mounted.body_from_camera
+        camera, mount = mounted.camera, mounted.body_from_camera
         team_from_camera = Pose(here.world_from_body, here.position) @ mount
         body = Pose(there.world_from_body, there.position).transform(self._body.corners)
         points = team_from_camera.inverse().transform(np.vstack([there.position[None], body]))
@@ -233,16 +238,15 @@ def _read(recording: Recording, shift: float) -> RecordedDrone:
     return flown
 
 
-def _pictures(recording: Recording) -> Iterator[tuple[float, int, bytes]]:
-    """Time on the drone's clock, number and JPEG of every recorded picture of the first camera."""
+def _pictures(recording: Recording, cameras: int) -> Iterator[tuple[int, float, int, bytes]]:
+    """Camera, time on the drone's clock, number and JPEG of every recorded picture."""
     exact = None
-    for message in recording.messages({FRAMES_TOPIC, IMAGES_TOPIC}):
+    topics = {image_topic(k): k for k in range(cameras)}
+    for message in recording.messages({FRAMES_TOPIC, *topics}):
         if message.topic == FRAMES_TOPIC:
             exact = msgspec.json.decode(message.data)
-            if exact.get("camera"):
-                exact = None
-        elif exact is not None:
-            jpeg = jpeg_of(message.data)
-            if jpeg is not None:
-                yield float(exact["t_s"]), int(exact["sequence"]), jpeg
-            exact = None
+            continue
+        camera, told, exact = topics[message.topic], exact, None
+        jpeg = jpeg_of(message.data)
+        if told is not None and told.get("camera", 0) == camera and jpeg is not None:
+            yield camera, float(told["t_s"]), int(told["sequence"]), jpeg

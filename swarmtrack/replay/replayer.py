@@ -10,17 +10,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import msgspec
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
-from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, StampKind, TrackList
+from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, TrackList
 from swarmtrack.recording import inputs, outputs
-from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
+from swarmtrack.replay.recorded_frames import RecordedFrames
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.perception import make_follower, make_onboard
 
@@ -136,8 +134,8 @@ class Replayer:
         self._detector = detector
         perceived = self._door.perceived
         self._expectations = [PerceivedExpectation(perceived, k) for k in range(len(settings.cameras))]
-        self._image_topics = {image_topic(k) for k in range(len(settings.cameras))}
-        self._topics = TOPICS if detector is None else TOPICS | {FRAMES_TOPIC} | self._image_topics
+        self._recorded_frames = RecordedFrames(len(settings.cameras))
+        self._topics = TOPICS if detector is None else TOPICS | self._recorded_frames.topics
         self._watcher = watcher
         self._answer_every = 1 if every_answer or watcher is not None else ANSWER_EVERY
         self._result = Replayed()
@@ -147,7 +145,6 @@ class Replayer:
         self._setpoints = _Compared()
         self._hash = hashlib.blake2b(digest_size=16)
         self._last_n = 0
-        self._exact_times: dict[str, Any] | None = None
         self._frames: dict[tuple[int, int], Frame] = {}
         """By camera, and by the frame's number."""
 
@@ -205,11 +202,8 @@ class Replayer:
             if recorded.relative_digest is not None:
                 self._states.recorded.append(recorded.relative_digest)
             self._result.recorded_scans.append(recorded.report)
-        elif topic == FRAMES_TOPIC or topic in self._image_topics:
-            try:
-                self._take_frame(topic, message.data)
-            except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
-                raise RecordingError(f"{topic}: no frame of ours: {error}") from None
+        elif topic in self._recorded_frames.topics:
+            self._take_frame(topic, message.data)
 
     def _take_command(self, command: outputs.RecordedCommand) -> None:
         """A drone that flew in formation asks again what to fly."""
@@ -261,43 +255,10 @@ class Replayer:
             yield detections
 
     def _take_frame(self, topic: str, data: bytes) -> None:
-        """First come a frame's exact times, then its picture."""
-        import cv2  # noqa: PLC0415
-        import numpy as np  # noqa: PLC0415
-
-        from swarmtrack.sensors.decode import check_pixels  # noqa: PLC0415
-        from swarmtrack.sensors.frame_slot import BadImage  # noqa: PLC0415
-
-        if topic == FRAMES_TOPIC:
-            self._exact_times = msgspec.json.decode(data)
+        frame = self._recorded_frames.take(topic, data)
+        if frame is None:
             return
-        exact, self._exact_times = self._exact_times, None
-        jpeg = jpeg_of(data)
-        if exact is None or jpeg is None or topic != image_topic(int(exact.get("camera", 0))):
-            return
-        try:
-            check_pixels(jpeg)
-        except BadImage:
-            return
-        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            return
-        pixels = np.asarray(image, np.uint8)
-        frame = Frame(
-            float(exact["t_s"]),
-            float(exact["t_sigma_s"]),
-            int(exact["sequence"]),
-            pixels,
-            StampKind.MEDIA,
-            int(exact.get("camera", 0)),
-        )
         self._frames[frame.camera, frame.sequence] = frame
         while len(self._frames) > FRAMES_KEPT:
             # The one that was read first.
             del self._frames[next(iter(self._frames))]
-
-
-def jpeg_of(data: bytes) -> bytes | None:
-    """The picture in a recorded CompressedImage, from its first marker to its last; None where there is none."""
-    start, end = data.find(b"\xff\xd8"), data.rfind(b"\xff\xd9")
-    return data[start : end + 2] if 0 <= start < end else None

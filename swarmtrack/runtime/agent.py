@@ -83,7 +83,7 @@ class Agent:
         self._live = LiveVideo(
             parts.transport,
             parts.door.perceived,
-            parts.lens,
+            parts.lenses,
             self.health.drops,
             clock=parts.clock,
             wall=parts.wall,
@@ -239,8 +239,7 @@ class Agent:
     async def _receive(self, number: int, source: DetectionSource) -> AsyncIterator[Detections]:
         async for detections in source.detections():
             if self._is_fresh(detections.t, number):
-                if number == 0:
-                    self._live.offer(detections.t, detections.sequence, None)
+                self._live.offer(detections.t, detections.sequence, None, number)
                 yield replace(detections, camera=number) if number else detections
 
     async def _detect(self, frames: AsyncIterator[Frame]) -> AsyncIterator[Detections]:
@@ -274,8 +273,7 @@ class Agent:
             return None
         if self._recorder is not None:
             self._recorder.frame(frame)
-        if frame.camera == 0:
-            self._live.offer(frame.t, frame.sequence, frame.image)
+        self._live.offer(frame.t, frame.sequence, frame.image, frame.camera)
         began = self._wall.now()
         self._watchdog.look_began(began)
         look = detector.plan(frame, self._expectations[frame.camera])
@@ -439,7 +437,7 @@ def make_notices(parts: Parts) -> PilotNotices:
         autopilot if isinstance(autopilot, MavlinkAutopilot) else None,
         config.autopilot.tell,
         parts.door.perceived,
-        parts.lens,
+        parts.lenses,
         drone_id=config.drone.id,
         boot=parts.boot,
         team=config.network.team,

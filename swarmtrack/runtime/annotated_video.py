@@ -30,6 +30,7 @@ MAX_BACKLOG = 8  # frames waiting to be encoded, before a live camera's are drop
 
 TRAIL_S = 1.0  # of a track's way
 FASTEST_HZ = 60.0  # no screen shows more
+USUAL_FPS = 30.0  # of what has a single frame
 
 GREY, RED = (200, 200, 200), (60, 60, 255)
 
@@ -66,7 +67,7 @@ def annotate(frame: Frame, t_s: float, seen: list[SeenTrack], trails: Trails | N
     for track in seen:
         _draw(image, track, trails)
     count = sum(track.entry.track.status is TrackStatus.CONFIRMED for track in seen)
-    _write(image, f"{t_s:7.2f} s  frame {frame.sequence}  {count} tracked", (8, 20), (255, 255, 255))
+    write_text(image, f"{t_s:7.2f} s  frame {frame.sequence}  {count} tracked", (8, 20), (255, 255, 255))
     return image
 
 
@@ -105,7 +106,7 @@ def _draw(image: Image, seen: SeenTrack, trails: Trails) -> None:
     label = label_of(seen)
     # Above the box, or below it where there is no room between the image's edge and the line at its top.
     baseline = corner[1] - 5 if corner[1] > 40 else opposite[1] + 17
-    _write(image, label, (max(0, min(corner[0], image.shape[1] - 9 * len(label))), baseline), colour)
+    write_text(image, label, (max(0, min(corner[0], image.shape[1] - 9 * len(label))), baseline), colour)
 
 
 def label_of(seen: SeenTrack) -> str:
@@ -131,7 +132,7 @@ def _name(identity: int | str) -> str:
     return f"drone {identity}" if identity != FOREIGN else FOREIGN
 
 
-def _write(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+def write_text(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
 
@@ -168,28 +169,63 @@ def _no_complaint() -> Iterator[None]:
         os.close(nothing)
 
 
+class TimedVideo:
+    """Pictures at their own times: one that lasts is written again. Opened with the first."""
+
+    def __init__(self, path: Path, fps: float = USUAL_FPS) -> None:
+        """Raises SourceError where it cannot be written."""
+        _check_video(path)
+        self._path = path
+        self.fps = fps
+        self._writer: cv2.VideoWriter | None = None
+        self._written = self._cut = 0
+        """Frames; and those that stalls lasted beyond what is worth watching."""
+        self._last: Image | None = None
+
+    def write(self, image: Image, t_s: float) -> None:
+        """At its time; the one before lasts until then."""
+        writer = self._writer or self._open(image)
+        slot = round(t_s * self.fps) - self._cut
+        stall = max(slot - self._written - MOST_REPEATED, 0)
+        self._cut, slot = self._cut + stall, slot - stall
+        while self._last is not None and self._written < slot:
+            writer.write(self._last)
+            self._written += 1
+        if self._written <= slot:
+            writer.write(image)
+            self._written += 1
+        self._last = image
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.release()
+
+    def _open(self, first: Image) -> cv2.VideoWriter:
+        height, width = first.shape[:2]
+        self.fps = min(max(self.fps, 1.0), FASTEST_HZ)
+        self._writer = _writer(self._path, self.fps, (width, height))
+        if not self._writer.isOpened():
+            log.warning("output.video: OpenCV cannot write %s; frames are being lost", self._path)
+        return self._writer
+
+
 class AnnotatedVideo:
     """`[output] video`: drawn and encoded in a thread of its own.
 
     `lossless` waits for the encoder (a file at pace `fast`); otherwise frames that it cannot take in time are dropped
-    and counted. Frames stand at their own times: one that lasts is written again. alone: there is no team.
+    and counted. alone: there is no team.
     """
 
     def __init__(self, path: Path, *, lossless: bool, alone: bool = False) -> None:
-        _check_video(path)
-        self._path = path
+        self._video = TimedVideo(path)
         self._lossless = lossless
         self._frames: deque[Frame] = deque(maxlen=FRAMES_KEPT)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="video")
         self._pending: deque[Future[None]] = deque()
-        self._writer: cv2.VideoWriter | None = None
         self._first: tuple[float, Image] | None = None
         self._start: float | None = None
+        self._begun = False
         self._trails = Trails(alone=alone)
-        self._fps = 30.0
-        self._written = self._cut = 0
-        """Frames; and those that stalls lasted beyond what is worth watching."""
-        self._last: Image | None = None
         self.dropped = 0
 
     def keep(self, frame: Frame) -> None:
@@ -217,38 +253,21 @@ class AnnotatedVideo:
 
     def _encode(self, frame: Frame, t_s: float, seen: list[SeenTrack]) -> None:
         image = annotate(frame, t_s, seen, self._trails)
-        if self._writer is None:
-            if self._first is None:
-                self._first = (frame.t, image)  # the frame rate is known with the second frame
-                return
-            began, first = self._first
-            self._open(first, 1.0 / (frame.t - began) if frame.t > began else 30.0)
-        self._write(image, t_s)
+        if self._first is None:
+            self._first = (frame.t, image)  # the frame rate is known with the second frame
+            return
+        self._begin(frame.t)
+        self._video.write(image, t_s)
 
-    def _write(self, image: Image, t_s: float) -> None:
-        """At its time; the one before lasts until then."""
-        assert self._writer is not None
-        slot = round(t_s * self._fps) - self._cut
-        stall = max(slot - self._written - MOST_REPEATED, 0)
-        self._cut, slot = self._cut + stall, slot - stall
-        while self._last is not None and self._written < slot:
-            self._writer.write(self._last)
-            self._written += 1
-        if self._written <= slot:
-            self._writer.write(image)
-            self._written += 1
-        self._last = image
-
-    def _open(self, first: Image, fps: float) -> None:
-        height, width = first.shape[:2]
-        self._fps = min(max(fps, 1.0), FASTEST_HZ)
-        self._writer = _writer(self._path, self._fps, (width, height))
-        if not self._writer.isOpened():
-            log.warning("output.video: OpenCV cannot write %s; frames are being lost", self._path)
-        self._write(first, 0.0)
+    def _begin(self, t: float | None = None) -> None:
+        """With the first frame, whose rate is that to the next at t."""
+        if self._first is None or self._begun:
+            return
+        self._begun = True
+        began, first = self._first
+        self._video.fps = 1.0 / (t - began) if t is not None and t > began else USUAL_FPS
+        self._video.write(first, 0.0)
 
     def _finish(self) -> None:
-        if self._writer is None and self._first is not None:
-            self._open(self._first[1], 30.0)
-        if self._writer is not None:
-            self._writer.release()
+        self._begin()
+        self._video.close()

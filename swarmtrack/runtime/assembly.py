@@ -126,7 +126,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     with config.blamed("network"):
         transport, renewal = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
-    check_formation(config, mounted[0], detector)
+    check_formation(config, mounted, detector)
     box_width = None if detector is None else detector.description.box_width
     recorder = _recorder(
         config, mounted, start, box_width, boot, clock=clock, wall=wall, waits=paced is not None
@@ -153,14 +153,14 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     )
 
 
-def check_formation(config: DroneConfig, mounted: MountedCamera, detector: Detector | None) -> None:
-    """What a formation has against this drone's camera and detector. Raises ConfigError."""
+def check_formation(config: DroneConfig, mounted: Sequence[MountedCamera], detector: Detector | None) -> None:
+    """What a formation has against this drone's cameras and detector. Raises ConfigError."""
     section, drone_id = config.formation, config.drone.id
     plan = section.plan()
     if plan is None or drone_id == plan.leader:
         return
-    view = field_of_view(mounted.camera, mounted.body_from_camera)
-    faults = view_faults(plan, drone_id, view, section.limits.acceleration_m_s2)
+    views = [field_of_view(one.camera, one.body_from_camera) for one in mounted]
+    faults = view_faults(plan, drone_id, views, section.limits.acceleration_m_s2)
     told = config.team.share == "velocity" or section.ranging
     described = BoxWidth() if detector is None else detector.description.box_width or BoxWidth()
     faults += range_faults(config.detector.box_width.over(described), told=told)
@@ -277,18 +277,18 @@ def _in_step(link: str) -> str:
 def _transport(
     config: DroneConfig, boot: str, clock: Clock, hub: MemoryHub
 ) -> tuple[Transport, KeyRenewal | None]:
-    network, drone_id = config.network, config.drone.id
+    network, drone_id, cameras = config.network, config.drone.id, len(config.cameras)
     if network.transport == "memory":
         return MemoryTransport(hub, network.team, drone_id, boot, clock), None
     credentials = credentials_of(config, clock)
     settings = topology.of_drone(network, drone_id, credentials)
     if credentials is None:
-        return ZenohTransport(settings, drone_id, boot, clock), None
+        return ZenohTransport(settings, drone_id, boot, clock, cameras=cameras), None
     from swarmtrack.runtime.key_renewal import KeyRenewal  # noqa: PLC0415
     from swarmtrack.security.roster_watch import RosterWatch  # noqa: PLC0415
 
     sign, verify = credentials.sign, credentials.verify
-    transport = ZenohTransport(settings, drone_id, boot, clock, sign=sign, verify=verify)
+    transport = ZenohTransport(settings, drone_id, boot, clock, sign=sign, verify=verify, cameras=cameras)
     return transport, KeyRenewal(RosterWatch(credentials.ca.parent, credentials, clock), transport)
 
 

@@ -12,7 +12,7 @@ from swarmtrack.diagnosis.findings import fault
 from swarmtrack.diagnosis.formation_drawing import as_svg, as_text
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.errors import ConfigError
-from swarmtrack.formation.plan import FormationPlan
+from swarmtrack.formation.plan import FormationPlan, HalfView
 from swarmtrack.formation_config import field_of_view
 from swarmtrack.runtime.assembly import Parts, assemble
 from swarmtrack.runtime.outputs import check_outputs
@@ -37,7 +37,7 @@ def check(path: Path) -> None:
     parts = assemble(config, SystemClock())
     with config.blamed("output"):
         check_outputs(config.output.jsonl, config.output.video, len(config.cameras))
-    lens, link = parts.lens, config.autopilot.link
+    link = config.autopilot.link
     print(f"drone      {config.drone.id} of team {config.network.team}")
     for number, section in enumerate(config.cameras):
         _print_camera(parts, number, section)
@@ -65,8 +65,7 @@ def check(path: Path) -> None:
         print(f"formation  {_role(plan, config.drone.id)}")
         if config.drone.id != plan.leader:
             print(f"           {FLOWN if config.flies_in_formation else NOT_FLOWN}")
-        view = field_of_view(lens, parts.door.perceived.body_from_camera)
-        print(textwrap.indent(as_text(plan, config.drone.id, view), "           "))
+        print(textwrap.indent(as_text(plan, config.drone.id, _views(parts)), "           "))
     start = config.drone.start
     findings = check_door(link, signed=config.autopilot.signing_key is not None)
     if start.has_unknown_sigma:
@@ -103,7 +102,15 @@ def draw_formation(path: Path) -> str:
             [config.problem(("formation", "leader"), "found none, expected a formation to draw")]
         )
     parts = assemble(config, SystemClock())
-    return as_svg(plan, config.drone.id, field_of_view(parts.lens, parts.door.perceived.body_from_camera))
+    return as_svg(plan, config.drone.id, _views(parts))
+
+
+def _views(parts: Parts) -> list[HalfView]:
+    perceived = parts.door.perceived
+    return [
+        field_of_view(lens, mounting)
+        for lens, mounting in zip(perceived.lenses, perceived.mountings, strict=True)
+    ]
 
 
 def _role(plan: FormationPlan, drone_id: int) -> str:

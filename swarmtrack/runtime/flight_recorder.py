@@ -50,9 +50,9 @@ class FlightRecorder:
         self._thread = RecordingThread(wall, waits=waits)
         self._n = 0
         self._next_frame = [-math.inf] * len(settings.cameras)
-        mounted = settings.mounted
-        self._views = FoxgloveViews([one.camera for one in settings.cameras])
-        self._scene = FoxgloveScene(settings.config.drone.id, mounted.body_from_camera)
+        drone_id, lenses = settings.config.drone.id, [one.camera for one in settings.cameras]
+        self._views = FoxgloveViews(drone_id, lenses)
+        self._scene = FoxgloveScene(drone_id, lenses, [one.body_from_camera for one in settings.cameras])
 
     def open(self) -> None:
         """Begin. Raises RecordingError where the folder cannot be made."""

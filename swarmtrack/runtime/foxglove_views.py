@@ -31,6 +31,7 @@ from swarmtrack.recording import schemas
 from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.writer import Topic
 from swarmtrack.relative.read_out import read_out
+from swarmtrack.runtime.foxglove_scene import camera_frame
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
 from swarmtrack.runtime.palette import colour_of
 
@@ -53,8 +54,9 @@ Written = tuple[Topic, bytes]
 class FoxgloveViews:
     """Makes them of what is recorded."""
 
-    def __init__(self, lenses: Sequence[PinholeCamera]) -> None:
+    def __init__(self, drone_id: int, lenses: Sequence[PinholeCamera]) -> None:
         """lenses: of all cameras of the drone."""
+        self._drone_id = drone_id
         self._lenses = lenses
         self._told: tuple[str, ...] = ()
 
@@ -101,14 +103,12 @@ class FoxgloveViews:
             exact["camera"] = frame.camera
         yield FRAME, msgspec.json.encode(exact)
         image = CompressedImage(
-            timestamp=stamp(exposed_ns), frame_id=frame_id(frame.camera), data=jpeg.tobytes(), format="jpeg"
+            timestamp=stamp(exposed_ns),
+            frame_id=camera_frame(self._drone_id, frame.camera),
+            data=jpeg.tobytes(),
+            format="jpeg",
         )
         yield IMAGES[frame.camera], image.encode()
-
-
-def frame_id(camera: int) -> str:
-    """In which a camera's pictures lie; people count cameras from 1."""
-    return "camera" if camera == 0 else f"camera_{camera + 1}"
 
 
 def stamp(ns: int) -> Timestamp:

@@ -1,7 +1,9 @@
-"""What the camera sees now, for people: `video/<id>`, said only while somebody listens.
+"""What the cameras see now, for people: `video/<id>`, said only while somebody listens.
 
 The newest frame only, at most ten times a second, made smaller and encoded in a thread of its own. While that is busy,
-frames pass by. Unwatched it costs one question per frame.
+frames pass by. Unwatched it costs one question per frame. Of several cameras each is listened to by itself. Those ten
+are for all pictures of a drone together: who looks at one camera pays for one, and who looks at four sees each more
+rarely.
 """
 
 from __future__ import annotations
@@ -9,7 +11,9 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
@@ -42,7 +46,7 @@ class LiveVideo:
         self,
         transport: Transport,
         perceived: Perceived,
-        lens: PinholeCamera,
+        lenses: Sequence[PinholeCamera],
         drops: Counter[str],
         *,
         clock: Clock,
@@ -50,50 +54,56 @@ class LiveVideo:
     ) -> None:
         self._transport = transport
         self._perceived = perceived
-        self._width, self._height = lens.width, lens.height
-        self._lens = lens_message(lens)
+        self._lenses = [lens_message(lens) for lens in lenses]
         self._drops = drops
         self._clock = clock
         self._wall = wall
-        self._last = -math.inf
+        self._last = [-math.inf] * len(lenses)
         self._worker: ThreadPoolExecutor | None = None
         self._encoding: asyncio.Future[VideoMessage | None] | None = None
 
-    def offer(self, t: float, frame: int, image: Image | None) -> None:
+    def offer(self, t: float, frame: int, image: Image | None, camera: int = 0) -> None:
         """A frame with its stamp; image None: of a camera that sends no pictures. Returns at once."""
-        if self._encoding is not None or not self._transport.has_listener(Kind.VIDEO):
+        if self._encoding is not None or not self._transport.has_listener(Kind.VIDEO, camera):
             return
         now = self._wall.now()
-        if now - self._last < periods.VIDEO - JITTER_S:
+        # What has no picture costs nothing worth sharing.
+        period = periods.VIDEO * (1 if image is None else self._watched())
+        if now - self._last[camera] < period - JITTER_S:
             return
-        self._last = now
-        exposed = t + self._perceived.camera_clock.used_s
-        pose = self._perceived.camera_pose(exposed)
+        self._last[camera] = now
+        exposed = t + self._perceived.camera_clocks[camera].used_s
+        pose = self._perceived.camera_pose(exposed, camera)
+        lens = self._lenses[camera]
         view = VideoMessage(
             version=VERSION,
             t_utc_s=float(exposed + self._clock.utc() - self._clock.now()),
             t_sigma_s=UTC_SIGMA,
             frame=frame,
-            width=self._width,
-            height=self._height,
+            width=lens.width,
+            height=lens.height,
             jpeg=b"",
-            lens=self._lens,
+            lens=lens,
             position_m=tuple(pose.position.tolist()) if pose else None,
             quaternion_wxyz=tuple(to_quaternion(pose.rotation).tolist()) if pose else None,
         )
         if image is None:
-            self._publish(view)
+            self._publish(view, camera)
             return
         self._worker = self._worker or ThreadPoolExecutor(1, thread_name_prefix="live video")
         loop = asyncio.get_running_loop()
         self._encoding = loop.run_in_executor(self._worker, with_picture, view, image)
-        self._encoding.add_done_callback(self._on_encoded)
+        self._encoding.add_done_callback(partial(self._on_encoded, camera))
 
     def close(self) -> None:
         if self._worker is not None:
             self._worker.shutdown(wait=False, cancel_futures=True)
 
-    def _on_encoded(self, done: asyncio.Future[VideoMessage | None]) -> None:
+    def _watched(self) -> int:
+        """How many cameras somebody looks at."""
+        return sum(self._transport.has_listener(Kind.VIDEO, k) for k in range(len(self._lenses)))
+
+    def _on_encoded(self, camera: int, done: asyncio.Future[VideoMessage | None]) -> None:
         self._encoding = None
         if done.cancelled():
             return
@@ -101,11 +111,11 @@ class LiveVideo:
         if view is None:
             self._drops["unsendable_video"] += 1
         else:
-            self._publish(view)
+            self._publish(view, camera)
 
-    def _publish(self, view: VideoMessage) -> None:
+    def _publish(self, view: VideoMessage, camera: int) -> None:
         try:
-            self._transport.publish(Kind.VIDEO, codec.encode(view))
+            self._transport.publish(Kind.VIDEO, codec.encode(view), camera)
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._drops["unsendable_video"] += 1
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import math
 import zlib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,7 +36,14 @@ from swarmtrack.runtime.outputs import SeenTrack, as_seen
 from swarmtrack.runtime.status_lines import Debounced, StatusLines
 from swarmtrack.runtime.teammates_on_earth import TeammatesOnEarth
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.notices import Severity, adsb_vehicle, image_status, named_value, status_text
+from swarmtrack.sensors.mavlink.notices import (
+    MOST_DEVICES,
+    Severity,
+    adsb_vehicle,
+    image_status,
+    named_value,
+    status_text,
+)
 from swarmtrack.wire.health import LinkHealth
 
 NETWORKS = ("zenoh", "memory")  # names of links to the team
@@ -60,7 +67,7 @@ class PilotNotices:
         autopilot: MavlinkAutopilot | None,
         tell: Collection[str],
         perceived: Perceived,
-        lens: PinholeCamera,
+        lenses: Sequence[PinholeCamera],
         *,
         drone_id: int,
         boot: str,
@@ -75,7 +82,7 @@ class PilotNotices:
         self._boot = boot
         self._team = team
         self._perceived = perceived
-        self._lens = lens
+        self._lenses = lenses
         self._clock = clock
         self._wall = wall
         self._texts, self._boxes = "status" in tell, "camera_tracking" in tell
@@ -89,8 +96,10 @@ class PilotNotices:
         self._sight = Debounced((0, 0), hold=SIGHT_HOLD, rest=SIGHT_REST)
         self._number_at = -math.inf
         self._texts_sent = 0
-        self._shown: int | None = None  # the track whose box is told
-        self._idle_at = -math.inf
+        # Of each camera: the track whose box is told, and when it was last said that there is none.
+        self._shown: dict[int, int | None] = {}
+        self._idle_at: dict[int, float] = {}
+        self._told_of = 0
         # A config that asks for "adsb" has an origin.
         self._positions = TeammatesOnEarth(origin) if origin is not None and "adsb" in tell else None
         self._positions_at = -math.inf
@@ -222,24 +231,34 @@ class PilotNotices:
             )
 
     def _show(self, now: float) -> None:
-        """The box of one teammate in the first camera's image: the message has room for one. The largest, for as long
-        as it has a name."""
+        """The box of one teammate in one camera's image: the message has room for one. Of each camera the largest, for
+        as long as it has a name. Cameras that have something to say take turns."""
         assert self._autopilot is not None
-        boxed = {
-            entry.track.id: entry
-            for entry in self._named(now)
-            if entry.track.camera == 0 and np.isfinite(entry.track.size).all()
-        }
-        if self._shown not in boxed:
-            self._shown = max(boxed, key=lambda i: float(boxed[i].track.size.prod()), default=None)
-        if self._shown is not None and self._scan is not None:
-            one = self._scan._replace(tracks=replace(self._scan.tracks, tracks=(boxed[self._shown],)))
-            self._idle_at = -math.inf
-            for track in as_seen(one, self._lens):
-                self._autopilot.tell(image_status(_corners(track, self._lens)))
-        elif now - self._idle_at >= periods.TEAMMATES_IN_VIEW:
-            self._idle_at = now
-            self._autopilot.tell(image_status(None))
+        count = min(len(self._lenses), MOST_DEVICES)
+        boxed: list[dict[int, IdentifiedTrack]] = [{} for _ in range(count)]
+        for entry in self._named(now):
+            if entry.track.camera < count and np.isfinite(entry.track.size).all():
+                boxed[entry.track.camera][entry.track.id] = entry
+        in_turn = [(self._told_of + 1 + k) % count for k in range(count)]
+        idle = [now - self._idle_at.get(k, -math.inf) >= periods.TEAMMATES_IN_VIEW for k in range(count)]
+        camera = next((k for k in in_turn if boxed[k] or idle[k]), None)
+        if camera is None:
+            return
+        self._told_of = camera
+        device = camera + 1 if len(self._lenses) > 1 else 0
+        seen = boxed[camera]
+        shown = self._shown.get(camera)
+        if shown not in seen:
+            shown = max(seen, key=lambda i: float(seen[i].track.size.prod()), default=None)
+        self._shown[camera] = shown
+        if shown is None or self._scan is None:
+            self._idle_at[camera] = now
+            self._autopilot.tell(image_status(None, device))
+            return
+        self._idle_at[camera] = -math.inf
+        one = self._scan._replace(tracks=replace(self._scan.tracks, tracks=(seen[shown],)))
+        for track in as_seen(one, *self._lenses):
+            self._autopilot.tell(image_status(_corners(track, self._lenses[camera]), device))
 
 
 def _address(team: str, drone_id: int) -> int:

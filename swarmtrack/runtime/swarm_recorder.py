@@ -157,7 +157,9 @@ class SwarmRecorder:
             try:
                 message = codec.decode(kind, heard.payload)
                 if isinstance(message, VideoMessage):
-                    _write_picture(address.drone_id, message, write, log_time)
+                    camera = keys.camera_of(address)
+                    if camera is not None:
+                        _write_picture(address.drone_id, camera, message, write, log_time)
                     return
                 record = as_record(message)
             except DecodeError as error:
@@ -172,13 +174,16 @@ class SwarmRecorder:
         return topic
 
 
-def _write_picture(drone_id: int, view: VideoMessage, write: Write, log_time: int) -> None:
+def _write_picture(drone_id: int, camera: int, view: VideoMessage, write: Write, log_time: int) -> None:
     """As viewers show pictures; one without is in `/heard` only."""
     if view.jpeg:
         exposed = round(view.t_utc_s * 1e9)
         stamp = Timestamp(sec=exposed // 10**9, nsec=exposed % 10**9)
-        image = CompressedImage(timestamp=stamp, frame_id=f"camera-{drone_id}", data=view.jpeg, format="jpeg")
-        topic = Topic.well_known(f"/drone-{drone_id}/video", CompressedImage)
+        # People count cameras from 1.
+        which = f"/{camera + 1}" if camera else ""
+        frame = f"camera-{drone_id}{which}"
+        image = CompressedImage(timestamp=stamp, frame_id=frame, data=view.jpeg, format="jpeg")
+        topic = Topic.well_known(f"/drone-{drone_id}/video{which}", CompressedImage)
         write(topic, log_time, image.encode())
 
 

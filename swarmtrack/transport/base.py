@@ -59,12 +59,15 @@ class Transport(Protocol):
         """Our `camera/<id>`: said once when the network opens, and to whoever asks. To be called before that."""
         ...
 
-    def publish(self, kind: Kind, payload: bytes) -> bool:
-        """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop. Whether it was let go."""
+    def publish(self, kind: Kind, payload: bytes, camera: int = 0) -> bool:
+        """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop. Whether it was let go.
+
+        camera: whose picture it is, of `Kind.VIDEO`.
+        """
         ...
 
-    def has_listener(self, kind: Kind) -> bool:
-        """Whether anybody listens to what we publish of this kind; costs nothing to ask."""
+    def has_listener(self, kind: Kind, camera: int = 0) -> bool:
+        """Whether anybody listens to what we publish of this kind; costs nothing to ask. camera: as of `publish`."""
         ...
 
     def events(self) -> AsyncIterator[PeerEvent]:

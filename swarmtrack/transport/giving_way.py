@@ -22,6 +22,8 @@ log = logging.getLogger(__name__)
 
 LOOK_S: Final = 0.2
 PACED: Final = (Kind.TRACKS, Kind.VIDEO)
+Channel = tuple[Kind, int]
+"""A kind of message, and of pictures of which camera."""
 QUIET_S: Final = 60.0  # after which it is worth a line of the log again
 
 
@@ -34,39 +36,41 @@ class GivingWay:
         self._mesh = network.mode is Mode.PEER
         self._clock = clock
         self._congestion = Congestion()
-        self._listened: set[Kind] = set()
+        self._listened: set[Channel] = set()
         # Of the radio; behind a router, it is the router that says all again.
         self._listeners = 0 if self._mesh else 1
         self._streams: set[str] = set()
         self._gave_way_at = -math.inf
         self.counters: Counter[str] = Counter()
 
-    def declare(self, publishers: Mapping[Kind, zenoh.Publisher]) -> list[Any]:
+    def declare(self, publishers: Mapping[Channel, zenoh.Publisher]) -> list[Any]:
         """What tells us whether anybody listens."""
         self._listened.clear()
         return [
-            publishers[kind].declare_matching_listener(
-                zenoh.handlers.Callback(partial(self._on_listeners, kind), indirect=False)
+            publisher.declare_matching_listener(
+                zenoh.handlers.Callback(partial(self._on_listeners, channel), indirect=False)
             )
-            for kind in PACED
+            for channel, publisher in publishers.items()
+            if channel[0] in PACED
         ]
 
-    def _on_listeners(self, kind: Kind, status: zenoh.MatchingStatus) -> None:
+    def _on_listeners(self, channel: Channel, status: zenoh.MatchingStatus) -> None:
         """In Zenoh's thread."""
         if status.matching:
-            self._listened.add(kind)
+            self._listened.add(channel)
             self._pacing.begin()
         else:
-            self._listened.discard(kind)
+            self._listened.discard(channel)
 
-    def has_listener(self, kind: Kind) -> bool:
+    def has_listener(self, channel: Channel) -> bool:
         """Whether anybody listens to what is paced."""
-        return kind in self._listened
+        return channel in self._listened
 
-    def lets_go(self, kind: Kind, size: int) -> bool:
+    def lets_go(self, channel: Channel, size: int) -> bool:
         """Whether a message may be said now; what may not is counted."""
-        if kind not in self._listened:
+        if channel not in self._listened:
             return True
+        kind, _ = channel
         allowed = self._pacing.allows(size, self._listeners, self._clock.now(), tracks=kind is Kind.TRACKS)
         self.counters[f"{kind}_held_back"] += not allowed
         return allowed

@@ -7,6 +7,7 @@ import secrets
 from functools import lru_cache
 from typing import Final, NamedTuple
 
+from swarmtrack.messages import MOST_CAMERAS
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.camera import CameraMessage
@@ -53,6 +54,8 @@ _KEY = re.compile(
     rf"{ROOT}/(?P<team>[^/]+)/{VERSION}/(?P<kind>{'|'.join(Kind)})/(?P<id>[1-9][0-9]{{0,4}})(?P<rest>(/[^/]+)*)"
 )
 _BOOT = re.compile("[0-9a-f]{8}")
+_OTHERS = tuple(map(str, range(1, MOST_CAMERAS)))
+"""Numbers of cameras behind the first."""
 
 
 class Address(NamedTuple):
@@ -67,6 +70,22 @@ class Address(NamedTuple):
 def key(team: str, kind: Kind | str, *rest: int | str) -> str:
     """`key("red", Kind.ALIVE, 3, "0123abcd")` is `swarmtrack/red/v1/alive/3/0123abcd`; `*` is a wildcard."""
     return "/".join([ROOT, team, VERSION, str(kind), *map(str, rest)])
+
+
+def video_key(team: str, drone_id: int | str, camera: int = 0) -> str:
+    """Of the pictures of one of a drone's cameras, from 0: that of the first has no number."""
+    return key(team, Kind.VIDEO, drone_id, *([camera] if camera else []))
+
+
+def camera_of(address: Address) -> int | None:
+    """Whose pictures are said on a key of `Kind.VIDEO`; None where that is no camera of ours."""
+    match address.rest:
+        case ():
+            return 0
+        case (text,) if text in _OTHERS:
+            return int(text)
+        case _:
+            return None
 
 
 def all_but_video(team: str) -> list[str]:

@@ -147,14 +147,15 @@ class MemoryTransport:
     def describe(self, camera: bytes) -> None:
         self._outgoing.camera = camera
 
-    def publish(self, kind: Kind, payload: bytes) -> bool:
+    def publish(self, kind: Kind, payload: bytes, camera: int = 0) -> bool:
         if kind not in PUBLISHED:
             raise ValueError(f"publish: found {kind}, expected one of {', '.join(PUBLISHED)}")
         self._published[f"{kind}_sent"] += 1
-        self._hub._send(self, self._key(kind), payload)
+        key = keys.video_key(self.team, self.drone_id, camera) if kind is Kind.VIDEO else self._key(kind)
+        self._hub._send(self, key, payload)
         return True
 
-    def has_listener(self, kind: Kind) -> bool:
+    def has_listener(self, kind: Kind, camera: int = 0) -> bool:
         return bool(self._hub.listeners)
 
     def events(self) -> AsyncIterator[PeerEvent]:

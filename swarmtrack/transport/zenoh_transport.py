@@ -25,7 +25,7 @@ from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
-from swarmtrack.transport.giving_way import GivingWay
+from swarmtrack.transport.giving_way import Channel, GivingWay
 from swarmtrack.transport.joining import keep_joining
 from swarmtrack.transport.knocking import keep_knocking
 from swarmtrack.transport.link_watch import LinksUp, LinkWatch, links_up
@@ -72,7 +72,7 @@ CARRIAGE: Final = {
 class ZenohTransport:
     """One drone's end of the network. `boot` names this life of the process (`keys.new_boot`).
 
-    sign, verify: of announcements; None to leave it.
+    sign, verify: of announcements; None to leave it. cameras: how many it has, each with pictures of its own.
     """
 
     def __init__(
@@ -84,9 +84,11 @@ class ZenohTransport:
         *,
         sign: Sign | None = None,
         verify: Verify | None = None,
+        cameras: int = 1,
     ) -> None:
         settings.check(network)
         self._network = network
+        self._cameras = cameras
         self._drone_id = drone_id
         self._boot = boot
         self._clock = clock
@@ -96,7 +98,7 @@ class ZenohTransport:
         )
         self._outgoing = Outgoing(network.team, drone_id, boot, clock, sign)
         self._session: zenoh.Session | None = None
-        self._publishers: dict[Kind, zenoh.Publisher] = {}
+        self._publishers: dict[Channel, zenoh.Publisher] = {}
         self._giving_way = GivingWay(network, clock)
         self._renewed = False
         self._declared: list[Any] = []
@@ -192,9 +194,11 @@ class ZenohTransport:
 
     def _declare(self, session: zenoh.Session) -> None:
         team, me = self._network.team, self._drone_id
-        for kind, carriage in CARRIAGE.items():
-            self._publishers[kind] = session.declare_publisher(
-                keys.key(team, kind, me),
+        channels = [*((kind, 0) for kind in CARRIAGE), *((Kind.VIDEO, k) for k in range(1, self._cameras))]
+        for kind, camera in channels:
+            carriage = CARRIAGE[kind]
+            self._publishers[kind, camera] = session.declare_publisher(
+                keys.video_key(team, me, camera) if kind is Kind.VIDEO else keys.key(team, kind, me),
                 encoding=keys.ENCODINGS[kind],
                 reliability=carriage.reliability,
                 congestion_control=zenoh.CongestionControl.DROP,
@@ -259,14 +263,14 @@ class ZenohTransport:
     def describe(self, camera: bytes) -> None:
         self._outgoing.camera = camera
 
-    def publish(self, kind: Kind, payload: bytes) -> bool:
+    def publish(self, kind: Kind, payload: bytes, camera: int = 0) -> bool:
         if kind not in PUBLISHED:
             raise ValueError(f"publish: found {kind}, expected one of {', '.join(PUBLISHED)}")
-        publisher = self._publishers.get(kind)
+        publisher = self._publishers.get((kind, camera))
         if publisher is None:
             self._counters[f"{kind}_unsent"] += 1
             return False
-        if not self._giving_way.lets_go(kind, len(payload)):
+        if not self._giving_way.lets_go((kind, camera), len(payload)):
             return False
         try:
             publisher.put(payload)
@@ -276,9 +280,12 @@ class ZenohTransport:
         self._counters[f"{kind}_sent"] += 1
         return True
 
-    def has_listener(self, kind: Kind) -> bool:
+    def has_listener(self, kind: Kind, camera: int = 0) -> bool:
         # Of what is cheap nobody asks: it is said anyway.
-        return kind in self._publishers and (kind is not Kind.VIDEO or self._giving_way.has_listener(kind))
+        channel = (kind, camera)
+        return channel in self._publishers and (
+            kind is not Kind.VIDEO or self._giving_way.has_listener(channel)
+        )
 
     def events(self) -> AsyncIterator[PeerEvent]:
         return self._peers.events()

@@ -32,7 +32,7 @@ def faults(*args, **kwargs):
 
 def test_a_star_on_an_arc_with_layers_is_sound():
     assert faults() == []
-    assert view_faults(plan(), 2, VIEW) == []
+    assert view_faults(plan(), 2, [VIEW]) == []
     assert list(neighbours_at_one_height(plan())) == []
 
 
@@ -85,21 +85,59 @@ def test_chains_of_more_than_three_and_circles_are_refused():
     ],
 )
 def test_references_beyond_the_view_are_refused(slots, references, said):
-    found = [fault.text for fault in view_faults(plan(slots, references), 2, VIEW)]
+    found = [fault.text for fault in view_faults(plan(slots, references), 2, [VIEW])]
     assert len(found) == len(said)
     assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
 
 
 def test_a_drone_that_tilts_for_its_acceleration_needs_a_higher_view():
     steep = plan({2: (-4.0, 0.0, -2.0)})  # 27° below the axis, of 37°
-    assert view_faults(steep, 2, VIEW) == []
-    [fault] = view_faults(steep, 2, VIEW, acceleration=3.0)
+    assert view_faults(steep, 2, [VIEW]) == []
+    [fault] = view_faults(steep, 2, [VIEW], acceleration=3.0)
     assert "27° below the camera's axis, expected at most 20°" in fault.text
 
 
 def test_a_camera_that_looks_up_sees_a_leader_that_is_higher():
     steep = plan({2: (-3.0, 0.0, 3.0)})
-    assert view_faults(steep, 2, VIEW._replace(up=math.radians(30.0))) == []
+    assert view_faults(steep, 2, [VIEW._replace(up=math.radians(30.0))]) == []
+
+
+def turned(right_deg: float, **more: float) -> HalfView:
+    return VIEW._replace(right=math.radians(right_deg), **more)
+
+
+def test_a_reference_is_in_view_if_any_camera_has_it():
+    """Two references 144° apart, their middle ahead: one camera to each side has them, one ahead does not."""
+    wide = plan({2: (-1.0, 3.0, 0.0), 3: (0.0, 6.0, 0.0)}, {2: (1, 3)})
+    assert [look.right for look in wide.looks(2)] == pytest.approx(
+        [-math.radians(72), math.radians(72)], abs=0.01
+    )
+    assert view_faults(wide, 2, [turned(-60), turned(60)]) == []
+    assert view_faults(wide, 2, [VIEW, turned(90), turned(-90)]) == []
+    [fault] = view_faults(wide, 2, [VIEW, turned(90)])
+    assert fault.text.startswith(
+        "drone 1 is 72° beside the axis of camera 1, the nearest, expected at most 36°"
+    )
+    [fault] = view_faults(wide, 2, [turned(-25), turned(60)])
+    assert fault.text.startswith("drone 1 is 47° beside the axis of camera 1, the nearest")
+
+
+def test_the_nose_must_have_somewhere_to_turn():
+    """One reference ahead and one behind: all-round cameras see both, and no heading is the better one."""
+    between = plan({2: (-4.0, 0.0, 0.0), 3: (-8.0, 0.3, 0.0)}, {2: (1, 3)})
+    all_round = [turned(90 * k, half_width=math.radians(60)) for k in range(4)]
+    [fault] = view_faults(between, 2, all_round)
+    assert fault.key == ("references", "2")
+    assert "opposite directions" in fault.text
+    aside = plan({2: (-4.0, 0.0, 0.0), 3: (-5.0, 4.0, 0.0)}, {2: (1, 3)})
+    assert view_faults(aside, 2, all_round) == []
+
+
+def test_a_camera_on_its_side_sees_higher_than_wide():
+    high = plan({2: (-4.0, 0.0, 2.8)})  # 35° above
+    narrow = HalfView(math.radians(45.0), math.radians(20.0), 0.0)
+    assert view_faults(high, 2, [narrow]) != []
+    assert view_faults(high, 2, [narrow._replace(roll=math.radians(90.0))]) == []
 
 
 def test_ranges_by_size_alone_need_boxes_that_tell_them():

@@ -192,6 +192,66 @@ async def test_a_large_team_has_a_readable_matrix(team: str, drones: int) -> Non
         assert misdeeds == []
 
 
+# --- drones with several cameras ------------------------------------------------------------------
+
+
+@needs_chromium
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+async def test_a_drone_with_four_cameras_has_a_picture_of_each_and_all_directions_in_one_strip(
+    team: str, width: int, height: int
+) -> None:
+    async with (
+        scripted_team(team, 2, cameras=4) as drones,
+        monitor(team) as served,
+        browser_page(width, height) as (page, misdeeds),
+    ):
+        await page.goto(served.url)
+        await page.wait_for_selector(".rig >> nth=1")
+        assert await page.locator("#cameras .camera").count() == 0
+        assert await page.locator(".rig").first.locator(".camera").count() == 4
+        # The strip shows the teammate where the camera that sees it looks.
+        await page.wait_for_function("() => [...rigs.values()].some(r => r.marks.length > 0)")
+        off = await page.evaluate(
+            "[...rigs.values()].flatMap(r => r.marks.map(m => {"
+            " const az = 360 * m.x / r.strip.clientWidth - 180, off = az - 90 * m.camera;"
+            " return [m.identity, Math.abs(((off + 540) % 360) - 180)]}))"
+        )
+        assert {identity for identity, _ in off} <= {1, 2}
+        assert max(angle for _, angle in off) < 46.0
+        # Pictures of those on the screen, and of no others.
+        await page.wait_for_function("() => cameras.get('1/0').last > 0 && cameras.get('1/1').last > 0")
+        shown = await page.evaluate("[...visible].map(key => key.split('/').map(Number))")
+        await eventually(
+            lambda: [(d.drone_id, k) for d in drones for k in d.watched] == sorted((d, k) for d, k in shown),
+            f"only {shown} are watched",
+        )
+        assert await page.evaluate("document.documentElement.scrollWidth") <= width
+        beyond = await page.evaluate(
+            "[...document.querySelectorAll('.pane, .camera, .strip, .rig .of')]"
+            ".filter(e => e.getBoundingClientRect().right > innerWidth + 1).length"
+        )
+        assert beyond == 0
+        assert misdeeds == []
+
+
+@needs_chromium
+async def test_drones_with_one_camera_and_with_several_share_a_page(team: str) -> None:
+    """The one with one has its picture as ever."""
+    async with (
+        scripted_team(team, 2) as (one, two),
+        monitor(team) as served,
+        browser_page() as (page, misdeeds),
+    ):
+        await page.goto(served.url)
+        await page.wait_for_selector("#cameras .camera >> nth=1")
+        two.look_around(2)
+        await page.wait_for_selector(".rig .camera >> nth=1")
+        assert await page.locator("#cameras .camera").count() == 1
+        await page.wait_for_function("() => cameras.get('1/0').last > 0 && cameras.get('2/1').last > 0")
+        assert (len(one.pictures), len(two.pictures)) == (1, 2)
+        assert misdeeds == []
+
+
 def test_the_page_is_one_small_file_that_asks_for_nothing() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert len(text.encode()) < 150_000
@@ -201,8 +261,8 @@ def test_the_page_is_one_small_file_that_asks_for_nothing() -> None:
 # --- video only while somebody looks --------------------------------------------------------------
 
 
-async def watch(socket: aiohttp.ClientWebSocketResponse, *drones: int) -> None:
-    await socket.send_str(json.dumps({"watch": drones}))
+async def watch(socket: aiohttp.ClientWebSocketResponse, *cameras: tuple[int, int]) -> None:
+    await socket.send_str(json.dumps({"watch": cameras}))
 
 
 async def until_listed(socket: aiohttp.ClientWebSocketResponse, n: int) -> None:
@@ -219,10 +279,35 @@ async def test_a_drone_is_watched_only_while_a_page_shows_it(team: str) -> None:
         async with http.ws_connect(f"{served.url}ws") as socket:
             await until_listed(socket, 2)
             assert (one.is_watched, two.is_watched) == (False, False)
-            await watch(socket, 2)
+            await watch(socket, (2, 0))
             await eventually(lambda: two.is_watched, "drone 2 is watched")
             assert not one.is_watched
         await eventually(lambda: not two.is_watched, "nobody looks any more")
+
+
+async def test_of_four_cameras_the_one_that_is_looked_at_sends_pictures_and_the_others_do_not(
+    team: str,
+) -> None:
+    async with (
+        scripted_team(team, 1, cameras=4) as (drone,),
+        monitor(team) as served,
+        aiohttp.ClientSession() as http,
+        http.ws_connect(f"{served.url}ws") as socket,
+    ):
+        await until_listed(socket, 1)
+        async with asyncio.timeout(PATIENCE):
+            while True:  # until it has told of its cameras
+                message = await socket.receive()
+                await socket.send_str("+")
+                if (
+                    message.type is aiohttp.WSMsgType.TEXT
+                    and json.loads(message.data)["drones"][0]["cameras"] == 4
+                ):
+                    break
+        await watch(socket, (1, 2), (1, 7), (9, 0))
+        await eventually(lambda: drone.pictures[2] > 3, "camera 3 is watched")
+        assert drone.watched == [2]
+        assert [n > 0 for n in drone.pictures] == [False, False, True, False]
 
 
 async def test_a_page_that_draws_nothing_is_sent_nothing_more(team: str) -> None:
@@ -234,8 +319,8 @@ async def test_a_page_that_draws_nothing_is_sent_nothing_more(team: str) -> None
         http.ws_connect(f"{served.url}ws") as socket,
     ):
         await until_listed(socket, 1)
-        await watch(socket, 1)
-        await eventually(lambda: drone.pictures > 10, "pictures are sent")
+        await watch(socket, (1, 0))
+        await eventually(lambda: drone.pictures[0] > 10, "pictures are sent")
         heard = 0
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(1.5):

@@ -34,4 +34,4 @@ def test_every_agent_of_a_star_may_fly_in_its_slot_and_sees_its_leader_there(
             continue
         mounted = mount_camera(config.camera)
         view = field_of_view(mounted.camera, mounted.body_from_camera)
-        assert view_faults(plan, drone_id, view, config.formation.limits.acceleration_m_s2) == []
+        assert view_faults(plan, drone_id, [view], config.formation.limits.acceleration_m_s2) == []

@@ -40,7 +40,7 @@ class Somebody:
     """Looks at drone 1."""
 
     is_there = True
-    watched = frozenset({1})
+    watched = frozenset({(1, 0)})
 
     def __init__(self) -> None:
         self.told: list[dict] = []
@@ -83,7 +83,7 @@ class Nobody:
     """Looks at the page."""
 
     is_there = False
-    watched: frozenset[int] = frozenset()
+    watched: frozenset[tuple[int, int]] = frozenset()
 
 
 async def test_a_silent_teams_page_names_those_that_are_heard_and_the_terminal_once(monkeypatch, caplog):

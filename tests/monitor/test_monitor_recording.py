@@ -24,6 +24,7 @@ pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from support.browser import browser_page, needs_chromium, until_said
 from support.places import ROOT
+from support.recorded_cameras import recorded
 from support.recorded_flight import fly
 from support.recorded_swarm import TEAM, UTC, record_swarm
 from swarmtrack.agents import main as swarmtrack
@@ -136,6 +137,26 @@ async def test_recording_a_swarm_switches_no_camera_on_unless_asked_to(tmp_path)
             playback = Playback(read_timeline([folder]))
             assert at(playback, playback.timeline.seconds)["light"]["text"] == "2 drones agree"
             assert (playback.seen(1) is not None) == watched
+
+
+async def test_all_cameras_of_a_swarm_are_recorded_where_pictures_are_asked_for(tmp_path):
+    team = f"test-{secrets.token_hex(4)}"
+    async with scripted_team(team, 1, cameras=4) as (drone,):
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "swarmtrack.agents.main", "record", str(tmp_path)),
+            *("--team", team, "--seconds", "3", "--video"),
+            cwd=ROOT,
+        )
+        assert await asyncio.wait_for(process.wait(), PATIENCE) == 0
+        assert all(drone.pictures)
+    playback = Playback(read_timeline([tmp_path]))
+    playback.seek(playback.steps)
+    assert playback.cameras == ((1, 0), (1, 1), (1, 2), (1, 3))
+    seen = [playback.seen(1, k)[0] for k in range(4)]
+    assert all(view.jpeg for view in seen)
+    assert len({view.quaternion_wxyz for view in seen}) == 4
+    topics = {message.topic for one in recordings_below(tmp_path) for message in one.messages()}
+    assert {"/drone-1/video", "/drone-1/video/2", "/drone-1/video/4"} <= topics
 
 
 # --- what drones recorded themselves --------------------------------------------------------------
@@ -341,6 +362,31 @@ async def test_the_map_of_a_recording_has_the_ellipses_of_the_chosen_drone(flown
             " return Math.hypot(u - e.x, v - e.y)})"
         )
         assert max(off) < 40.0
+        assert await page.evaluate("document.documentElement.scrollWidth") <= width
+        assert misdeeds == []
+
+
+@needs_chromium
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+async def test_a_recording_of_two_cameras_shows_both_pictures_and_all_directions(tmp_path, width, height):
+    recorded(tmp_path)
+    async with playing(tmp_path / "rec") as url, browser_page(width, height) as (page, misdeeds):
+        await page.goto(url)
+        await page.wait_for_selector(".rig .camera >> nth=1")
+        await page.evaluate("() => {say({play: false}); seek(0.9)}")
+        await page.wait_for_function(
+            "() => state.playback.t_s === 0.9 && cameras.get('3/0').last > 0 && cameras.get('3/1').last > 0"
+        )
+        await page.wait_for_function("() => rigs.get(3).marks.length === 2")
+        # The first camera's target is left of the nose, that of the second, which looks right, at its right.
+        marks = await page.evaluate(
+            "rigs.get(3).marks.map(m => [m.camera, m.x / rigs.get(3).strip.clientWidth])"
+        )
+        assert sorted(marks) == [[0, pytest.approx(0.47, abs=0.02)], [1, pytest.approx(0.745, abs=0.02)]]
+        shades = await page.evaluate(
+            "[0, 1].map(k => cameras.get(`3/${k}`).canvas.getContext('2d').getImageData(5, 5, 1, 1).data[0])"
+        )
+        assert shades == pytest.approx([40, 100], abs=5)
         assert await page.evaluate("document.documentElement.scrollWidth") <= width
         assert misdeeds == []
 

@@ -14,10 +14,11 @@ from foxglove.messages import Timestamp
 
 from support.protobuf_topics import decoded, message_class
 from support.recorded_flight import fly
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, from_quaternion
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, from_euler, from_quaternion
 from swarmtrack.messages import IdentifiedTrack, RelativeState, ScanReport, Track, TrackList, TrackStatus
-from swarmtrack.runtime.foxglove_scene import FoxgloveScene
+from swarmtrack.runtime.foxglove_scene import CALIBRATIONS, FoxgloveScene, calibration
 from swarmtrack.scenario_file import load_scenario
 
 
@@ -95,15 +96,64 @@ def test_each_teammate_has_poses_with_covariance_to_plot(topics):
     assert len(last.velocity_covariance) == 36
 
 
-def made(state: RelativeState | None) -> dict:
-    """By topic, decoded."""
-    track = Track(1, 0.0, np.zeros(4), np.eye(4), TrackStatus.CONFIRMED, 1.0, np.array([9.0, 9.0]))
-    report = ScanReport(0, TrackList(0.0, 0.0, (IdentifiedTrack(track, 2, 0.99, relative=state),)))
-    scene = FoxgloveScene(1, Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3)))
+LENS = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)  # 90° wide
+
+
+def made(state: RelativeState | None, *, camera: int = 0, cameras: int = 1) -> dict:
+    """By topic, decoded. cameras: how many, each 90° right of the one before."""
+    mean = np.array([319.5, 0.0, 239.5, 0.0])
+    track = Track(1, 0.0, mean, np.eye(4), TrackStatus.CONFIRMED, 1.0, np.array([9.0, 9.0]), camera=camera)
+    entry = IdentifiedTrack(track, 2, 0.99, relative=state)
+    report = ScanReport(0, TrackList(0.0, 0.0, (entry,)), camera)
+    mountings = [
+        Pose(from_euler(0.0, 0.0, 0.5 * np.pi * k) @ BODY_FROM_FORWARD_CAMERA, np.array([0.0, 0.1 * k, 0.0]))
+        for k in range(cameras)
+    ]
+    scene = FoxgloveScene(1, [LENS] * cameras, mountings)
+    here = Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3)) if cameras > 1 else None
     return {
         topic.name: message_class(topic.schema_name, topic.schema).FromString(data)
-        for topic, data in scene.of_report(report, None, Timestamp(sec=1, nsec=0))
+        for topic, data in scene.of_report(report, here, Timestamp(sec=1, nsec=0))
     }
+
+
+def test_each_camera_has_a_frame_the_lines_around_its_view_and_a_calibration():
+    told = made(None, camera=1, cameras=2)
+    second = in_map(told["/tf"], "drone-1/camera-2")
+    # The drone looks north; its second camera looks east, and sits 0.1 m there.
+    assert second.rotation[:, 2] == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
+    assert second.position == pytest.approx([0.1, 0.0, 0.0], abs=1e-9)
+    first_view, second_view = told["/cameras"].entities
+    assert (first_view.frame_id, second_view.frame_id) == ("drone-1/camera", "drone-1/camera-2")
+    border = np.array([xyz(point) for point in second_view.lines[0].points])
+    assert np.abs(border[:, 0] / border[:, 2]).max() == pytest.approx(1.0)
+    for topic, frame in (
+        ("/camera/calibration", "drone-1/camera"),
+        ("/camera/2/calibration", "drone-1/camera-2"),
+    ):
+        assert told[topic].frame_id == frame
+        assert (told[topic].width, told[topic].K[0], told[topic].distortion_model) == (640, 320, "plumb_bob")
+
+
+def test_a_ray_leaves_the_camera_that_sees_its_target():
+    (ray,) = made(None, camera=1, cameras=2)["/rays"].entities
+    assert ray.frame_id == "drone-1/camera-2"
+    begin, end = (xyz(point) for point in ray.lines[0].points)
+    assert begin == pytest.approx([0.0, 0.0, 0.0])
+    assert end == pytest.approx([0.0, 0.0, 30.0])
+
+
+def test_a_lens_is_told_by_the_name_that_viewers_know():
+    for distortion, name, n in (
+        (Equidistant((0.1, 0.0, 0.0, 0.0)), "kannala_brandt", 4),
+        (RadTan((0.1, 0.0, 0.0, 0.0)), "plumb_bob", 5),
+        (RadTan((0.1,) + (0.0,) * 7), "rational_polynomial", 8),
+    ):
+        lens = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480, distortion)
+        topic = CALIBRATIONS[0]
+        data = calibration(lens, "x", Timestamp(sec=1, nsec=0)).encode()
+        told = message_class(topic.schema_name, topic.schema).FromString(data)
+        assert (told.distortion_model, len(told.D), told.D[0]) == (name, n, 0.1)
 
 
 def test_the_ellipsoid_is_three_sigmas_along_the_axes_of_the_covariance():
@@ -120,4 +170,4 @@ def test_the_ellipsoid_is_three_sigmas_along_the_axes_of_the_covariance():
 
 
 def test_a_teammate_without_a_place_is_not_in_the_scene():
-    assert made(None) == {}
+    assert "/scene" not in made(None)

@@ -9,71 +9,27 @@ import cv2
 import numpy as np
 import pytest
 
-from swarmtrack.clock import ManualClock, SystemClock
-from swarmtrack.config import load_config, mount_camera
+from support.protobuf_topics import decoded
+from support.recorded_cameras import TURNED, recorded, settings_of
+from swarmtrack.agents.main import main
 from swarmtrack.errors import ConfigError, RecordingError
 from swarmtrack.messages import (
     Detections,
-    Frame,
     IdentifiedTrack,
     ScanReport,
-    StampKind,
     Track,
     TrackList,
     TrackStatus,
 )
-from swarmtrack.monitor.own_recording import DroneRecording
-from swarmtrack.monitor.timeline import BlobFile
+from swarmtrack.monitor.overlay import boxes
+from swarmtrack.monitor.player import Playback
+from swarmtrack.monitor.recorded import read_timeline
 from swarmtrack.recording import inputs, outputs
-from swarmtrack.recording.reader import Recording, recordings_below
-from swarmtrack.recording.settings import FlightSettings, attachments, read_settings
+from swarmtrack.recording.reader import Recording
+from swarmtrack.recording.settings import attachments, read_settings
+from swarmtrack.replay.flight_labels import Body, FlightLabels
 from swarmtrack.replay.replayer import Replayer
-from swarmtrack.runtime.door import Door
-from swarmtrack.runtime.flight_recorder import FlightRecorder
-from swarmtrack.runtime.perception import make_onboard
-
-NUMBERS = "{ fx = 300.0, fy = 300.0, cx = 159.5, cy = 119.5, width = 320, height = 240 }"
-
-
-def settings_of(folder: Path, *cameras: str) -> FlightSettings:
-    path = folder / "drone.toml"
-    tables = "".join(
-        f'[[camera]]\nsource = "detections://127.0.0.1:9/{k}"\nintrinsics = {NUMBERS}\n{more}'
-        for k, more in enumerate(cameras)
-    )
-    path.write_text(
-        f'drone.id = 3\nnetwork.transport = "memory"\n[recording]\ndir = "{folder}/rec"\nframes = "jpeg"\n{tables}'
-    )
-    config = load_config(path)
-    return FlightSettings(config, tuple(map(mount_camera, config.cameras)), None)
-
-
-TURNED = (
-    "body_from_camera = { rpy_deg = [0.0, 0.0, 90.0], position_m = [0.0, 0.1, 0.0] }\ntime_offset_s = 0.01\n"
-)
-
-
-def recorded(folder: Path) -> Recording:
-    """A second of two cameras, of which either sees one target."""
-    settings = settings_of(folder, "", TURNED)
-    clock = ManualClock(100.0, 1.8e9)
-    recorder = FlightRecorder(settings, "0123abcd", clock, SystemClock(), waits=True)
-    recorder.open()
-    door = Door(make_onboard(settings.config, settings.cameras, None))
-    door.listener = recorder
-    one = np.ones((1, 2))
-    for k in range(30):
-        camera, t = k % 2, 100.0 + k / 30.0
-        clock.set(t)
-        picture = np.full((240, 320), 40 + 60 * camera, np.uint8)
-        recorder.frame(Frame(t, 0.0, k // 2, picture, StampKind.EXPOSURE, camera))
-        centre = np.array([[100.0 + 50.0 * camera, 120.0]])
-        door.tell(Detections(t, k // 2, centre, 12.0 * one, np.array([0.95]), camera=camera))
-        door.events()
-        door.tracks(t)
-    recorder.close()
-    (recording,) = recordings_below(folder / "rec")
-    return recording
+from swarmtrack.replay.tiled_video import WIDEST, Tiles
 
 
 def test_a_flight_with_two_cameras_is_replayed_bit_for_bit(tmp_path):
@@ -116,19 +72,106 @@ def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
     assert [len(seen) for seen in shades.values()] == [6, 6]
 
 
-def test_the_page_of_a_recording_shows_the_first_camera_s_pictures_and_the_tracks_of_all(tmp_path):
-    shown = DroneRecording(recorded(tmp_path), BlobFile())
-    shown.read()
-    assert shown.refused == 0
-    views = list(shown.views(0.0))
-    # Up to 10 Hz, of the 6 pictures that it has.
-    assert len(views) == 6
-    pictures = [shown._blob_file.get(view.picture) for view in views if view.picture is not None]
-    shades = {
-        round(float(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_GRAYSCALE).mean()))
-        for one in pictures
+def test_the_page_of_a_recording_shows_the_pictures_of_each_camera(tmp_path):
+    recorded(tmp_path)
+    playback = Playback(read_timeline([tmp_path / "rec"]))
+    playback.seek(playback.steps)
+    assert playback.timeline.notes == []
+    assert playback.cameras == ((3, 0), (3, 1))
+    (drone,) = playback.state()["drones"]
+    assert [round(np.ptp(np.array(line)[:, 0])) for line in drone["around"]["outlines"]] == [56, 56]
+    # The first sees one left of its middle, the second, which looks right, one where its middle is.
+    assert [(round(track.right_deg), track.camera) for track in drone["around"]["tracks"]] == [
+        (-11, 0),
+        (88, 1),
+    ]
+    for camera, shade in ((0, 40), (1, 100)):
+        view, tracks = playback.seen(3, camera)
+        picture = cv2.imdecode(np.frombuffer(view.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert round(float(picture.mean())) == shade
+        (box,) = boxes(view, tracks, camera, playback.rig(3))
+        assert box["box"][0] == pytest.approx(100.0 + 50.0 * camera, abs=2.0)
+
+
+def test_a_viewer_finds_the_pictures_of_each_camera_in_its_frame(tmp_path):
+    recorded(tmp_path)
+    told = decoded(tmp_path / "rec")
+    assert {image.frame_id for image in told["/camera/image"]} == {"drone-3/camera"}
+    assert {image.frame_id for image in told["/camera/2/image"]} == {"drone-3/camera-2"}
+    assert {entity.frame_id for entity in told["/cameras"][0].entities} == {
+        "drone-3/camera",
+        "drone-3/camera-2",
     }
-    assert shades == {40}
+
+
+def test_pictures_of_every_camera_are_labelled_each_by_its_own_lens_and_mounting(tmp_path):
+    """One metre north and eight east: in the picture of the second camera, which looks right, not in the first's."""
+    recording = recorded(tmp_path, teammate=np.array([1.0, 8.1, 0.0]))
+    labels = FlightLabels([recording], Body(3.0, 1.0))
+    pictures = list(labels.pictures())
+    by_camera = {k: [one for one in pictures if one.camera == k] for k in (0, 1)}
+    assert [len(by_camera[k]) >= 4 for k in (0, 1)] == [True, True]
+    assert all(picture.labels == [] for picture in by_camera[0])
+    for picture in by_camera[1]:
+        (label,) = picture.labels
+        assert label.drone_id == 5
+        # Of a cuboid of 3 m its near face is the larger, 6.5 m away; north is left.
+        left, right = (159.5 - 300.0 * side / 6.5 for side in (1.0 + 1.5, 1.0 - 1.5))
+        assert label.box[0] == pytest.approx(left, abs=0.5)
+        assert label.box[0] + label.box[2] == pytest.approx(right, abs=0.5)
+    out = tmp_path / "data"
+    assert main(["label", str(tmp_path / "rec"), "--span", "3", "--out", str(out)]) == 0
+    names = {path.name.rpartition("_")[0] for path in (out / "images").iterdir()}
+    assert names == {"drone-3", "drone-3_camera-2"}
+
+
+def pictures_of(path: Path) -> list[np.ndarray]:
+    video = cv2.VideoCapture(str(path))
+    found = []
+    while (read := video.read())[0]:
+        found.append(read[1])
+    return found
+
+
+def test_a_replay_shows_the_pictures_of_all_cameras_side_by_side_with_the_boxes_of_each(tmp_path, capsys):
+    recorded(tmp_path)
+    whole, one = tmp_path / "whole.webm", tmp_path / "one.mp4"
+    assert main(["replay", str(tmp_path / "rec"), "--video", str(whole)]) == 0
+    assert f"12 pictures in {whole}" in capsys.readouterr().out
+    last = pictures_of(whole)[-1]
+    assert last.shape == (240, 640, 3)
+    # Above the boxes and below the line at the top.
+    assert last[60:80, :320].mean() == pytest.approx(40, abs=5)
+    assert last[60:80, 320:].mean() == pytest.approx(100, abs=5)
+    assert main(["replay", str(tmp_path / "rec"), "--video", str(one), "--camera", "2"]) == 0
+    last = pictures_of(one)[-1]
+    assert last.shape == (240, 320, 3)
+    assert last[60:80].mean() == pytest.approx(100, abs=5)
+    # Its own target is at 150, and that of the other camera at 100 is not drawn here.
+    columns = np.flatnonzero((np.ptp(last[105:135].astype(int), axis=2) > 60).any(axis=0))
+    assert 135 < columns.min() < columns.max() < 200
+
+
+def test_of_cameras_that_a_drone_had_not_there_is_no_video(tmp_path, capsys):
+    recorded(tmp_path)
+    words = ["replay", str(tmp_path / "rec"), "--video", str(tmp_path / "x.mp4"), "--camera", "3"]
+    assert main(words) == 2
+    assert "--camera 3: expected 1 to 2" in capsys.readouterr().err
+
+
+def test_eight_pictures_fit_into_one_and_each_has_its_place():
+    tiles = Tiles([(640, 480)] * 8)
+    for k in range(8):
+        tiles.put(k, np.full((480, 640, 3), 20 * (k + 1), np.uint8))
+    height, width, _ = tiles.picture.shape
+    assert width <= WIDEST + 8
+    assert height % 2 == width % 2 == 0
+    at = [
+        (tiles.picture[height // 4 + row * height // 2, width // 8 + k * width // 4, 0])
+        for row in (0, 1)
+        for k in range(4)
+    ]
+    assert at == [20 * (k + 1) for k in range(8)]
 
 
 @pytest.mark.parametrize(

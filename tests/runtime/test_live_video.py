@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from support.patience import PATIENCE
+from support.patience import PATIENCE, eventually
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.benchmarks.lone_agent import agent_process
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.rotation import from_quaternion
 from swarmtrack.runtime.live_video import PICTURE_WIDTH, with_picture
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
@@ -30,6 +31,13 @@ from swarmtrack.wire.video import VideoMessage
 
 LENS = PinholeCamera(600.0, 600.0, 320.0, 256.0, 640, 512)
 VIEW = VideoMessage(1, 1.7e9, 0.05, 1, 640, 512, b"", lens_message(LENS), None, None)
+
+
+ENTRIES = {"drone.id": 1, "autopilot.link": "none", "drone.start.position_m": [1.0, 2.0, -3.0]}
+CAMERA = {
+    "source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
+    **{f"intrinsics.{name}": getattr(LENS, name) for name in ("fx", "fy", "cx", "cy", "width", "height")},
+}
 
 
 @pytest.mark.parametrize("size", [(480, 640, 3), (3000, 4000, 3), (100, 4000), (1, 1), (480, 100, 3)])
@@ -46,17 +54,7 @@ def test_any_image_fits_into_one_message(size):
 
 async def test_an_agent_says_video_only_while_somebody_listens() -> None:
     team = f"test-{secrets.token_hex(4)}"
-    entries = {
-        "drone.id": 1,
-        "camera.source": "http://127.0.0.1:9/",  # never opened: the scripted camera takes its place
-        "autopilot.link": "none",
-        "drone.start.position_m": [1.0, 2.0, -3.0],
-        "network.team": team,
-        **{
-            f"camera.intrinsics.{name}": getattr(LENS, name)
-            for name in ("fx", "fy", "cx", "cy", "width", "height")
-        },
-    }
+    entries = {**ENTRIES, "network.team": team, **{f"camera.{key}": value for key, value in CAMERA.items()}}
     listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team), SystemClock())
     await listener.open()
     sent: list[float] = []
@@ -87,5 +85,52 @@ async def test_an_agent_says_video_only_while_somebody_listens() -> None:
         assert frames == sorted(set(frames))
         await listener.leave(keys.key(team, Kind.VIDEO, 1))
         await until(lambda: len(sent) >= 4 and sent[-1] == sent[-2] > 0)
+    await listener.close()
+    await hearing
+
+
+async def test_of_four_cameras_an_agent_says_the_pictures_of_those_that_are_listened_to() -> None:
+    """Each looks another way, which its picture says."""
+    team = f"test-{secrets.token_hex(4)}"
+    cameras = [
+        {**CAMERA, "source": f"http://127.0.0.1:{9 + k}/", "body_from_camera.rpy_deg": [0.0, 0.0, 90.0 * k]}
+        for k in range(4)
+    ]
+    entries = {**ENTRIES, "network.team": team, "camera": cameras}
+    listener = ZenohListener(NetworkSettings(team=team), keys.all_but_video(team), SystemClock())
+    await listener.open()
+    sent: list[float] = []
+    views: dict[int, list[VideoMessage]] = {k: [] for k in range(4)}
+
+    async def hear() -> None:
+        async for sample in listener.samples():
+            address = keys.parse(sample.key)
+            assert address is not None
+            if address.kind is Kind.VIDEO:
+                views[keys.camera_of(address)].append(codec.decode(VideoMessage, sample.payload))  # type: ignore[index]
+            elif address.kind is Kind.HEALTH:
+                (zenoh,) = (
+                    one for one in codec.decode(HealthMessage, sample.payload).links if one.name == "zenoh"
+                )
+                sent.append(zenoh.counters.get("video_sent", 0.0))
+
+    hearing = asyncio.create_task(hear())
+    with agent_process(["swarmtrack.benchmarks.scripted_agent", "--fps", "20"], entries):
+        await eventually(lambda: len(sent) >= 2)
+        assert sent[-1] == 0
+        await listener.listen_to(keys.video_key(team, 1, 2))
+        await eventually(lambda: len(views[2]) >= 5)
+        assert [len(views[k]) for k in (0, 1, 3)] == [0, 0, 0]
+        first = views[2][0]
+        assert first.jpeg
+        assert first.position_m is not None
+        # Backwards.
+        assert from_quaternion(first.quaternion_wxyz)[:, 2] == pytest.approx([-1.0, 0.0, 0.0], abs=1e-6)
+        await listener.listen_to(keys.video_key(team, 1))
+        await eventually(lambda: len(views[0]) >= 3)
+        assert [len(views[k]) for k in (1, 3)] == [0, 0]
+        for k in (0, 2):
+            await listener.leave(keys.video_key(team, 1, k))
+        await eventually(lambda: len(sent) >= 6 and sent[-1] == sent[-2] > 0)
     await listener.close()
     await hearing

@@ -151,6 +151,8 @@ class Told:
             self.parts.door.perceived = Looking(self.flight.clock)
         self.notices = make_notices(self.parts)
         self.sequence = 0
+        self.camera_of = {}
+        """By identity: whose picture it is in, where that is not the first."""
 
     def fly(self, seconds, identities=(), box=(20.0, 10.0), place=None):
         """identities: of the tracks in view, from left to right; None: unknown. place: by drone and time, where it is
@@ -168,6 +170,7 @@ class Told:
                         TrackStatus.CONFIRMED,
                         1.0,
                         size,
+                        camera=self.camera_of.get(identity, 0),
                     ),
                     identity,
                     0.99,
@@ -300,6 +303,29 @@ async def test_the_box_is_of_one_teammate_with_a_name_and_stays_with_it(tmp_path
         assert told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")[-1].rec_top_x > 150 / 640
     assert not told.ground.of("STATUSTEXT")
     assert not told.ground.of("NAMED_VALUE_FLOAT")
+
+
+async def test_of_several_cameras_each_box_is_said_to_be_in_its_camera_s_picture(tmp_path):
+    told = Told(tmp_path, '["camera_tracking"]')
+    lens = told.parts.lens
+    told.parts.lenses = (lens, lens, lens)
+    told.notices = make_notices(told.parts)
+    told.camera_of = {2: 0, 3: 2}
+    async with told.flight:
+        told.fly(4.0, [2, 3])
+        boxes = told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")[-10:]
+        active = {
+            m.camera_device_id: (m.rec_top_x + m.rec_bottom_x) / 2
+            for m in boxes
+            if m.tracking_status == common.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE
+        }
+        assert active == pytest.approx({1: 100.5 / 640, 3: 200.5 / 640}, abs=1e-6)
+        idle = {m.camera_device_id for m in boxes if not m.tracking_status}
+        assert idle == {2}
+        before = len(told.ground.of("CAMERA_TRACKING_IMAGE_STATUS"))
+        told.fly(2.0, [2, 3])
+        # As often as of one camera: they take turns.
+        assert len(told.ground.of("CAMERA_TRACKING_IMAGE_STATUS")) - before <= 10
 
 
 class Looking:

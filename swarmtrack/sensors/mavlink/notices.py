@@ -20,6 +20,8 @@ LONGEST_NAME = 10  # bytes of a NAMED_VALUE_FLOAT's name
 LONGEST_CALLSIGN = 8  # bytes, and a zero after them
 NOT_USED = math.nan  # what the dialect asks for in fields that do not apply
 # cm/s: the most that both velocities of ADSB_VEHICLE can say.
+# Cameras that a message can tell apart.
+MOST_DEVICES = 6
 MOST_CM_S = 32767
 
 
@@ -83,15 +85,17 @@ def adsb_vehicle(
     )
 
 
-def image_status(corners: Array | None) -> Any:
+def image_status(corners: Array | None, device: int = 0) -> Any:
     """CAMERA_TRACKING_IMAGE_STATUS: a box as its top left and bottom right corner, (2, 2) as shares of width and
-    height; None: nothing is tracked."""
+    height; None: nothing is tracked. device: which of several cameras that are no MAVLink components, 1 … MOST_DEVICES;
+    0: there is one."""
     if corners is None:
         return common.MAVLink_camera_tracking_image_status_message(
             common.CAMERA_TRACKING_STATUS_FLAGS_IDLE,
             common.CAMERA_TRACKING_MODE_NONE,
             common.CAMERA_TRACKING_TARGET_DATA_IN_STATUS,
             *[NOT_USED] * 7,
+            camera_device_id=device,
         )
     left, top, right, bottom = np.clip(corners, 0.0, 1.0).ravel().tolist()
     return common.MAVLink_camera_tracking_image_status_message(
@@ -103,4 +107,5 @@ def image_status(corners: Array | None) -> Any:
         top,
         right,
         bottom,
+        camera_device_id=device,
     )
