@@ -202,7 +202,7 @@ def field_of_view(camera: PinholeCamera, body_from_camera: Pose) -> HalfView:
     """Of a drone that stands level."""
     axis = np.asarray(body_from_camera.rotation)[:, 2]
     return HalfView(
-        math.atan(0.5 * camera.width / camera.fx),
-        math.atan(0.5 * camera.height / camera.fy),
+        0.5 * camera.field[0],
+        0.5 * camera.field[1],
         math.asin(min(max(-float(axis[2]), -1.0), 1.0)),
     )

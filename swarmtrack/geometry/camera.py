@@ -338,11 +338,10 @@ class PinholeCamera:
 
     @cached_property
     def field(self) -> tuple[float, float]:
-        """rad: how wide and how high the image is, through its principal point."""
-        middle = np.array([self.cx, self.cy])
-        if self._lens is None:
+        """rad: how wide and how high the image is through its middle; an ordinary one as if the lens did not bend."""
+        if not self.is_wide:
             return 2.0 * math.atan(0.5 * self.width / self.fx), 2.0 * math.atan(0.5 * self.height / self.fy)
-        ends = np.tile(middle, (4, 1))
+        ends = np.tile([self.cx, self.cy], (4, 1))
         ends[[0, 1], 0], ends[[2, 3], 1] = (-0.5, self.width - 0.5), (-0.5, self.height - 0.5)
         rays = self.bearing(ends)
         off = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])

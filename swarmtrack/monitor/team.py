@@ -22,6 +22,7 @@ from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.health import HealthMessage, LatencyHealth, RateHealth
+from swarmtrack.wire.lens import field_width
 from swarmtrack.wire.sightings import SightingsMessage, report_from
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -306,7 +307,7 @@ class MonitoredTeam:
         view = drone.view
         if view is not None and now - drone.view_at < VIEW_S:
             position = view.position_m or position
-            fov = 2.0 * math.atan2(view.lens.width / 2.0, view.lens.fx)
+            fov = field_width(view.lens)
             if view.quaternion_wxyz is not None:
                 forward = from_quaternion(view.quaternion_wxyz)[:, 2]
                 axis = [round(float(forward[0]), 4), round(float(forward[1]), 4)]

@@ -241,11 +241,12 @@ class Rig:
                 del self._arrived[track_id]
                 giver, pixel, cov = foretold
                 self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
-        low, high = camera.ideal_bounds
+        low, high = camera.frame_bounds
         border = BORDER * (high - low)
         for track_id, (giver, pixel, _) in self._foretold.items():
             way = self._arrived[track_id]
-            way.scans += bool(((pixel > low + border) & (pixel < high - border)).all())
+            (at,) = camera.framed(pixel[None]).at
+            way.scans += bool(((at > low + border) & (at < high - border)).all())
             if way.scans >= MISSED_SCANS:
                 del self._arrived[track_id]
                 self._seam(giver, taker).lost += 1
@@ -299,12 +300,13 @@ class Rig:
         one, other = self._cameras[giver].camera, self._cameras[taker].camera
         there = one.bearing_undistorted(part.centre) @ self._turn_to(taker, giver).T
         centre, _, ahead = other.project_undistorted(there)
-        scale, focal = np.array([other.fx / one.fx, other.fy / one.fy]), np.array([other.fx, other.fy])
-        size = part.size * scale
+        focal = other.per_radian(centre)
+        scale = focal / one.per_radian(part.centre)
+        size = part.size * _of_boxes(part.centre, one, centre, other)
         by, by_cov = parallax(centre, size, other, self._baseline(giver, taker))
         variance = (part.sigma * scale) ** 2 + (self._seam(giver, taker).found.sigma * focal) ** 2
         sigma = np.sqrt(variance + by_cov.diagonal(axis1=1, axis2=2))
-        near = ahead & (np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * focal).all(axis=1)
+        near = ahead & (np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * np.array([other.fx, other.fy])).all(axis=1)
         return ExpectedTracks((centre + by)[near], sigma[near], size[near])
 
     def vouch(self, track_id: int) -> None:
@@ -351,8 +353,13 @@ class Rig:
         if lent.any():
             ids = one.tracker.estimates[0][lent]
             self._lent.append(_Lent(giver, ids, one.tracker.copied(lent), {**self._arrived}, {**self._came}))
-        leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
-        arriving = leaving.in_pixels_of(other.camera, one.camera)
+        if one.camera.is_wide == other.camera.is_wide:
+            leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
+            arriving = leaving.in_pixels_of(other.camera, one.camera)
+        else:
+            # What is ahead of one camera only has no place in the tangent plane of the other.
+            leaving = one.tracker.release(rows, t, own, turn.variance)
+            arriving = leaving.turned_into(other.camera, one.camera, seam)
         baseline = self._baseline(giver, taker)
         arriving = arriving.moved(
             *parallax(arriving.table.mean[:, POSITION], arriving.table.size, other.camera, baseline)
@@ -409,15 +416,16 @@ class Rig:
         pixel, _, ahead = other.project_undistorted(there)
         if not ahead.any():
             return _Shown(np.zeros(len(mean)), np.asarray(ahead), np.asarray(ahead))
-        size = self._cameras[giver].tracker.sizes * (other.fx / one.fx, other.fy / one.fy)
+        size = self._cameras[giver].tracker.sizes * _of_boxes(mean[:, POSITION], one, pixel, other)
         by, by_cov = parallax(pixel, size, other, self._baseline(giver, taker))
         pixel = pixel + by
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
         moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
-        variance = (cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0
+        here, beyond = one.per_radian(mean[:, POSITION]), other.per_radian(pixel)
+        variance = (cov[:, 0, 0] / here[..., 0] ** 2 + cov[:, 2, 2] / here[..., 1] ** 2) / 2.0
         by_cov[ahead] += self._of_seam(pixel[ahead], giver, taker)
-        spread[:, 0, 0] = variance * other.fx**2 + by_cov[:, 0, 0]
-        spread[:, 2, 2] = variance * other.fy**2 + by_cov[:, 1, 1]
+        spread[:, 0, 0] = variance * beyond[..., 0] ** 2 + by_cov[:, 0, 0]
+        spread[:, 2, 2] = variance * beyond[..., 1] ** 2 + by_cov[:, 1, 1]
         seen = probability_in_view(moved, spread, other)
         possible = ahead & self._reach[taker].holds(moved, spread)
         return _Shown(np.where(possible, seen, 0.0), np.asarray(possible), there[:, 2] > ray[:, 2])
@@ -450,6 +458,11 @@ def _restore(now: dict[int, Any], track_id: int, then: dict[int, Any]) -> None:
         now.pop(track_id, None)
 
 
+def _of_boxes(here: Array, one: PinholeCamera, there: Array, other: PinholeCamera) -> Array:
+    """By how much larger boxes are, wide and high, at pixels (n, 2) of the other camera than at those of the one."""
+    return np.asarray(other.box_per_radian(there) / one.box_per_radian(here))
+
+
 def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:
     """By how far (n, 2) px tracks at pixels (n, 2), their boxes (n, 2) px wide and high, move that are looked at from
     `baseline` (3,) m beside, camera axes, and the covariance (n, 2, 2) px² of that: a box tells the distance within a
@@ -458,7 +471,7 @@ def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) 
     if not baseline.any():
         return np.zeros((n, 2)), np.zeros((n, 2, 2))
     ray = camera.bearing_undistorted(pixel)
-    distance = np.maximum(SPAN * camera.fx / size[:, 0], NEAREST)
+    distance = np.maximum(SPAN * camera.box_per_radian(pixel)[..., 0] / size[:, 0], NEAREST)
     distance = np.where(np.isnan(distance), UNKNOWN_DISTANCE, distance)
     seen, _, ahead = camera.project_undistorted(distance[:, None] * ray - baseline)
     by = np.where(ahead[:, None], seen - pixel, 0.0)

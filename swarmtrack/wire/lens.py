@@ -47,6 +47,14 @@ def camera_from(message: LensMessage) -> PinholeCamera:
         raise DecodeError(f"lens: {error}") from None
 
 
+def field_width(message: LensMessage) -> float | None:
+    """rad: how wide its image is; None where there is no such lens."""
+    try:
+        return camera_from(message).field[0]
+    except DecodeError:
+        return None
+
+
 def check_lens(where: str, message: LensMessage) -> None:
     """Raises DecodeError."""
     if not (message.fx > 0.0 and message.fy > 0.0):
