@@ -371,7 +371,7 @@ def _inside(pixel: Array, sigma: Array, camera: PinholeCamera) -> Array:
     low, high = camera.frame_bounds
     if camera.is_wide:
         framed = camera.framed(pixel.reshape(-1, 2))
-        sigma = np.broadcast_to(sigma, pixel.shape) * np.reshape(framed.scale, pixel.shape)
+        sigma = sigma * np.reshape(framed.scale, pixel.shape)
         pixel = framed.at.reshape(pixel.shape)
     return np.asarray((_below((high - pixel) / sigma) - _below((low - pixel) / sigma)).prod(axis=-1))
 
