@@ -20,9 +20,9 @@ MAX_EXISTENCE = 1.0 - 1e-6
 # Existence of a confirmed track stops here, so that one clear detection brings it back; time ends it, not misses.
 MIN_CONFIRMED_EXISTENCE = 0.05
 LOST_BELOW = 0.1  # existence of a missed track: rather hidden or gone than there
-# Focal lengths: in the tangent plane 80 degrees off the axis, in a wide lens' stereographic one 141. A pixel further out
-# covers next to nothing, and every turn of the camera would multiply the covariance of what is there, without bound,
-# until it comes back.
+# Focal lengths: in the tangent plane 80 degrees off the axis, in a wide lens' stereographic one 141. A pixel further
+# out covers next to nothing, and every turn of the camera would multiply the covariance of what is there, without
+# bound, until it comes back.
 MAX_SLANT = 5.7
 MAX_SIGMA = 10.0  # times the longer side of the image: who may be anywhere is nowhere
 SURELY = 8.5  # sigmas inside the image, where a double tells the probability from one no more

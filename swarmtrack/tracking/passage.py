@@ -1,8 +1,8 @@
 """Tracks that go over from one camera's filter to another's: all that is known of them, in the pixels of the new one.
 
 Two images of one drone differ by a turn, by their intrinsics, and by how far apart the cameras sit. The filter that
-gives a track away carries it on and turns it (`Filter.release`), as it does from scan to scan; what is left is linear in
-pixels. Only between an ordinary and a wide lens, whose undistorted pixels are of two kinds, the turn is part of it.
+gives a track away carries it on and turns it (`Filter.release`), as it does from scan to scan; what is left is linear
+in pixels. Only between an ordinary and a wide lens, whose undistorted pixels are of two kinds, the turn is part of it.
 """
 
 from __future__ import annotations

@@ -31,9 +31,17 @@ from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.motion.gyro import Orientation, rotation_between
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.lifecycle import Reach, probability_in_view
-from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.motion_model import POSITION, optical_flow
 from swarmtrack.tracking.passage import Passage
-from swarmtrack.tracking.seams import FoundTurn, Seam, SeamNews
+from swarmtrack.tracking.seams import (
+    LEAST_SHIFT_PX2,
+    PARALLAX_SIGMA,
+    Comparison,
+    Disagreement,
+    FoundTurn,
+    Seam,
+    SeamNews,
+)
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
 MOST_BACK = 0.3
@@ -41,7 +49,9 @@ MOST_BACK = 0.3
 SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
-SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
+SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, PARALLAX_SIGMA, 5.0
+# s: between two detections of one camera, with one of another between them, that are compared.
+COMPARED_S = 0.25
 # Focal lengths off the axis: what another camera sees farther aside is not looked for in this one's picture.
 MOST_ASIDE = 10.0
 # m: nobody is nearer.
@@ -85,6 +95,16 @@ class _Arrived:
     taker: int
     since: float
     scans: int = 0
+
+
+class _Look(NamedTuple):
+    """A detection z (2,) px, R (2, 2) px², of a track, by a camera at t [s]; orientation: of the first camera then."""
+
+    camera: int
+    t: float
+    z: Array
+    R: Array
+    orientation: Orientation
 
 
 class ExpectedTracks(NamedTuple):
@@ -139,6 +159,8 @@ class Rig:
         self._said: set[tuple[int, int, str]] = set()
         self._foretold: dict[int, Foretold] = {}
         """Those among them of the camera of the scan that comes."""
+        self._looks: dict[int, list[_Look]] = {}
+        """By track: its last detections that were not compared yet, in the order of exposure."""
         self.handed_over = 0
 
     @property
@@ -158,7 +180,7 @@ class Rig:
     @property
     def found_turns(self) -> dict[tuple[int, int], FoundTurn]:
         """By pairs of cameras between which tracks have gone: how the second is turned beside what was told."""
-        return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings}
+        return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings or seam.compared}
 
     def turn_variance(self, camera: int, orientation: Orientation) -> float:
         """rad² per axis: how little is known of the turn since that camera's last scan."""
@@ -182,11 +204,74 @@ class Rig:
         accepted = tracker.update(scan)
         if self._lent:
             self._give_back(tracker, accepted=accepted)
-        if self._foretold:
-            self._learn_seams(camera, tracker)
+        crossed = self._learn_seams(camera, tracker) if self._foretold else frozenset()
         if accepted and len(self._cameras) > 1:
+            self._compare_looks(camera, scan.t, orientation, crossed)
             self._keep_in_sight(camera, scan.t)
         return accepted
+
+    def _compare_looks(
+        self, camera: int, t: float, orientation: Orientation, crossed: frozenset[int]
+    ) -> None:
+        """Where pictures overlap, the detections of two cameras tell how these are turned. Not of those that have just
+        told it by crossing."""
+        for seam in self._seams.values():
+            seam.end_stays(t)
+        tracker = self._cameras[camera].tracker
+        for track_id, z, R in tracker.surely_detected:
+            if track_id in crossed:
+                self._looks.pop(track_id, None)
+                continue
+            looks = self._looks.setdefault(track_id, [])
+            looks.append(_Look(camera, t, z.copy(), R, orientation))
+            looks.sort(key=lambda look: look.t)
+            del looks[:-3]
+            if len(looks) == 3 and _is_between(*looks):
+                self._compare(track_id, *looks)
+                looks.clear()
+        if len(self._looks) > MOST_REMEMBERED:
+            self._looks = {
+                id: seen for id, seen in self._looks.items() if seen and t - seen[-1].t < COMPARED_S
+            }
+
+    def _compare(self, track_id: int, before: _Look, middle: _Look, after: _Look) -> None:
+        """Two detections of one camera, and one of another between them, all at the middle one's time in the pixels of
+        the second of the two cameras."""
+        first, second = sorted((before.camera, middle.camera))
+        share = (middle.t - before.t) / (after.t - before.t)
+        (p, P), (m, M), (q, Q) = (self._seen_at(look, middle, second) for look in (before, middle, after))
+        outer, noise = (1.0 - share) * p + share * q, (1.0 - share) ** 2 * P + share**2 * Q + M
+        if not (np.isfinite(outer).all() and np.isfinite(noise).all() and np.isfinite(m).all()):
+            return
+        foretold, z = (outer, m) if middle.camera == second else (m, outer)
+        camera = self._cameras[second].camera
+        size = self._size_of(track_id, foretold, second)
+        by, _ = parallax(foretold[None], size, camera, self._baseline(first, second))
+        compared = Comparison(middle.t, foretold + by[0], z, noise, by[0])
+        self._seams[first, second].compare(track_id, compared, camera)
+
+    def _seen_at(self, look: _Look, when: _Look, camera: int) -> tuple[Array, Array]:
+        """A detection (2,) px of whatever is at rest, (2, 2) px², in the pixels of a camera when another was made."""
+        own, shown = self._cameras[look.camera].camera, self._cameras[camera].camera
+        turn = rotation_between(look.orientation, when.orientation)
+        turned = self._own(look.camera, turn.matrix)
+        if look.camera != camera:
+            turned = self._turn_to(camera, look.camera) @ turned
+        pixel, by_ray, _ = shown.project_undistorted(own.bearing_undistorted(look.z[None]) @ turned.T)
+        by_pixel = by_ray[0] @ turned @ own.bearing_by_place(look.z[None])[0] / np.array([own.fx, own.fy])
+        flow = optical_flow(pixel, shown)[0]
+        return pixel[0], by_pixel @ look.R @ by_pixel.T + turn.variance * flow @ flow.T
+
+    def _size_of(self, track_id: int, pixel: Array, camera: int) -> Array:
+        """(1, 2) px of a track's box as it would be at a pixel (2,) of a camera; NaN where it is not known."""
+        for each in self._cameras:
+            ids, mean, _ = each.tracker.estimates
+            rows = np.flatnonzero(ids == track_id)
+            if rows.size:
+                shown = self._cameras[camera].camera
+                larger = _of_boxes(mean[rows[:1], POSITION], each.camera, pixel[None], shown)
+                return np.asarray(each.tracker.sizes[rows[:1]] * larger)
+        return np.full((1, 2), np.nan)
 
     def _keep_in_sight(self, giver: int, t: float) -> None:
         """Who has just left a picture, and should be in that of a camera which has not exposed since, is not lost."""
@@ -232,13 +317,15 @@ class Rig:
                 found[track_id] = Foretold(way.giver, pixel.copy(), P - of_seam)
         return found
 
-    def _learn_seams(self, taker: int, tracker: Tracker) -> None:
-        """From the tracks that have come to a camera, by its scan: those it shows, and those it does not."""
-        camera = self._cameras[taker].camera
+    def _learn_seams(self, taker: int, tracker: Tracker) -> frozenset[int]:
+        """From the tracks that have come to a camera, by its scan: those it shows, which are returned, and those it
+        does not."""
+        camera, crossed = self._cameras[taker].camera, set()
         for track_id, z, R in tracker.surely_detected:
             foretold = self._foretold.pop(track_id, None)
             if foretold is not None:
                 del self._arrived[track_id]
+                crossed.add(track_id)
                 giver, pixel, cov = foretold
                 self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
         low, high = camera.frame_bounds
@@ -250,6 +337,7 @@ class Rig:
             if way.scans >= MISSED_SCANS:
                 del self._arrived[track_id]
                 self._seam(giver, taker).lost += 1
+        return frozenset(crossed)
 
     def take_news(self) -> list[SeamNews]:
         """What there is to say of seams; each is returned once."""
@@ -306,7 +394,9 @@ class Rig:
         by, by_cov = parallax(centre, size, other, self._baseline(giver, taker))
         variance = (part.sigma * scale) ** 2 + (self._seam(giver, taker).found.sigma * focal) ** 2
         sigma = np.sqrt(variance + by_cov.diagonal(axis1=1, axis2=2))
-        near = ahead & (np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * np.array([other.fx, other.fy])).all(axis=1)
+        near = ahead & (
+            np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * np.array([other.fx, other.fy])
+        ).all(axis=1)
         return ExpectedTracks((centre + by)[near], sigma[near], size[near])
 
     def vouch(self, track_id: int) -> None:
@@ -361,14 +451,37 @@ class Rig:
             leaving = one.tracker.release(rows, t, own, turn.variance)
             arriving = leaving.turned_into(other.camera, one.camera, seam)
         baseline = self._baseline(giver, taker)
-        arriving = arriving.moved(
-            *parallax(arriving.table.mean[:, POSITION], arriving.table.size, other.camera, baseline)
-        )
-        pixel = arriving.table.mean[:, POSITION]
-        arriving = arriving.moved(np.zeros_like(pixel), self._of_seam(pixel, giver, taker))
+        pixel = arriving.table.mean[:, POSITION].copy()
+        by, by_cov = parallax(pixel, arriving.table.size, other.camera, baseline)
+        cov = by_cov + self._of_seam(pixel + by, giver, taker)
+        for row, track_id in enumerate(arriving.table.id.tolist()):
+            known = self._seam(giver, taker).disagreement(track_id, t)
+            if known is not None:
+                by[row], cov[row] = self._as_known(known, pixel[row], by[row], giver, taker)
+        arriving = arriving.moved(by, cov)
         self._note_arrivals(arriving, giver, taker, t)
         other.tracker.adopt(arriving)
         self.handed_over += len(pixel)
+
+    def _as_known(
+        self, known: Disagreement, pixel: Array, by: Array, giver: int, taker: int
+    ) -> tuple[Array, Array]:
+        """By how far (2,) px a track at a pixel (2,) of the taker moves whose target both cameras have seen for a
+        while, and the covariance (2, 2) px² of that; by (2,) px: the parallax alone."""
+        camera = self._cameras[taker].camera
+        flow = self._seam(giver, taker).flow(pixel[None], camera, to_second=giver < taker)[0]
+        shifted = np.eye(2)
+        if taker < giver:
+            # The shift is in the second one's pixels, and so the other way round.
+            shown, ray = self._cameras[giver].camera, camera.bearing_undistorted(pixel[None])
+            there, _, _ = shown.project_undistorted(ray @ self._turn_to(giver, taker).T)
+            back = self._turn_to(taker, giver)
+            _, by_ray, _ = camera.project_undistorted(ray)
+            by_place = back @ shown.bearing_by_place(there)[0] / np.array([shown.fx, shown.fy])
+            shifted = -by_ray[0] @ by_place
+        H = np.column_stack([flow, by, shifted])
+        moved = by * (1.0 + known.s) + shifted @ known.shift
+        return moved, H @ known.cov @ H.T + LEAST_SHIFT_PX2 * np.eye(2)
 
     def _baseline(self, giver: int, taker: int) -> Array:
         """(3,) m: where the taker sits beside the giver, in its own axes."""
@@ -398,7 +511,7 @@ class Rig:
         self, mean: Array, cov: Array, giver: int, taker: int, seam: Array
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(n,) of tracks in the giver's pixels now: those that the taker may see, and of those that nobody sees the
-        ones nearer to where it looks; and which of these are only lent. seam (3, 3): the taker's axes from the giver's.
+        ones nearer to its field of view; and which of these are only lent. seam (3, 3): the taker's axes from the giver's.
         """
         one = self._cameras[giver].camera
         shown = self._shown_by(mean, cov, giver, taker, seam)
@@ -428,12 +541,13 @@ class Rig:
         spread[:, 2, 2] = variance * beyond[..., 1] ** 2 + by_cov[:, 1, 1]
         seen = probability_in_view(moved, spread, other)
         possible = ahead & self._reach[taker].holds(moved, spread)
-        return _Shown(np.where(possible, seen, 0.0), np.asarray(possible), there[:, 2] > ray[:, 2])
+        nearer = _beyond(there, other) < _beyond(ray, one)
+        return _Shown(np.where(possible, seen, 0.0), np.asarray(possible), np.asarray(nearer))
 
 
 class _Shown(NamedTuple):
     """Of tracks (n,): the probability that another camera shows them, whether it can have them at all, and whether they
-    are nearer to where it looks."""
+    are nearer to its field of view."""
 
     seen: Array
     possible: NDArray[np.bool_]
@@ -451,11 +565,22 @@ class _Lent(NamedTuple):
     came: dict[int, float]
 
 
+def _is_between(before: _Look, middle: _Look, after: _Look) -> bool:
+    """Whether a detection of one camera lies between two of another one, soon after each other."""
+    same = before.camera == after.camera != middle.camera
+    return same and before.t < middle.t < after.t < before.t + COMPARED_S
+
+
 def _restore(now: dict[int, Any], track_id: int, then: dict[int, Any]) -> None:
     if track_id in then:
         now[track_id] = then[track_id]
     else:
         now.pop(track_id, None)
+
+
+def _beyond(ray: Array, camera: PinholeCamera) -> Array:
+    """(n,) rad: how far rays (n, 3) are outside a camera's field of view, as if that were round."""
+    return np.asarray(np.arccos(np.clip(ray[:, 2], -1.0, 1.0)) - 0.5 * camera.field[0])
 
 
 def _of_boxes(here: Array, one: PinholeCamera, there: Array, other: PinholeCamera) -> Array:

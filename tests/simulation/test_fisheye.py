@@ -34,7 +34,9 @@ def test_its_neighbours_are_seen_beside_and_behind_the_camera():
 def test_the_picture_shows_a_drone_that_is_behind_the_camera():
     scenario = load_scenario("fisheye")
     t = next(
-        t for t in np.arange(0.0, 30.0, 0.1).tolist() if max(off_axis(scenario, 1, n, t) for n in (2, 3)) > 91.0
+        t
+        for t in np.arange(0.0, 30.0, 0.1).tolist()
+        if max(off_axis(scenario, 1, n, t) for n in (2, 3)) > 91.0
     )
     behind = max((2, 3), key=lambda other: off_axis(scenario, 1, other, t))
     renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)

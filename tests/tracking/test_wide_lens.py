@@ -7,10 +7,13 @@ import pytest
 
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera
+from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Detections
-from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker
+from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker, create_trackers
 from swarmtrack.tracking.lifecycle import probability_in_view, within_reach
 from swarmtrack.tracking.motion_model import POSITION, propagate, turn_by_flow, turn_exactly, turn_into
+from swarmtrack.tracking.rig import Rig, RigCamera
 from swarmtrack.tracking.scan import make_scan
 
 # 190 degrees across 640 px.
@@ -81,7 +84,9 @@ def test_all_over_the_field_a_tracker_is_as_good_as_it_says(name):
         middle = np.array([math.sin(off) * math.cos(about), math.sin(off) * math.sin(about), math.cos(off)])
         tracker = create_tracker(name, camera=FISHEYE, **AGENT_PARAMETERS | told)
         # Half-way through the flight the target is at `middle`.
-        for t, now, tracks in fly(tracker, rng, rate=rate, seconds=3.0, ray=rotation.exp(rate * 1.5) @ middle):
+        for t, now, tracks in fly(
+            tracker, rng, rate=rate, seconds=3.0, ray=rotation.exp(rate * 1.5) @ middle
+        ):
             (place,), _, (valid,) = FISHEYE.project_undistorted(now[None])
             if t < 1.0 or off_axis(now) > 94.0 or not valid:
                 continue
@@ -172,3 +177,42 @@ def test_a_target_that_the_drone_turns_its_back_to_stays_finite_and_is_dropped(n
             assert np.abs(track.mean).max() < 1e6
             assert np.abs(track.cov).max() < 1e12
     assert tracker.tracks == ()
+
+
+# --- beside an ordinary camera of the same drone ---
+
+
+@every_tracker
+def test_a_track_goes_over_between_an_ordinary_and_a_wide_lens_that_looks_back(name):
+    cameras = [ORDINARY, FISHEYE]
+    poses = [
+        Pose(rotation.from_euler(0.0, 0.0, yaw) @ rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+        for yaw in (0.0, math.pi)
+    ]
+    trackers = create_trackers(name, cameras=cameras, **AGENT_PARAMETERS)
+    rig = Rig([RigCamera(*part, 0.0) for part in zip(cameras, poses, trackers, strict=True)])
+    gyro, chance, yaw, t = GyroHistory(), np.random.default_rng(7), 0.0, 0.0
+    gyro.append(0.0, (0.0, 0.0, 0.0))
+    target, ids, held_by = np.array([6.0, 0.5, 0.3]), set(), set()
+    for k in range(150):
+        rate = 0.0 if k < 20 else 1.2
+        for _ in range(8):
+            t, yaw = t + 0.005, yaw + 0.005 * rate
+            gyro.append(t, tuple((poses[0].rotation.T @ [0.0, 0.0, rate]).tolist()))
+        number = k % 2
+        there = Pose(rotation.from_euler(0.0, 0.0, yaw), np.zeros(3)) @ poses[number]
+        found = seen(there.inverse().transform(target[None]), chance, cameras[number], t=t)
+        orientation = gyro.orientation(t)
+        rig.predict(number, t, orientation)
+        rig.update(number, make_scan(found, t, cameras[number], trackers[number]), orientation)
+        for track in rig.at(t, orientation):
+            if track.status == "confirmed":
+                ids.add(track.id)
+                held_by.add(track.camera)
+                there = Pose(rotation.from_euler(0.0, 0.0, yaw), np.zeros(3)) @ poses[track.camera]
+                pixel, _, _ = cameras[track.camera].project_undistorted(
+                    there.inverse().transform(target[None])
+                )
+                assert np.linalg.norm(track.mean[POSITION] - pixel[0]) < 6.0
+    assert ids == {1}
+    assert held_by == {0, 1}
