@@ -511,7 +511,8 @@ class Rig:
         self, mean: Array, cov: Array, giver: int, taker: int, seam: Array
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(n,) of tracks in the giver's pixels now: those that the taker may see, and of those that nobody sees the
-        ones nearer to its field of view; and which of these are only lent. seam (3, 3): the taker's axes from the giver's.
+        ones nearer to its field of view; and which of these are only lent. seam (3, 3): the taker's axes from the
+        giver's.
         """
         one = self._cameras[giver].camera
         shown = self._shown_by(mean, cov, giver, taker, seam)

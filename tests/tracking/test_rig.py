@@ -380,7 +380,7 @@ def test_two_pictures_agree_about_a_target_before_the_mounting_is_known():
     for k in range(50):
         # What is foretold takes along what is known of δ.
         known = seam.flow(pixel[None], CAMERA, to_second=True)[0] @ seam.found.angle
-        z = pixel + [9.0, -5.0] - known + rng.normal(size=2)
+        z = pixel + np.array([9.0, -5.0]) - known + rng.normal(size=2)
         seam.compare(7, Comparison(0.1 * k, pixel, z, np.eye(2), by), CAMERA)
     known = seam.disagreement(7, 5.0)
     H = np.column_stack([seam.flow(pixel[None], CAMERA, to_second=True)[0], by, np.eye(2)])
