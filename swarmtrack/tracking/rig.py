@@ -36,10 +36,10 @@ from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.seams import (
     LEAST_SHIFT_PX2,
     PARALLAX_SIGMA,
-    Comparison,
-    Disagreement,
     FoundTurn,
     Seam,
+    SeamComparison,
+    SeamDisagreement,
     SeamNews,
 )
 
@@ -97,7 +97,7 @@ class _Arrived:
     scans: int = 0
 
 
-class _Look(NamedTuple):
+class _TrackLook(NamedTuple):
     """A detection z (2,) px, R (2, 2) px², of a track, by a camera at t [s]; orientation: of the first camera then."""
 
     camera: int
@@ -159,7 +159,7 @@ class Rig:
         self._said: set[tuple[int, int, str]] = set()
         self._foretold: dict[int, Foretold] = {}
         """Those among them of the camera of the scan that comes."""
-        self._looks: dict[int, list[_Look]] = {}
+        self._looks: dict[int, list[_TrackLook]] = {}
         """By track: its last detections that were not compared yet, in the order of exposure."""
         self.handed_over = 0
 
@@ -223,7 +223,7 @@ class Rig:
                 self._looks.pop(track_id, None)
                 continue
             looks = self._looks.setdefault(track_id, [])
-            looks.append(_Look(camera, t, z.copy(), R, orientation))
+            looks.append(_TrackLook(camera, t, z.copy(), R, orientation))
             looks.sort(key=lambda look: look.t)
             del looks[:-3]
             if len(looks) == 3 and _is_between(*looks):
@@ -234,7 +234,7 @@ class Rig:
                 id: seen for id, seen in self._looks.items() if seen and t - seen[-1].t < COMPARED_S
             }
 
-    def _compare(self, track_id: int, before: _Look, middle: _Look, after: _Look) -> None:
+    def _compare(self, track_id: int, before: _TrackLook, middle: _TrackLook, after: _TrackLook) -> None:
         """Two detections of one camera, and one of another between them, all at the middle one's time in the pixels of
         the second of the two cameras."""
         first, second = sorted((before.camera, middle.camera))
@@ -247,10 +247,10 @@ class Rig:
         camera = self._cameras[second].camera
         size = self._size_of(track_id, foretold, second)
         by, _ = parallax(foretold[None], size, camera, self._baseline(first, second))
-        compared = Comparison(middle.t, foretold + by[0], z, noise, by[0])
+        compared = SeamComparison(middle.t, foretold + by[0], z, noise, by[0])
         self._seams[first, second].compare(track_id, compared, camera)
 
-    def _seen_at(self, look: _Look, when: _Look, camera: int) -> tuple[Array, Array]:
+    def _seen_at(self, look: _TrackLook, when: _TrackLook, camera: int) -> tuple[Array, Array]:
         """A detection (2,) px of whatever is at rest, (2, 2) px², in the pixels of a camera when another was made."""
         own, shown = self._cameras[look.camera].camera, self._cameras[camera].camera
         turn = rotation_between(look.orientation, when.orientation)
@@ -464,7 +464,7 @@ class Rig:
         self.handed_over += len(pixel)
 
     def _as_known(
-        self, known: Disagreement, pixel: Array, by: Array, giver: int, taker: int
+        self, known: SeamDisagreement, pixel: Array, by: Array, giver: int, taker: int
     ) -> tuple[Array, Array]:
         """By how far (2,) px a track at a pixel (2,) of the taker moves whose target both cameras have seen for a
         while, and the covariance (2, 2) px² of that; by (2,) px: the parallax alone."""
@@ -566,7 +566,7 @@ class _Lent(NamedTuple):
     came: dict[int, float]
 
 
-def _is_between(before: _Look, middle: _Look, after: _Look) -> bool:
+def _is_between(before: _TrackLook, middle: _TrackLook, after: _TrackLook) -> bool:
     """Whether a detection of one camera lies between two of another one, soon after each other."""
     same = before.camera == after.camera != middle.camera
     return same and before.t < middle.t < after.t < before.t + COMPARED_S

@@ -93,7 +93,7 @@ class _Stay:
         return self.information[:3, :3] - across @ kept[:, :3], self.sum[:3] - across @ told
 
 
-class Disagreement(NamedTuple):
+class SeamDisagreement(NamedTuple):
     """Of the two pictures about one target, beside δ as it is used: the parallax is off by a factor 1 + s, and the
     second picture shows it shifted (2,) px; cov (6, 6) of δ, s and that shift."""
 
@@ -102,7 +102,7 @@ class Disagreement(NamedTuple):
     cov: Array
 
 
-class Comparison(NamedTuple):
+class SeamComparison(NamedTuple):
     """At t [s] the first camera's detections put a target at a pixel (2,) of the second one, with a parallax of `by`
     (2,) px in it, and its own put it at z (2,); noise (2, 2) px²: of both."""
 
@@ -182,7 +182,7 @@ class Seam:
         self.crossings += 1
         self._settle()
 
-    def compare(self, track_id: int, compared: Comparison, camera: PinholeCamera) -> None:
+    def compare(self, track_id: int, compared: SeamComparison, camera: PinholeCamera) -> None:
         """What both cameras detected of a track's target; camera: the second one."""
         t, foretold, z, noise, by = compared
         stay = self._stays.get(track_id)
@@ -207,7 +207,7 @@ class Seam:
         self.compared += 1
         self._settle()
 
-    def disagreement(self, track_id: int, t: float) -> Disagreement | None:
+    def disagreement(self, track_id: int, t: float) -> SeamDisagreement | None:
         """About the target of a track that stays where both pictures show it; None: it does not, or not yet."""
         stay = self._stays.get(track_id)
         return None if stay is None or t - stay.t > STAY_ENDS_S else self._disagreement(stay)
@@ -231,15 +231,15 @@ class Seam:
                 information, weighted = information + more, weighted + of_it
         return information, weighted
 
-    def _disagreement(self, stay: _Stay) -> Disagreement:
+    def _disagreement(self, stay: _Stay) -> SeamDisagreement:
         information, weighted = stay.information.copy(), stay.sum.copy()
         by_others, of_others = self._of_all(but=stay)
         information[:3, :3] += by_others
         information[3:, 3:] += _OF_A_STAY
         weighted[:3] += of_others
-        cov: Array = np.linalg.inv(information)
+        cov = np.asarray(np.linalg.inv(information), dtype=float)
         mean = cov @ weighted
-        return Disagreement(float(mean[3]), mean[4:], cov)
+        return SeamDisagreement(float(mean[3]), mean[4:], cov)
 
     def flow(self, pixel: Array, camera: PinholeCamera, *, to_second: bool) -> Array:
         """(n, 2, 3) px/rad: by δ in the second camera's axes. A ray that turns one way is a camera that turns the

@@ -16,7 +16,7 @@ from swarmtrack.motion.gyro import GyroHistory, rotation_between
 from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker, create_trackers
 from swarmtrack.tracking.motion_model import optical_flow
 from swarmtrack.tracking.rig import Rig, RigCamera
-from swarmtrack.tracking.seams import Comparison, Seam
+from swarmtrack.tracking.seams import Seam, SeamComparison
 
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 OTHER = PinholeCamera(500.0, 510.0, 400.0, 300.0, 800, 600)
@@ -364,7 +364,9 @@ def test_a_seam_learns_from_stays_no_more_than_is_in_them(seed, stays):
             flow = seam.flow(pixel[None], CAMERA, to_second=True)[0]
             off = flow @ (truth - seam.found.angle) + by * s + shift
             z = pixel + off + 1.5 * rng.normal(size=2)
-            seam.compare(number, Comparison(0.1 * k + 10.0 * number, pixel, z, 2.25 * np.eye(2), by), CAMERA)
+            seam.compare(
+                number, SeamComparison(0.1 * k + 10.0 * number, pixel, z, 2.25 * np.eye(2), by), CAMERA
+            )
         seam.end_stays(10.0 * number + 9.0)
     assert seam.compared > 30 * stays
     error = seam.found.angle - truth
@@ -381,7 +383,7 @@ def test_two_pictures_agree_about_a_target_before_the_mounting_is_known():
         # What is foretold takes along what is known of δ.
         known = seam.flow(pixel[None], CAMERA, to_second=True)[0] @ seam.found.angle
         z = pixel + np.array([9.0, -5.0]) - known + rng.normal(size=2)
-        seam.compare(7, Comparison(0.1 * k, pixel, z, np.eye(2), by), CAMERA)
+        seam.compare(7, SeamComparison(0.1 * k, pixel, z, np.eye(2), by), CAMERA)
     known = seam.disagreement(7, 5.0)
     H = np.column_stack([seam.flow(pixel[None], CAMERA, to_second=True)[0], by, np.eye(2)])
     assert np.sqrt(np.diag(H @ known.cov @ H.T)).max() < 0.3
