@@ -58,6 +58,8 @@ MOST_ASIDE = 10.0
 NEAREST = 0.5
 # Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
 BORDER, MISSED_SCANS = 0.12, 8
+# Scans that did not show it, of a track that ended meanwhile: a slow camera has no eight before that.
+ENDED_SCANS = 3
 TURNED, LOST_SIGHT = "turned", "lost sight"
 # A track that a camera shows with this probability at least may be what it detects, and with that one surely is seen.
 MAY_SEE, SURELY_SEES = 0.01, 0.95
@@ -308,7 +310,10 @@ class Rig:
         """Where tracks are foretold that have come to a camera and were not detected since."""
         ids, mean, cov = self._cameras[camera].tracker.estimates
         rows = {track_id: row for row, track_id in enumerate(ids.tolist())}
-        self._arrived = {id: way for id, way in self._arrived.items() if way.taker != camera or id in rows}
+        for track_id in [id for id, way in self._arrived.items() if way.taker == camera and id not in rows]:
+            way = self._arrived.pop(track_id)
+            if way.scans >= ENDED_SCANS:
+                self._seam(way.giver, camera).lost += 1
         found = {}
         for track_id, way in self._arrived.items():
             if way.taker == camera:
