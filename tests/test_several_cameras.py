@@ -16,6 +16,7 @@ from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.tracking import AGENT_PARAMETERS, create_trackers
+from swarmtrack.tracking.seams import SeamNews
 
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 SPAN = 0.45
@@ -56,6 +57,7 @@ class Flight:
         self.t = self.yaw = 0.0
         self.number = 0
         self.reports = []
+        self.news = []
         self.wanted = 0
         for drone_id, place in PLACES.items():
             self.drone.tell(
@@ -79,6 +81,8 @@ class Flight:
                 if isinstance(event, ScanReport):
                     self.reports.append((event, self.yaw))
                 self.wanted += isinstance(event, PoseWanted)
+                if isinstance(event, SeamNews):
+                    self.news.append(event)
 
     def seen_by(self, camera, turned):
         pose = Pose(turned, HERE) @ self.poses[camera]
@@ -121,6 +125,24 @@ def test_names_stay_with_their_drones_while_these_cross_from_camera_to_camera(az
     assert wrong == []
     # Nobody is asked again and again because another camera does not see it.
     assert flight.wanted <= 12
+
+
+def test_a_camera_that_is_upside_down_is_said_and_the_others_go_on():
+    flight = Flight((-25.0, 55.0, 135.0))
+    true = flight.poses[1]
+    flight.poses[1] = Pose(true.rotation @ rotation.exp([0.0, 0.0, math.pi]), true.position)
+    flight.fly(0.0, 2.0)
+    for _ in range(4):
+        flight.fly(0.7, 5.0)
+        flight.fly(-0.7, 5.0)
+    named = [(entry.identity, nearest, entry.track.camera) for _, entry, nearest, _ in flight.entries()]
+    wrong = [one for one in named if one[0] is not None and one[0] != one[1]]
+    # It shows everybody where somebody else may be, and hands over who is not there.
+    assert len(wrong) < 0.05 * len(named)
+    assert {(news.first, news.second) for news in flight.news if news.turn is None} == {(0, 1), (1, 2)}
+    # The others go on giving names.
+    right = sum(name == nearest for name, nearest, camera in named if camera != 1)
+    assert right > 5 * len(wrong)
 
 
 def test_all_around_everybody_has_a_name_all_the_time():

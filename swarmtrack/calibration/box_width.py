@@ -137,10 +137,11 @@ def _split(drones: Sequence[tuple[Array, Array]]) -> tuple[float, float, float]:
 
 
 def level_width(away: Array, span: float, camera: PinholeCamera, team_from_camera: Array) -> float:
-    """px, undistorted: how wide a level line of `span` m is that stands across the view at away (3,) m from the camera,
-    team axes."""
+    """px, undistorted, or in the image of a wide lens: how wide a level line of `span` m is that stands across the view
+    at away (3,) m from the camera, team axes."""
     ray = away / np.linalg.norm(away)
     level = np.array([-ray[1], ray[0], 0.0])
     level *= 0.5 * span / max(float(np.linalg.norm(level)), 1e-9)
     ends, _, valid = camera.project_undistorted(np.stack([away - level, away + level]) @ team_from_camera)
+    ends = camera.framed(ends).at
     return float(np.linalg.norm(ends[1] - ends[0])) if valid.all() else math.nan

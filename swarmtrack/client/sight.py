@@ -177,9 +177,10 @@ def _target(
     for camera in known:
         (ray,) = camera.lens.bearing_undistorted(np.array([(track.u_px, track.v_px)]))
         body = axes.body_from_frd @ camera.body_from_camera.rotation @ ray
-        # Off the axis a pixel is a smaller angle: on the safe side.
+        # Off an ordinary lens' axis a pixel is a smaller angle: on the safe side.
         spread = float(np.linalg.eigvalsh(cov[::2, ::2])[-1])
-        sigma = max(spread, 0.0) ** 0.5 / min(camera.lens.fx, camera.lens.fy)
+        per_radian = camera.lens.per_radian(np.array([(track.u_px, track.v_px)]))
+        sigma = max(spread, 0.0) ** 0.5 / float(per_radian.min())
     world = None
     if relative is not None and relative.distance > 0.0:
         world = relative.position / relative.distance

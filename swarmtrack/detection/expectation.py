@@ -47,7 +47,8 @@ class PerceivedExpectation:
         if not len(found.centre):
             return np.empty((0, 6))
         centre = self._lens.distort(found.centre)
-        boxes = np.concatenate([centre, 3.0 * found.sigma, found.size], axis=1)
+        sigma = found.sigma * self._lens.framed(found.centre).scale
+        boxes = np.concatenate([centre, 3.0 * sigma, found.size], axis=1)
         return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
 
     def pixels_at(self, then: float, now: float) -> PixelMapping | None:

@@ -10,7 +10,7 @@ import numpy as np
 from swarmtrack.config import MountedCamera
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
 from swarmtrack.geometry import rotation
-from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.camera import WIDEST, PinholeCamera
 from swarmtrack.messages import Array
 from swarmtrack.motion.hand_eye import Agreement, HandEye
 
@@ -55,7 +55,8 @@ def check_calibration(facts: MountFacts) -> list[Finding]:
     if off.max() > CENTRE:
         findings.append(fault("calibration.centre", percent=100.0 * float(off.max())))
     field = _field_deg(camera)
-    if not FIELD_DEG[0] <= field <= FIELD_DEG[1]:
+    widest = math.degrees(2.0 * WIDEST) if camera.is_wide else FIELD_DEG[1]
+    if not FIELD_DEG[0] <= field <= widest:
         findings.append(fault("calibration.field", degrees=field))
     share = _unreached(camera)
     if share > UNREACHED:
@@ -150,13 +151,16 @@ def _apart(agreement: Agreement, mounted: MountedCamera) -> str:
 def _field_deg(camera: PinholeCamera) -> float:
     edges = np.array([[-0.5, camera.cy], [camera.width - 0.5, camera.cy]])
     b = camera.bearing(edges)
-    if not np.isfinite(b).all():
-        return math.degrees(2.0 * math.atan(camera.width / 2.0 / camera.fx))
+    if camera.is_wide or not np.isfinite(b).all():
+        return math.degrees(camera.field[0])
     return math.degrees(float(np.arctan2(np.abs(b[:, 0]), b[:, 2]).sum()))
 
 
 def _unreached(camera: PinholeCamera) -> float:
     """Share of the image's border where the lens model has no answer."""
+    if camera.is_wide and camera.reach >= WIDEST:
+        # Beyond the circle of a fisheye its image is dark.
+        return 0.0
     n = 33
     x, y = np.linspace(0, camera.width - 1, n), np.linspace(0, camera.height - 1, n)
     border = np.concatenate(

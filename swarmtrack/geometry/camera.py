@@ -1,10 +1,13 @@
-"""A pinhole camera with lens distortion: from points to pixels and back, with Jacobians.
+"""A camera with its lens: from points to pixels and back, with Jacobians.
 
 Three planes, and names that keep them apart:
 
-    point (x, y, z) [m], camera frame  --divide by z-->  ideal ray (x/z, y/z), "normalised"
+    point (x, y, z) [m], camera frame  --chart-->  place in focal lengths, "normalised"
     normalised --K-->                     *undistorted* (ideal) pixels: what the trackers work in
     normalised --distortion--> --K-->     *distorted* pixels: the image as the camera gives it
+
+The chart (`charts.py`) of an ordinary lens is the tangent plane, (x/z, y/z): "pinhole". That of a wide one, an
+equidistant lens whose image shows more than `WIDE` off its axis, is stereographic, and reaches behind the camera.
 
 The camera looks along z, x right, y down; pixel centres are integers, origin top left. What has no
 counterpart on the other side (a point behind the camera, a pixel beyond the lens model's reach) comes back as
@@ -13,18 +16,25 @@ a row of NaN, and from the projections also with `valid` False; it is never clam
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.geometry.charts import Gnomonic, Stereographic
 from swarmtrack.messages import Array
 
 Mask = NDArray[np.bool_]
 
-MAX_ANGLE = np.radians(89.0)  # rad off the axis: ideal pixels run to infinity at 90 degrees
+MAX_ANGLE = Gnomonic.reach  # rad off the axis: ideal pixels run to infinity at 90 degrees
+# rad off the axis: an image that shows more in its corners is a wide lens'. There the tangent plane has stretched by
+# 33 along the radius.
+WIDE = math.radians(80.0)
+# rad off the axis: farther out no lens is believed. Of a fisheye whose circle ends before, the rest is dark.
+WIDEST = math.radians(110.0)
 MIN_SLOPE = 0.01  # of distorted over ideal radius: less, and the lens folds or errors grow a hundredfold
 NEWTON_STEPS = 20  # from the table's start, 3 to 6 are taken
 LAST_STEP = 1e-9  # the iteration squares its error, so what is left after such a step is rounding
@@ -155,8 +165,12 @@ class Equidistant:
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
-        """Angles and distorted radii along the rising part of the curve."""
-        angle = np.linspace(0.0, MAX_ANGLE, 1024)
+        """Angles and distorted radii along the rising part of the curve, as far as the tangent plane goes."""
+        return self.rising(MAX_ANGLE)
+
+    def rising(self, farthest: float) -> tuple[Array, Array]:
+        """Angles up to `farthest` [rad] and their distorted radii, along the rising part of the curve."""
+        angle = np.linspace(0.0, farthest, 1024)
         radius, slope = self._radial(angle)
         n = _reach(angle, slope)
         return angle[:n], radius[:n]
@@ -166,22 +180,36 @@ class Equidistant:
         """Largest ideal radius at which the model still is one-to-one."""
         return float(np.tan(self._table[0][-1]))
 
-    def apply(self, ideal: Array) -> tuple[Array, Array]:
-        """Normalised ideal (n, 2) -> normalised distorted (n, 2), and the Jacobian (n, 2, 2)."""
+    def apply(self, ideal: Array, halves: float = 1.0, reach: float = math.inf) -> tuple[Array, Array]:
+        """Normalised ideal (n, 2) -> normalised distorted (n, 2), and the Jacobian (n, 2, 2).
+
+        halves: of the chart in which `ideal` is, see `charts.py`. From `reach` [rad] off the axis on the image goes on
+        straight, as it would if the lens had no end.
+        """
         r = np.linalg.norm(ideal, axis=1)
-        theta_d, slope = self._radial(np.arctan(r))
-        tiny = r < 1e-8  # the series' first terms are exact there: theta_d / r = 1 + (k1 - 1/3) r²
+        theta = halves * np.arctan(r / halves)
+        within = np.minimum(theta, reach)
+        theta_d, slope = self._radial(within)
+        theta_d = theta_d + slope * (theta - within)
+        tiny = r < 1e-8  # the series' first terms are exact there: theta_d / r = 1 + (k1 - 1/(3 m²)) r²
         divisor = np.where(tiny, 1.0, r)
         scale = np.where(tiny, 1.0, theta_d / divisor)
         # (d scale / d r) / r
-        bend = np.where(tiny, 2 * (self.coefficients[0] - 1 / 3), (slope / (1 + r * r) - scale) / divisor**2)
+        bend = np.where(
+            tiny,
+            2 * (self.coefficients[0] - 1 / (3 * halves**2)),
+            (slope / (1 + r * r / halves**2) - scale) / divisor**2,
+        )
         jacobian = bend[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
         jacobian[:, [0, 1], [0, 1]] += scale[:, None]
         return scale[:, None] * ideal, jacobian
 
-    def remove(self, distorted: Array) -> Array:
-        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN if none is within the lens' reach."""
-        angles, radii = self._table
+    def remove(
+        self, distorted: Array, halves: float = 1.0, table: tuple[Array, Array] | None = None
+    ) -> Array:
+        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN if none is within the lens' reach, or within that
+        of a `table` of angles and radii."""
+        angles, radii = self._table if table is None else table
         radius = np.linalg.norm(distorted, axis=1)
         theta = np.interp(radius, radii, angles)
         for _ in range(NEWTON_STEPS):
@@ -191,7 +219,8 @@ class Equidistant:
             if not (np.abs(step) > LAST_STEP).any():
                 break
         solved = np.abs(self._radial(theta)[0] - radius) <= RESIDUAL
-        scale = np.where(radius > 0.0, np.tan(theta) / np.where(radius > 0.0, radius, 1.0), 1.0)
+        ideal_radius = halves * np.tan(theta / halves)
+        scale = np.where(radius > 0.0, ideal_radius / np.where(radius > 0.0, radius, 1.0), 1.0)
         return np.where(solved[:, None], distorted * scale[:, None], np.nan)
 
 
@@ -199,8 +228,46 @@ Distortion = RadTan | Equidistant
 
 
 @dataclass(frozen=True)
+class WideLens:
+    """An equidistant lens seen in the stereographic plane. `reach` [rad] off its axis: where its model ends."""
+
+    lens: Equidistant
+
+    @cached_property
+    def table(self) -> tuple[Array, Array]:
+        """Angles and distorted radii of all that is believed of it."""
+        return self.lens.rising(WIDEST)
+
+    @property
+    def reach(self) -> float:
+        return float(self.table[0][-1])
+
+    @property
+    def max_radius(self) -> float:
+        """Largest ideal radius at which the model still is one-to-one."""
+        return Stereographic.halves * math.tan(self.reach / Stereographic.halves)
+
+    def apply(self, ideal: Array) -> tuple[Array, Array]:
+        """As `Equidistant.apply`; beyond the reach the image goes on as if it had no end."""
+        return self.lens.apply(ideal, Stereographic.halves, self.reach)
+
+    def remove(self, distorted: Array) -> Array:
+        """As `Equidistant.remove`."""
+        return self.lens.remove(distorted, Stereographic.halves, self.table)
+
+
+class Framed(NamedTuple):
+    """n undistorted pixels where the image is an upright box: at (n, 2); scale: how many of its px one px is, (n, 2)
+    along u and v, or one number for all."""
+
+    at: Array
+    scale: Array | float
+
+
+@dataclass(frozen=True)
 class PinholeCamera:
-    """Intrinsics [px] for images of width x height pixels, and the lens' distortion (None: ideal pinhole)."""
+    """Intrinsics [px] for images of width x height pixels, and the lens' distortion (None: ideal pinhole). With an
+    equidistant one it may be as wide as `WIDEST`."""
 
     fx: float
     fy: float
@@ -229,18 +296,57 @@ class PinholeCamera:
     @cached_property
     def K(self) -> Array:
         """The intrinsic matrix (3, 3): normalised to undistorted pixels."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        return self.chart.K
 
     @cached_property
     def K_inverse(self) -> Array:
-        """The inverse of K (3, 3), written out: undistorted pixels to normalised."""
-        return np.array(
-            [
-                [1.0 / self.fx, 0.0, -self.cx / self.fx],
-                [0.0, 1.0 / self.fy, -self.cy / self.fy],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        """The inverse of K (3, 3): undistorted pixels to normalised."""
+        return self.chart.K_inverse
+
+    @cached_property
+    def is_wide(self) -> bool:
+        """Whether the image's farthest corner shows more than `WIDE` off the axis, so that undistorted pixels are
+        stereographic ones."""
+        if not isinstance(self.distortion, Equidistant):
+            return False
+        low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
+        centre, focal = np.array([self.cx, self.cy]), np.array([self.fx, self.fy])
+        corner = float(np.linalg.norm(np.maximum(centre - low, high - centre) / focal))
+        angles, radii = self.distortion.rising(WIDE)
+        return bool(angles[-1] == WIDE and radii[-1] < corner)
+
+    @cached_property
+    def chart(self) -> Gnomonic | Stereographic:
+        """Which undistorted pixel stands for which direction."""
+        kind = Stereographic if self.is_wide else Gnomonic
+        return kind(self.fx, self.fy, self.cx, self.cy)
+
+    @cached_property
+    def _lens(self) -> RadTan | Equidistant | WideLens | None:
+        """The distortion, in the plane of the chart."""
+        if self.is_wide:
+            assert isinstance(self.distortion, Equidistant)
+            return WideLens(self.distortion)
+        return self.distortion
+
+    @cached_property
+    def reach(self) -> float:
+        """rad off the axis: beyond, the lens' model has no answer."""
+        if self._lens is None:
+            return self.chart.reach
+        return self._lens.reach if isinstance(self._lens, WideLens) else math.atan(self._lens.max_radius)
+
+    @cached_property
+    def field(self) -> tuple[float, float]:
+        """rad: how wide and how high the image is through its middle; an ordinary one as if the lens did not bend."""
+        if not self.is_wide:
+            return 2.0 * math.atan(0.5 * self.width / self.fx), 2.0 * math.atan(0.5 * self.height / self.fy)
+        ends = np.tile([self.cx, self.cy], (4, 1))
+        ends[[0, 1], 0], ends[[2, 3], 1] = (-0.5, self.width - 0.5), (-0.5, self.height - 0.5)
+        rays = self.bearing(ends)
+        off = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+        left, right, up, down = np.where(np.isnan(off), self.reach, off).tolist()
+        return left + right, up + down
 
     @cached_property
     def ideal_bounds(self) -> Array:
@@ -250,35 +356,85 @@ class PinholeCamera:
         image, targets have negative ones.
         """
         low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
-        if self.distortion is None:
+        if self._lens is None:
             return np.stack([low, high])
         columns, rows = np.linspace(low, high, 33).T
         pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
         ideal = self.undistort(pixels)
         # Where the image goes on beyond the lens model's reach, what is shown ends with that reach.
         focal, centre = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
-        outermost = centre + np.sign(pixels - centre) * focal * self.distortion.max_radius
+        outermost = centre + np.sign(pixels - centre) * focal * self._lens.max_radius
         ideal = np.where(np.isnan(ideal), outermost, ideal)
         return np.stack([ideal.min(axis=0), ideal.max(axis=0)])
+
+    @cached_property
+    def frame_bounds(self) -> Array:
+        """[[u_min, v_min], [u_max, v_max]] (2, 2): of the image, in the plane of `framed`."""
+        if not self.is_wide:
+            return self.ideal_bounds
+        reach = self.frame_radius * np.array([self.fx, self.fy])
+        centre = np.array([self.cx, self.cy])
+        low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
+        return np.stack([np.maximum(low, centre - reach), np.minimum(high, centre + reach)])
+
+    @cached_property
+    def frame_radius(self) -> float:
+        """Focal lengths from the centre, in the plane of `framed`, where a wide lens ends; infinite for others."""
+        return float(self._lens.table[1][-1]) if isinstance(self._lens, WideLens) else math.inf
+
+    def framed(self, pixels: Array) -> Framed:
+        """Undistorted pixels (n, 2) in the plane where the image is an upright box and boxes are as wide as told.
+
+        Of an ordinary lens that is the undistorted plane, nearly. A wide one's image is anything but upright there:
+        it is the image itself, which goes on beyond its border and the lens' reach.
+        """
+        if not isinstance(self._lens, WideLens):
+            return Framed(pixels, 1.0)
+        at, by_ideal = self._lens.apply(self._normalised(pixels))
+        focal = np.array([self.fx, self.fy])
+        by_pixel = focal[:, None] * by_ideal / focal[None, :]
+        return Framed(self._denormalise(at), np.linalg.norm(by_pixel, axis=2))
+
+    def rays_in_frame(self, at: Array) -> Array:
+        """Unit vectors (n, 3) of places (n, 2) in the plane of `framed`; NaN beyond the reach of a wide lens."""
+        return self.bearing(at) if self.is_wide else self.bearing_undistorted(at)
+
+    def per_radian(self, pixels: Array) -> Array:
+        """Undistorted px that a radian is along u and v at undistorted pixels (n, 2): (n, 2), or (2,) for all."""
+        return self.chart.per_radian(pixels)
+
+    def box_per_radian(self, pixels: Array) -> Array:
+        """px that a radian is along the sides of a box whose middle is at undistorted pixels (n, 2): (n, 2), or (2,)
+        for all. Boxes are measured in the image as the camera gives it."""
+        if not isinstance(self._lens, WideLens):
+            return self.chart.per_radian(pixels)
+        _, by_ideal = self._lens.apply(self._normalised(pixels))
+        # rad for a px of the image: the chart stretches alike all ways.
+        by_image = _inverse_2x2(by_ideal) / np.array([self.fx, self.fy])
+        stretch = self.chart.per_radian(pixels)[:, :1] / self.fx
+        return np.asarray(stretch / np.linalg.norm(by_image, axis=1))
+
+    def depth(self, points: Array) -> Array:
+        """(n,) m: how far points (n, 3) are ahead of the camera; of a wide one, how far away."""
+        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        return np.asarray(np.linalg.norm(points, axis=1) if self.is_wide else points[:, 2])
 
     def project(self, points: Array) -> tuple[Array, Array, Mask]:
         """points (n, 3) m, camera frame -> distorted pixels (n, 2), d pixel / d point (n, 2, 3), valid (n,).
 
-        Valid means in front of the camera and within the lens model's reach, not necessarily inside the image
-        (see `contains`). Rows that are not valid are NaN.
+        Valid means in front of the camera, or of a wide lens, and within the lens model's reach, not necessarily inside
+        the image (see `contains`). Rows that are not valid are NaN.
         """
-        ideal, by_point, valid = self._normalise(points)
-        if self.distortion is not None:
-            valid &= (
-                np.linalg.norm(np.where(valid[:, None], ideal, 0.0), axis=1) <= self.distortion.max_radius
-            )
-            ideal, by_ideal = self.distortion.apply(np.where(valid[:, None], ideal, 0.0))
+        ideal, by_point, valid = self.chart.places(points)
+        if self._lens is not None:
+            valid &= np.linalg.norm(np.where(valid[:, None], ideal, 0.0), axis=1) <= self._lens.max_radius
+            ideal, by_ideal = self._lens.apply(np.where(valid[:, None], ideal, 0.0))
             by_point = by_ideal @ by_point
         return self._to_pixels(ideal, by_point, valid)
 
     def project_undistorted(self, points: Array) -> tuple[Array, Array, Mask]:
         """As `project`, to the ideal pixels that the trackers work in."""
-        return self._to_pixels(*self._normalise(points))
+        return self._to_pixels(*self.chart.places(points))
 
     def undistort(self, pixels: Array) -> Array:
         """Distorted pixels (n, 2) -> ideal pixels (n, 2); rows beyond the lens model's reach are NaN."""
@@ -287,36 +443,36 @@ class PinholeCamera:
     def distort(self, pixels: Array) -> Array:
         """Ideal pixels (n, 2) -> distorted pixels (n, 2); rows beyond the lens model's reach are NaN."""
         ideal = self._normalised(pixels)
-        if self.distortion is None:
+        if self._lens is None:
             return self._denormalise(ideal)
-        within = np.linalg.norm(ideal, axis=1) <= self.distortion.max_radius
-        distorted, _ = self.distortion.apply(np.where(within[:, None], ideal, 0.0))
+        within = np.linalg.norm(ideal, axis=1) <= self._lens.max_radius
+        distorted, _ = self._lens.apply(np.where(within[:, None], ideal, 0.0))
         return self._denormalise(np.where(within[:, None], distorted, np.nan))
 
     def undistort_jacobian(self, pixels: Array) -> Array:
         """d ideal pixel / d distorted pixel (n, 2, 2) at distorted pixels (n, 2): it carries covariances."""
-        if self.distortion is None:
+        if self._lens is None:
             return np.broadcast_to(np.eye(2), (len(_pairs(pixels)), 2, 2)).copy()
-        _, by_ideal = self.distortion.apply(self._ideal(pixels))
+        _, by_ideal = self._lens.apply(self._ideal(pixels))
         focal = np.array([self.fx, self.fy])
         jacobian: Array = focal[:, None] * _inverse_2x2(by_ideal) / focal[None, :]
         return jacobian
 
     def bearing(self, pixels: Array) -> Array:
         """Distorted pixels (n, 2) -> unit vectors (n, 3) in the camera frame; NaN as in `undistort`."""
-        return _unit(self._ideal(pixels))
+        return self.chart.rays(self._ideal(pixels))
 
     def bearing_undistorted(self, pixels: Array) -> Array:
         """Ideal pixels (n, 2) -> unit vectors (n, 3) in the camera frame."""
-        return _unit(self._normalised(pixels))
+        return self.chart.rays(self._normalised(pixels))
+
+    def bearing_by_place(self, pixels: Array) -> Array:
+        """d bearing / d place (n, 3, 2) at ideal pixels (n, 2), places in focal lengths."""
+        return self.chart.rays_by_place(self._normalised(pixels))
 
     def bearing_jacobian(self, pixels: Array) -> Array:
         """d bearing / d distorted pixel (n, 3, 2) at distorted pixels (n, 2)."""
-        ideal = self._ideal(pixels)
-        bearing = _unit(ideal)
-        # b = r / |r| with r = (x, y, 1): db/dr = (I - b bᵀ) / |r|, and b_z = 1 / |r|.
-        by_ray = (np.eye(3) - bearing[:, :, None] * bearing[:, None, :]) * bearing[:, 2, None, None]
-        by_ideal_pixel = by_ray[:, :, :2] / np.array([self.fx, self.fy])
+        by_ideal_pixel = self.chart.rays_by_place(self._ideal(pixels)) / np.array([self.fx, self.fy])
         jacobian: Array = by_ideal_pixel @ self.undistort_jacobian(pixels)
         return jacobian
 
@@ -333,19 +489,6 @@ class PinholeCamera:
         cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
         return PinholeCamera(self.fx * sx, self.fy * sy, cx, cy, width, height, self.distortion)
 
-    def _normalise(self, points: Array) -> tuple[Array, Array, Mask]:
-        """points (n, 3) -> ideal rays (n, 2), d ray / d point (n, 2, 3), which lie in front (n,)."""
-        points = np.asarray(points, dtype=float).reshape(-1, 3)
-        x, y, z = points.T
-        with np.errstate(invalid="ignore", over="ignore"):
-            valid = (z > 0.0) & (np.hypot(x, y) < np.tan(MAX_ANGLE) * z)  # False for NaN
-        depth = np.where(valid, z, 1.0)
-        ideal = points[:, :2] / depth[:, None]
-        by_point = np.zeros((len(points), 2, 3))
-        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / depth
-        by_point[:, :, 2] = -ideal / depth[:, None]
-        return ideal, by_point, valid
-
     def _to_pixels(self, normalised: Array, by_point: Array, valid: Mask) -> tuple[Array, Array, Mask]:
         focal = np.array([self.fx, self.fy])
         pixels = np.where(valid[:, None], self._denormalise(normalised), np.nan)
@@ -355,7 +498,7 @@ class PinholeCamera:
     def _ideal(self, pixels: Array) -> Array:
         """Distorted pixels (n, 2) -> ideal rays (n, 2)."""
         normalised = self._normalised(pixels)
-        return normalised if self.distortion is None else self.distortion.remove(normalised)
+        return normalised if self._lens is None else self._lens.remove(normalised)
 
     def _normalised(self, pixels: Array) -> Array:
         return (_pairs(pixels) - [self.cx, self.cy]) / [self.fx, self.fy]
@@ -367,12 +510,6 @@ class PinholeCamera:
 def _pairs(pixels: Array) -> Array:
     """pixels as float (n, 2), n = 0 included."""
     return np.asarray(pixels, dtype=float).reshape(-1, 2)
-
-
-def _unit(ideal: Array) -> Array:
-    rays = np.column_stack([ideal, np.ones(len(ideal))])
-    unit: Array = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return unit
 
 
 def _inverse_2x2(matrices: Array) -> Array:

@@ -116,18 +116,25 @@ class _Scan:
     @cached_property
     def rays(self) -> Array:
         """(n, 3): unit vectors, team frame."""
-        return self._view.rays(np.array([track.mean[::2] for track in self._tracks]).reshape(-1, 2))
+        return self._view.rays(self._pixels)
+
+    @cached_property
+    def _pixels(self) -> Array:
+        """(n, 2) px, undistorted."""
+        return np.array([track.mean[::2] for track in self._tracks]).reshape(-1, 2)
 
     @cached_property
     def noise(self) -> Array:
         """(n,) rad²: of each ray."""
         own = np.array([track.cov[0, 0] + track.cov[2, 2] for track in self._tracks]) / 2.0
-        return np.asarray((own + CENTRE_SIGMA_PX**2) / self._view.camera.fx**2 + ATTITUDE_WHITE**2)
+        focal = self._view.camera.per_radian(self._pixels)[..., 0]
+        return np.asarray((own + CENTRE_SIGMA_PX**2) / focal**2 + ATTITUDE_WHITE**2)
 
     @cached_property
     def kappa(self) -> Array:
         """(n,) 1/m: one over the distance of a drone that looks as large."""
-        side = np.array([track.size.max() for track in self._tracks]) / (self._view.camera.fx * SPAN)
+        focal = self._view.camera.box_per_radian(self._pixels)[..., 0]
+        side = np.array([track.size.max() for track in self._tracks]) / (focal * SPAN)
         return np.clip(np.where(side > 0.0, side, KAPPA), 1e-3, 1.0 / NEAREST)
 
 

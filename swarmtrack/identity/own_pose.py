@@ -311,7 +311,8 @@ def _of_others(look: ScanEvidence, view: ObserverCamera, others: Elsewhere) -> t
     pixel, ahead = np.where(ahead[:, None], pixel, OUTSIDE_PX).reshape(*shape, 2), ahead.reshape(shape)
     place = others.place_sigma**2 + others.sigma[:, None] ** 2 + observer.position_sigma**2
     distance = np.maximum(np.linalg.norm(from_here, axis=2), NEAREST)
-    variance = camera.fx**2 * (place / distance**2 + observer.attitude_sigma**2)
+    focal = np.broadcast_to(camera.per_radian(pixel.reshape(-1, 2))[..., 0], ahead.size).reshape(shape)
+    variance = focal**2 * (place / distance**2 + observer.attitude_sigma**2)
     inside = _inside(pixel, np.sqrt(variance)[..., None], camera) * ahead
     missed = np.log1p(-others.p_seen * inside)
     of_pair = variance[:, None] + look.variance[:, None]
@@ -367,7 +368,11 @@ def _in_view(look: ScanEvidence, here: ReprojectionResiduals, camera: PinholeCam
 
 def _inside(pixel: Array, sigma: Array, camera: PinholeCamera) -> Array:
     """(…,) that what is at pixel (…, 2), ± sigma (…, 2), is in the image."""
-    low, high = camera.ideal_bounds
+    low, high = camera.frame_bounds
+    if camera.is_wide:
+        framed = camera.framed(pixel.reshape(-1, 2))
+        sigma = sigma * np.reshape(framed.scale, pixel.shape)
+        pixel = framed.at.reshape(pixel.shape)
     return np.asarray((_below((high - pixel) / sigma) - _below((low - pixel) / sigma)).prod(axis=-1))
 
 

@@ -231,7 +231,8 @@ def rays_to(named: Sequence[tuple[int, Track]], view: ObserverCamera) -> list[La
     mean = np.array([track.mean for _, track in named])
     soon = mean[:, ::2] + AHEAD_S * mean[:, 1::2]
     here, there = np.split(view.rays(np.concatenate([mean[:, ::2], soon])), 2)
-    sigma = np.sqrt([np.trace(track.cov[::2, ::2]) / 2.0 for _, track in named]) / view.camera.fx
+    focal = view.camera.per_radian(mean[:, ::2])[..., 0]
+    sigma = np.sqrt([np.trace(track.cov[::2, ::2]) / 2.0 for _, track in named]) / focal
     origin = view.team_from_camera.position
     return [
         LastSeen(drone, track.t, here[i], (there[i] - here[i]) / AHEAD_S, float(sigma[i]), origin)

@@ -92,7 +92,7 @@ class _Eye(NamedTuple):
 
     @classmethod
     def of(cls, camera: PinholeCamera, window_s: float) -> _Eye:
-        return cls(camera, Evidence(window_s), Scene(2.0 * math.atan(0.5 * camera.height / camera.fy)))
+        return cls(camera, Evidence(window_s), Scene(camera.field[1]))
 
 
 class Weighing:
@@ -250,7 +250,7 @@ class Weighing:
                     ratios[i, j] += math.log(max(track.probability, LEAST_EXISTENCE))
                 if by_place[i, j] > LOG_ASTRAY:
                     ratios[i, j] += self._spans.log_ratio(
-                        drone, track.size, distance, sigma, focal_px=self._eye.camera.fx
+                        drone, track.size, distance, sigma, focal_px=self._box_focal(track)
                     )
         return np.asarray(every + ratios + motion)
 
@@ -401,12 +401,17 @@ class Weighing:
 
     def _is_inside(self, predicted: Predictions, beside: float = 0.0) -> NDArray[np.bool_]:
         """(k,); beside: how far out counts as well, of the image's size."""
-        away = np.abs(predicted.pixel / (self._eye.camera.width, self._eye.camera.height) - 0.5)
+        camera = self._eye.camera
+        away = np.abs(camera.framed(predicted.pixel).at / (camera.width, camera.height) - 0.5)
         return np.asarray((away < 0.5 + beside).all(axis=1))
 
     def recognise(self, drone_id: int, track: Track, distance: float, probability: float) -> None:
         """The posterior is sure that the track is the drone, which is `distance` m away now."""
-        self._spans.learn(drone_id, track.size, distance, probability, focal_px=self._eye.camera.fx)
+        self._spans.learn(drone_id, track.size, distance, probability, focal_px=self._box_focal(track))
+
+    def _box_focal(self, track: Track) -> float:
+        """px that a radian is where the track's box is."""
+        return float(self._eye.camera.box_per_radian(track.mean[None, ::2])[..., 0].item())
 
     def hide(self, track_id: int, log_odds: float) -> None:
         """The track was not seen for a while, or met another: how it moved before speaks for no more than this."""

@@ -137,8 +137,7 @@ class CameraClock:
         if self._evidence is None:
             return
         bearings = camera.bearing_undistorted(scan.z)
-        # A pixel at the border covers less of an angle, by cos² along the radius and by cos across it.
-        variance = bearings[:, 2] ** 3 / (camera.fx * camera.fy)
+        variance = camera.chart.solid_angle(scan.z)
         if scan.R is not None:
             with np.errstate(invalid="ignore"):
                 variance = variance * np.sqrt(np.linalg.det(scan.R))

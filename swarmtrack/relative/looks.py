@@ -64,8 +64,8 @@ class TeamLook:
         R = np.array([box.R for box in boxes]).reshape(-1, 2, 2)
         size = np.array([box.size for box in boxes]).reshape(-1, 2)
         rays = camera.bearing_undistorted(z)
-        by_pixel = (np.eye(3) - rays[:, :, None] * rays[:, None, :])[:, :, :2] * rays[:, 2, None, None]
-        by_pixel = team_from_camera.rotation @ by_pixel / np.array([camera.fx, camera.fy])
+        by_place = camera.bearing_by_place(z)
+        by_pixel = team_from_camera.rotation @ by_place / np.array([camera.fx, camera.fy])
         return cls(
             t,
             team_from_camera.position,
@@ -120,13 +120,14 @@ def widths(
         drone = np.where(drone > LEAST_DRONE * size, drone, [[math.nan, 0.0]])
         square = drone[:, 0] ** 2 * cosine - drone[:, 1] ** 2 * sine
         level = np.sqrt(np.where(square > 0.0, square, np.nan) / math.cos(2.0 * roll))
-        low, high = camera.ideal_bounds
-        whole = (z - 0.5 * size > low + BORDER_PX).all(axis=1) & (z + 0.5 * size < high - BORDER_PX).all(
+        low, high = camera.frame_bounds
+        at = camera.framed(z).at
+        whole = (at - 0.5 * size > low + BORDER_PX).all(axis=1) & (at + 0.5 * size < high - BORDER_PX).all(
             axis=1
         )
     edge = np.zeros_like(z)
     edge[:, 0], edge[:, 1] = 0.5 * level * math.cos(roll), -0.5 * level * math.sin(roll)
-    left, right = np.split(camera.bearing_undistorted(np.concatenate([z - edge, z + edge])), 2)
+    left, right = np.split(camera.rays_in_frame(np.concatenate([at - edge, at + edge])), 2)
     apart = 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(((right - left) ** 2).sum(axis=1)), 1.0))
     return np.asarray(np.where(whole & (apart > 0.0), apart, np.nan))
 

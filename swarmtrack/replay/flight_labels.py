@@ -181,7 +181,7 @@ class FlightLabels:
         body = Pose(there.world_from_body, there.position).transform(self._body.corners)
         points = team_from_camera.inverse().transform(np.vstack([there.position[None], body]))
         pixels, _, valid = camera.project(points)
-        depth = float(points[0, 2])
+        depth = float(camera.depth(points[:1])[0])
         if depth < NEAREST or not valid.all():
             return None
         u, v = pixels[0]

@@ -14,12 +14,16 @@ def describe_seam(news: SeamNews) -> str:
     if news.turn is None or news.body_from_second is None:
         return (
             f"cameras {first} and {second} do not fit together: what leaves one does not come into the other. Are "
-            "their cables swapped, or is a body_from_camera wrong?"
+            "their cables swapped, is one of them upside down, or is a body_from_camera wrong?"
         )
     turned = np.degrees(np.linalg.norm(news.turn.angle))
     forward = rotation.BODY_FROM_FORWARD_CAMERA
     roll, pitch, yaw = np.degrees(rotation.to_euler(news.body_from_second @ forward.T)).round(1) + 0.0
+    if news.turn.crossings:
+        by = f"crossed from camera {first} or to it {news.turn.crossings} times"
+    else:
+        by = f"camera {first} shows as well"
     return (
-        f"camera {second} is turned by {turned:.1f}° beside its body_from_camera, by teammates that crossed from "
-        f"camera {first} or to it {news.turn.crossings} times. rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit"
+        f"camera {second} is turned by {turned:.1f}° beside its body_from_camera, by teammates that {by}. "
+        f"rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit"
     )

@@ -63,7 +63,7 @@ def _haunted(
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= -0.5) & (pixels < (camera.width - 0.5, camera.height - 0.5))).all(axis=1)
     shown = np.flatnonzero(valid & inside & fires)
-    size_px = camera.fx * np.array([ghost.size_m for ghost in ghosts]) / in_camera[:, 2]
+    size_px = camera.fx * np.array([ghost.size_m for ghost in ghosts]) / camera.depth(in_camera)
     jitter = chance.standard_normal((len(ghosts), 4))
     centre = pixels + jitter[:, :2]
     size: Array = size_px[:, None] * np.exp(0.1 * jitter[:, 2:])

@@ -119,7 +119,7 @@ class Renderer:
         vertices = model.vertices(phases)
         in_camera = (vertices - body_from_camera.position) @ body_from_camera.rotation
         pixels, _, valid = self.camera.project(in_camera)
-        if not valid.all() or in_camera[:, 2].min() < NEAR:
+        if not valid.all() or self.camera.depth(in_camera).min() < NEAR:
             return
 
         margin = math.ceil(3.0 * self.optics.blur_px + np.abs(motion).max()) + 2

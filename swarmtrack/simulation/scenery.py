@@ -31,6 +31,8 @@ GROUND_SCALES = (
     2.0,
 )  # m a texel: three sizes of the one texture, each fades where it would alias
 CLOUD = np.array([240.0, 238.0, 236.0])
+# Cosine: what stands farther off an ordinary lens' axis is not drawn.
+LEAST_AHEAD = 0.3
 CORNERS = 18  # of every figure; simpler ones repeat their last
 
 
@@ -251,7 +253,8 @@ class Scenery:
         away = self._places - eye[:2]
         distance = np.linalg.norm(away, axis=1)
         ahead = away @ world_from_camera.rotation[:2, 2]
-        seen = np.flatnonzero((ahead > 0.3 * distance) & (distance > 5.0))
+        least = math.cos(camera.reach) if camera.is_wide else LEAST_AHEAD
+        seen = np.flatnonzero((ahead > least * distance) & (distance > 5.0))
         # Equal distance: the parts of one figure, in order.
         seen = seen[np.argsort(-distance[seen], kind="stable")]
         if not seen.size:

@@ -20,8 +20,9 @@ MAX_EXISTENCE = 1.0 - 1e-6
 # Existence of a confirmed track stops here, so that one clear detection brings it back; time ends it, not misses.
 MIN_CONFIRMED_EXISTENCE = 0.05
 LOST_BELOW = 0.1  # existence of a missed track: rather hidden or gone than there
-# Tangent of 80 degrees off the axis. A pixel further out covers next to nothing, and every turn of the camera would
-# multiply the covariance of what is there, without bound, until it comes back.
+# Focal lengths: in the tangent plane 80 degrees off the axis, in a wide lens' stereographic one 141. A pixel further
+# out covers next to nothing, and every turn of the camera would multiply the covariance of what is there, without
+# bound, until it comes back.
 MAX_SLANT = 5.7
 MAX_SIGMA = 10.0  # times the longer side of the image: who may be anywhere is nowhere
 SURELY = 8.5  # sigmas inside the image, where a double tells the probability from one no more
@@ -40,15 +41,26 @@ def reweigh(existence: Array, likelihood_ratio: Array) -> Array:
 
 def probability_in_view(mean: Array, cov: Array, camera: PinholeCamera) -> Array:
     """(n,) that a target's position lies inside the image, its two axes taken as independent."""
-    sigma = np.sqrt(np.maximum(cov.diagonal(axis1=1, axis2=2)[:, POSITION], 1e-12))
-    low, high = camera.ideal_bounds
-    above, below = (mean[:, POSITION] - low) / sigma, (high - mean[:, POSITION]) / sigma
+    at, scale = camera.framed(mean[:, POSITION])
+    sigma = np.sqrt(np.maximum(cov.diagonal(axis1=1, axis2=2)[:, POSITION], 1e-12)) * scale
+    low, high = camera.frame_bounds
+    above, below = (at - low) / sigma, (high - at) / sigma
     surely = np.minimum(above, below) > SURELY
     inside = np.ones(len(mean))
     if not surely.all():
         near = ~surely.all(axis=1)
         inside[near] = (_normal_cdf(below[near]) - _normal_cdf(-above[near])).prod(axis=1)
+    if camera.is_wide:
+        inside *= _within_the_circle(at, sigma, camera)
     return inside
+
+
+def _within_the_circle(at: Array, sigma: Array, camera: PinholeCamera) -> Array:
+    """(n,) that a place (n, 2) of the frame, ± sigma (n, 2), is within the reach of a wide lens."""
+    focal = np.array([camera.fx, camera.fy])
+    places = (at - [camera.cx, camera.cy]) / focal
+    away = camera.frame_radius - np.linalg.norm(places, axis=1)
+    return _normal_cdf(away / np.sqrt(((sigma / focal) ** 2).mean(axis=1)))
 
 
 def _normal_cdf(x: Array) -> Array:

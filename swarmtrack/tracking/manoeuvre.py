@@ -166,7 +166,7 @@ def predict(
     # `matmul` takes twice as long for a transposed view.
     cov = F @ cov @ np.ascontiguousarray(F.swapaxes(1, 2)) + Q
     if rotation is not None:
-        mean, cov = _turned(mean, cov, rotation, camera, turn)
+        mean, cov = turned(mean, cov, rotation, camera, turn)
     if rotation_variance > 0.0:
         add_flow_of_error(cov.reshape(-1, 6, 6), mean.reshape(-1, 6), rotation_variance, camera)
     return ModeMixture(mean, cov, mode)
@@ -283,7 +283,7 @@ def acceleration_reach(dt: float, manoeuvres: Manoeuvres) -> tuple[float, float]
     return position, velocity
 
 
-def _turned(
+def turned(
     mean: Array, cov: Array, rotation: Array, camera: PinholeCamera, turn: Turn
 ) -> tuple[Array, Array]:
     """Both modes with the camera; the acceleration turns as the velocity does."""
@@ -292,8 +292,8 @@ def _turned(
     F = np.zeros((len(F4), 6, 6))
     F[:, KINEMATIC, KINEMATIC] = F4
     F[:, ACCELERATION, ACCELERATION] = J
-    turned = np.empty((len(F4), 6))
-    turned[:, KINEMATIC] = kinematic
-    turned[:, ACCELERATION] = (J @ mean[..., ACCELERATION].reshape(-1, 2, 1))[..., 0]
+    found = np.empty((len(F4), 6))
+    found[:, KINEMATIC] = kinematic
+    found[:, ACCELERATION] = (J @ mean[..., ACCELERATION].reshape(-1, 2, 1))[..., 0]
     cov = F @ cov.reshape(-1, 6, 6) @ np.ascontiguousarray(F.swapaxes(1, 2))
-    return turned.reshape(-1, 2, 6), cov.reshape(-1, 2, 6, 6)
+    return found.reshape(-1, 2, 6), cov.reshape(-1, 2, 6, 6)

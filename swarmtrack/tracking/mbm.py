@@ -367,7 +367,7 @@ class Mbm:
         """(n, 2, 2) px²: a detection of two targets lies between them, half their distance off. They are no further
         apart than what is not resolved, whatever the tracks say, which may have been lost."""
         position = self.table.mean[:, POSITION]
-        resolution = self._sensor.resolutions(self.table.size)
+        resolution = self._sensor.resolutions(self.table.mean, self.table.size)
         reach = 0.25 * (resolution[None] + resolution[:, None])
         half = np.clip(0.5 * (position[None] - position[:, None]), -reach, reach)
         share = overlap / np.maximum(overlap.sum(axis=1, keepdims=True), LEAST_OVERLAP)

@@ -1,8 +1,8 @@
 """Tracks that go over from one camera's filter to another's: all that is known of them, in the pixels of the new one.
 
-Two pinhole images of one drone differ by a turn, by their intrinsics, and by how far apart the cameras sit. The filter
-that gives a track away carries it on and turns it (`Filter.release`), as it does from scan to scan; what is left is
-linear in pixels.
+Two images of one drone differ by a turn, by their intrinsics, and by how far apart the cameras sit. The filter that
+gives a track away carries it on and turns it (`Filter.release`), as it does from scan to scan; what is left is linear
+in pixels. Only between an ordinary and a wide lens, whose undistorted pixels are of two kinds, the turn is part of it.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
-from swarmtrack.tracking.manoeuvre import PLACE, ModeMixture
-from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.manoeuvre import PLACE, ModeMixture, turned
+from swarmtrack.tracking.motion_model import POSITION, turn_into
 from swarmtrack.tracking.table import TrackTable
 
 
@@ -30,8 +30,22 @@ class Passage(NamedTuple):
         motion = None if self.motion is None else self.motion.take(np.flatnonzero(mask))
         return Passage(self.table.select(mask), motion)
 
+    def turned_into(self, camera: PinholeCamera, before: PinholeCamera, rotation: Array) -> Passage:
+        """The same tracks for a camera that looks another way through a lens of the other kind; rotation (3, 3): its
+        axes from those of the camera before."""
+        turn = turn_into(before)
+        table = self.table
+        size = camera.box_per_radian, before.box_per_radian(table.mean[:, POSITION])
+        table.mean, F = turn(table.mean, rotation, camera)
+        table.cov = F @ table.cov @ F.swapaxes(1, 2)
+        table.size = table.size * size[0](table.mean[:, POSITION]) / size[1]
+        if self.motion is None:
+            return self
+        mean, cov, mode = self.motion
+        return Passage(table, ModeMixture(*turned(mean, cov, rotation, camera, turn), mode))
+
     def in_pixels_of(self, camera: PinholeCamera, before: PinholeCamera) -> Passage:
-        """The same tracks for a camera that looks the same way through another lens."""
+        """The same tracks for a camera that looks the same way through another lens of the same kind."""
         scale = np.array([camera.fx / before.fx, camera.fy / before.fy])
         shift = np.array([camera.cx, camera.cy]) - scale * (before.cx, before.cy)
         by_axis = np.repeat(scale, 2)

@@ -31,9 +31,17 @@ from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.motion.gyro import Orientation, rotation_between
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.lifecycle import Reach, probability_in_view
-from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.motion_model import POSITION, optical_flow
 from swarmtrack.tracking.passage import Passage
-from swarmtrack.tracking.seams import FoundTurn, Seam, SeamNews
+from swarmtrack.tracking.seams import (
+    LEAST_SHIFT_PX2,
+    PARALLAX_SIGMA,
+    FoundTurn,
+    Seam,
+    SeamComparison,
+    SeamDisagreement,
+    SeamNews,
+)
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
 MOST_BACK = 0.3
@@ -41,13 +49,17 @@ MOST_BACK = 0.3
 SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
-SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, 0.5, 5.0
+SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, PARALLAX_SIGMA, 5.0
+# s: between two detections of one camera, with one of another between them, that are compared.
+COMPARED_S = 0.25
 # Focal lengths off the axis: what another camera sees farther aside is not looked for in this one's picture.
 MOST_ASIDE = 10.0
 # m: nobody is nearer.
 NEAREST = 0.5
 # Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
 BORDER, MISSED_SCANS = 0.12, 8
+# Scans that did not show it, of a track that ended meanwhile: a slow camera has no eight before that.
+ENDED_SCANS = 3
 TURNED, LOST_SIGHT = "turned", "lost sight"
 # A track that a camera shows with this probability at least may be what it detects, and with that one surely is seen.
 MAY_SEE, SURELY_SEES = 0.01, 0.95
@@ -85,6 +97,16 @@ class _Arrived:
     taker: int
     since: float
     scans: int = 0
+
+
+class _TrackLook(NamedTuple):
+    """A detection z (2,) px, R (2, 2) px², of a track, by a camera at t [s]; orientation: of the first camera then."""
+
+    camera: int
+    t: float
+    z: Array
+    R: Array
+    orientation: Orientation
 
 
 class ExpectedTracks(NamedTuple):
@@ -139,6 +161,8 @@ class Rig:
         self._said: set[tuple[int, int, str]] = set()
         self._foretold: dict[int, Foretold] = {}
         """Those among them of the camera of the scan that comes."""
+        self._looks: dict[int, list[_TrackLook]] = {}
+        """By track: its last detections that were not compared yet, in the order of exposure."""
         self.handed_over = 0
 
     @property
@@ -158,7 +182,7 @@ class Rig:
     @property
     def found_turns(self) -> dict[tuple[int, int], FoundTurn]:
         """By pairs of cameras between which tracks have gone: how the second is turned beside what was told."""
-        return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings}
+        return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings or seam.compared}
 
     def turn_variance(self, camera: int, orientation: Orientation) -> float:
         """rad² per axis: how little is known of the turn since that camera's last scan."""
@@ -182,11 +206,74 @@ class Rig:
         accepted = tracker.update(scan)
         if self._lent:
             self._give_back(tracker, accepted=accepted)
-        if self._foretold:
-            self._learn_seams(camera, tracker)
+        crossed = self._learn_seams(camera, tracker) if self._foretold else frozenset()
         if accepted and len(self._cameras) > 1:
+            self._compare_looks(camera, scan.t, orientation, crossed)
             self._keep_in_sight(camera, scan.t)
         return accepted
+
+    def _compare_looks(
+        self, camera: int, t: float, orientation: Orientation, crossed: frozenset[int]
+    ) -> None:
+        """Where pictures overlap, the detections of two cameras tell how these are turned. Not of those that have just
+        told it by crossing."""
+        for seam in self._seams.values():
+            seam.end_stays(t)
+        tracker = self._cameras[camera].tracker
+        for track_id, z, R in tracker.surely_detected:
+            if track_id in crossed:
+                self._looks.pop(track_id, None)
+                continue
+            looks = self._looks.setdefault(track_id, [])
+            looks.append(_TrackLook(camera, t, z.copy(), R, orientation))
+            looks.sort(key=lambda look: look.t)
+            del looks[:-3]
+            if len(looks) == 3 and _is_between(*looks):
+                self._compare(track_id, *looks)
+                looks.clear()
+        if len(self._looks) > MOST_REMEMBERED:
+            self._looks = {
+                id: seen for id, seen in self._looks.items() if seen and t - seen[-1].t < COMPARED_S
+            }
+
+    def _compare(self, track_id: int, before: _TrackLook, middle: _TrackLook, after: _TrackLook) -> None:
+        """Two detections of one camera, and one of another between them, all at the middle one's time in the pixels of
+        the second of the two cameras."""
+        first, second = sorted((before.camera, middle.camera))
+        share = (middle.t - before.t) / (after.t - before.t)
+        (p, P), (m, M), (q, Q) = (self._seen_at(look, middle, second) for look in (before, middle, after))
+        outer, noise = (1.0 - share) * p + share * q, (1.0 - share) ** 2 * P + share**2 * Q + M
+        if not (np.isfinite(outer).all() and np.isfinite(noise).all() and np.isfinite(m).all()):
+            return
+        foretold, z = (outer, m) if middle.camera == second else (m, outer)
+        camera = self._cameras[second].camera
+        size = self._size_of(track_id, foretold, second)
+        by, _ = parallax(foretold[None], size, camera, self._baseline(first, second))
+        compared = SeamComparison(middle.t, foretold + by[0], z, noise, by[0])
+        self._seams[first, second].compare(track_id, compared, camera)
+
+    def _seen_at(self, look: _TrackLook, when: _TrackLook, camera: int) -> tuple[Array, Array]:
+        """A detection (2,) px of whatever is at rest, (2, 2) px², in the pixels of a camera when another was made."""
+        own, shown = self._cameras[look.camera].camera, self._cameras[camera].camera
+        turn = rotation_between(look.orientation, when.orientation)
+        turned = self._own(look.camera, turn.matrix)
+        if look.camera != camera:
+            turned = self._turn_to(camera, look.camera) @ turned
+        pixel, by_ray, _ = shown.project_undistorted(own.bearing_undistorted(look.z[None]) @ turned.T)
+        by_pixel = by_ray[0] @ turned @ own.bearing_by_place(look.z[None])[0] / np.array([own.fx, own.fy])
+        flow = optical_flow(pixel, shown)[0]
+        return pixel[0], by_pixel @ look.R @ by_pixel.T + turn.variance * flow @ flow.T
+
+    def _size_of(self, track_id: int, pixel: Array, camera: int) -> Array:
+        """(1, 2) px of a track's box as it would be at a pixel (2,) of a camera; NaN where it is not known."""
+        for each in self._cameras:
+            ids, mean, _ = each.tracker.estimates
+            rows = np.flatnonzero(ids == track_id)
+            if rows.size:
+                shown = self._cameras[camera].camera
+                larger = _of_boxes(mean[rows[:1], POSITION], each.camera, pixel[None], shown)
+                return np.asarray(each.tracker.sizes[rows[:1]] * larger)
+        return np.full((1, 2), np.nan)
 
     def _keep_in_sight(self, giver: int, t: float) -> None:
         """Who has just left a picture, and should be in that of a camera which has not exposed since, is not lost."""
@@ -223,7 +310,10 @@ class Rig:
         """Where tracks are foretold that have come to a camera and were not detected since."""
         ids, mean, cov = self._cameras[camera].tracker.estimates
         rows = {track_id: row for row, track_id in enumerate(ids.tolist())}
-        self._arrived = {id: way for id, way in self._arrived.items() if way.taker != camera or id in rows}
+        for track_id in [id for id, way in self._arrived.items() if way.taker == camera and id not in rows]:
+            way = self._arrived.pop(track_id)
+            if way.scans >= ENDED_SCANS:
+                self._seam(way.giver, camera).lost += 1
         found = {}
         for track_id, way in self._arrived.items():
             if way.taker == camera:
@@ -232,23 +322,27 @@ class Rig:
                 found[track_id] = Foretold(way.giver, pixel.copy(), P - of_seam)
         return found
 
-    def _learn_seams(self, taker: int, tracker: Tracker) -> None:
-        """From the tracks that have come to a camera, by its scan: those it shows, and those it does not."""
-        camera = self._cameras[taker].camera
+    def _learn_seams(self, taker: int, tracker: Tracker) -> frozenset[int]:
+        """From the tracks that have come to a camera, by its scan: those it shows, which are returned, and those it
+        does not."""
+        camera, crossed = self._cameras[taker].camera, set()
         for track_id, z, R in tracker.surely_detected:
             foretold = self._foretold.pop(track_id, None)
             if foretold is not None:
                 del self._arrived[track_id]
+                crossed.add(track_id)
                 giver, pixel, cov = foretold
                 self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
-        low, high = camera.ideal_bounds
+        low, high = camera.frame_bounds
         border = BORDER * (high - low)
         for track_id, (giver, pixel, _) in self._foretold.items():
             way = self._arrived[track_id]
-            way.scans += bool(((pixel > low + border) & (pixel < high - border)).all())
+            (at,) = camera.framed(pixel[None]).at
+            way.scans += bool(((at > low + border) & (at < high - border)).all())
             if way.scans >= MISSED_SCANS:
                 del self._arrived[track_id]
                 self._seam(giver, taker).lost += 1
+        return frozenset(crossed)
 
     def take_news(self) -> list[SeamNews]:
         """What there is to say of seams; each is returned once."""
@@ -299,12 +393,15 @@ class Rig:
         one, other = self._cameras[giver].camera, self._cameras[taker].camera
         there = one.bearing_undistorted(part.centre) @ self._turn_to(taker, giver).T
         centre, _, ahead = other.project_undistorted(there)
-        scale, focal = np.array([other.fx / one.fx, other.fy / one.fy]), np.array([other.fx, other.fy])
-        size = part.size * scale
+        focal = other.per_radian(centre)
+        scale = focal / one.per_radian(part.centre)
+        size = part.size * _of_boxes(part.centre, one, centre, other)
         by, by_cov = parallax(centre, size, other, self._baseline(giver, taker))
         variance = (part.sigma * scale) ** 2 + (self._seam(giver, taker).found.sigma * focal) ** 2
         sigma = np.sqrt(variance + by_cov.diagonal(axis1=1, axis2=2))
-        near = ahead & (np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * focal).all(axis=1)
+        near = ahead & (
+            np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * np.array([other.fx, other.fy])
+        ).all(axis=1)
         return ExpectedTracks((centre + by)[near], sigma[near], size[near])
 
     def vouch(self, track_id: int) -> None:
@@ -351,17 +448,45 @@ class Rig:
         if lent.any():
             ids = one.tracker.estimates[0][lent]
             self._lent.append(_Lent(giver, ids, one.tracker.copied(lent), {**self._arrived}, {**self._came}))
-        leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
-        arriving = leaving.in_pixels_of(other.camera, one.camera)
+        if one.camera.is_wide == other.camera.is_wide:
+            leaving = one.tracker.release(rows, t, seam @ own, turn.variance)
+            arriving = leaving.in_pixels_of(other.camera, one.camera)
+        else:
+            # What is ahead of one camera only has no place in the tangent plane of the other.
+            leaving = one.tracker.release(rows, t, own, turn.variance)
+            arriving = leaving.turned_into(other.camera, one.camera, seam)
         baseline = self._baseline(giver, taker)
-        arriving = arriving.moved(
-            *parallax(arriving.table.mean[:, POSITION], arriving.table.size, other.camera, baseline)
-        )
-        pixel = arriving.table.mean[:, POSITION]
-        arriving = arriving.moved(np.zeros_like(pixel), self._of_seam(pixel, giver, taker))
+        pixel = arriving.table.mean[:, POSITION].copy()
+        by, by_cov = parallax(pixel, arriving.table.size, other.camera, baseline)
+        cov = by_cov + self._of_seam(pixel + by, giver, taker)
+        for row, track_id in enumerate(arriving.table.id.tolist()):
+            known = self._seam(giver, taker).disagreement(track_id, t)
+            if known is not None:
+                by[row], cov[row] = self._as_known(known, pixel[row], by[row], giver, taker)
+        arriving = arriving.moved(by, cov)
         self._note_arrivals(arriving, giver, taker, t)
         other.tracker.adopt(arriving)
         self.handed_over += len(pixel)
+
+    def _as_known(
+        self, known: SeamDisagreement, pixel: Array, by: Array, giver: int, taker: int
+    ) -> tuple[Array, Array]:
+        """By how far (2,) px a track at a pixel (2,) of the taker moves whose target both cameras have seen for a
+        while, and the covariance (2, 2) px² of that; by (2,) px: the parallax alone."""
+        camera = self._cameras[taker].camera
+        flow = self._seam(giver, taker).flow(pixel[None], camera, to_second=giver < taker)[0]
+        shifted = np.eye(2)
+        if taker < giver:
+            # The shift is in the second one's pixels, and so the other way round.
+            shown, ray = self._cameras[giver].camera, camera.bearing_undistorted(pixel[None])
+            there, _, _ = shown.project_undistorted(ray @ self._turn_to(giver, taker).T)
+            back = self._turn_to(taker, giver)
+            _, by_ray, _ = camera.project_undistorted(ray)
+            by_place = back @ shown.bearing_by_place(there)[0] / np.array([shown.fx, shown.fy])
+            shifted = -by_ray[0] @ by_place
+        H = np.column_stack([flow, by, shifted])
+        moved = by * (1.0 + known.s) + shifted @ known.shift
+        return moved, H @ known.cov @ H.T + LEAST_SHIFT_PX2 * np.eye(2)
 
     def _baseline(self, giver: int, taker: int) -> Array:
         """(3,) m: where the taker sits beside the giver, in its own axes."""
@@ -391,7 +516,8 @@ class Rig:
         self, mean: Array, cov: Array, giver: int, taker: int, seam: Array
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(n,) of tracks in the giver's pixels now: those that the taker may see, and of those that nobody sees the
-        ones nearer to where it looks; and which of these are only lent. seam (3, 3): the taker's axes from the giver's.
+        ones nearer to its field of view; and which of these are only lent. seam (3, 3): the taker's axes from the
+        giver's.
         """
         one = self._cameras[giver].camera
         shown = self._shown_by(mean, cov, giver, taker, seam)
@@ -409,23 +535,25 @@ class Rig:
         pixel, _, ahead = other.project_undistorted(there)
         if not ahead.any():
             return _Shown(np.zeros(len(mean)), np.asarray(ahead), np.asarray(ahead))
-        size = self._cameras[giver].tracker.sizes * (other.fx / one.fx, other.fy / one.fy)
+        size = self._cameras[giver].tracker.sizes * _of_boxes(mean[:, POSITION], one, pixel, other)
         by, by_cov = parallax(pixel, size, other, self._baseline(giver, taker))
         pixel = pixel + by
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
         moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
-        variance = (cov[:, 0, 0] / one.fx**2 + cov[:, 2, 2] / one.fy**2) / 2.0
+        here, beyond = one.per_radian(mean[:, POSITION]), other.per_radian(pixel)
+        variance = (cov[:, 0, 0] / here[..., 0] ** 2 + cov[:, 2, 2] / here[..., 1] ** 2) / 2.0
         by_cov[ahead] += self._of_seam(pixel[ahead], giver, taker)
-        spread[:, 0, 0] = variance * other.fx**2 + by_cov[:, 0, 0]
-        spread[:, 2, 2] = variance * other.fy**2 + by_cov[:, 1, 1]
+        spread[:, 0, 0] = variance * beyond[..., 0] ** 2 + by_cov[:, 0, 0]
+        spread[:, 2, 2] = variance * beyond[..., 1] ** 2 + by_cov[:, 1, 1]
         seen = probability_in_view(moved, spread, other)
         possible = ahead & self._reach[taker].holds(moved, spread)
-        return _Shown(np.where(possible, seen, 0.0), np.asarray(possible), there[:, 2] > ray[:, 2])
+        nearer = _beyond(there, other) < _beyond(ray, one)
+        return _Shown(np.where(possible, seen, 0.0), np.asarray(possible), np.asarray(nearer))
 
 
 class _Shown(NamedTuple):
     """Of tracks (n,): the probability that another camera shows them, whether it can have them at all, and whether they
-    are nearer to where it looks."""
+    are nearer to its field of view."""
 
     seen: Array
     possible: NDArray[np.bool_]
@@ -443,11 +571,27 @@ class _Lent(NamedTuple):
     came: dict[int, float]
 
 
+def _is_between(before: _TrackLook, middle: _TrackLook, after: _TrackLook) -> bool:
+    """Whether a detection of one camera lies between two of another one, soon after each other."""
+    same = before.camera == after.camera != middle.camera
+    return same and before.t < middle.t < after.t < before.t + COMPARED_S
+
+
 def _restore(now: dict[int, Any], track_id: int, then: dict[int, Any]) -> None:
     if track_id in then:
         now[track_id] = then[track_id]
     else:
         now.pop(track_id, None)
+
+
+def _beyond(ray: Array, camera: PinholeCamera) -> Array:
+    """(n,) rad: how far rays (n, 3) are outside a camera's field of view, as if that were round."""
+    return np.asarray(np.arccos(np.clip(ray[:, 2], -1.0, 1.0)) - 0.5 * camera.field[0])
+
+
+def _of_boxes(here: Array, one: PinholeCamera, there: Array, other: PinholeCamera) -> Array:
+    """By how much larger boxes are, wide and high, at pixels (n, 2) of the other camera than at those of the one."""
+    return np.asarray(other.box_per_radian(there) / one.box_per_radian(here))
 
 
 def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:
@@ -458,7 +602,7 @@ def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) 
     if not baseline.any():
         return np.zeros((n, 2)), np.zeros((n, 2, 2))
     ray = camera.bearing_undistorted(pixel)
-    distance = np.maximum(SPAN * camera.fx / size[:, 0], NEAREST)
+    distance = np.maximum(SPAN * camera.box_per_radian(pixel)[..., 0] / size[:, 0], NEAREST)
     distance = np.where(np.isnan(distance), UNKNOWN_DISTANCE, distance)
     seen, _, ahead = camera.project_undistorted(distance[:, None] * ray - baseline)
     by = np.where(ahead[:, None], seen - pixel, 0.0)

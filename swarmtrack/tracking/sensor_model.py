@@ -181,10 +181,15 @@ class SensorModel:
         and box sizes (n, 2) px, NaN while unknown."""
         if not self._occludes:
             return np.zeros((len(mean), len(mean)))
-        return unresolved(mean, cov, self.resolutions(size))
+        return unresolved(mean, cov, self.resolutions(mean, size))
 
-    def resolutions(self, size: Array) -> Array:
-        """(n, 2) px: how close another may come before the two are one detection; see `occlusion.resolutions`."""
+    def resolutions(self, mean: Array, size: Array) -> Array:
+        """(n, 2) px: how close another may come to targets with means (n, 4) and box sizes (n, 2) before the two are
+        one detection; see `occlusion.resolutions`."""
+        if self.camera.is_wide:
+            # Boxes are measured in the image, of which this plane is stretched.
+            at = mean[:, POSITION]
+            size = size * self.camera.per_radian(at) / self.camera.box_per_radian(at)
         return resolutions(size, self.parameters.resolution_px)
 
     def box_likelihoods(self, size: Array, measured: Measurements) -> Array:

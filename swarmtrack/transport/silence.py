@@ -22,7 +22,9 @@ REPORTS_S: Final = 1.0  # between two of a teammate's reports
 ASK_S: Final = 1.2 * REPORTS_S  # without a word
 REOPEN_LEASES: Final = 2.0  # without a word, and links are made again
 PATIENCE: Final = 4.0  # as many times longer before it is done again
-REST_S: Final = 15.0  # between two times that all links are made again; a start with two fifths lost takes ten
+REST_S: Final = (
+    15.0  # between two times that all links are made again; a start with two fifths lost takes ten
+)
 
 
 class Silence:

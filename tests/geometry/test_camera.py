@@ -1,12 +1,14 @@
 """The camera against OpenCV as the independent witness, numeric derivatives, and round trips."""
 
+import math
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
+from swarmtrack.geometry.camera import WIDE, WIDEST, Equidistant, PinholeCamera, RadTan
 
 CAMERAS = {
     "ideal": PinholeCamera(600.0, 610.0, 320.0, 256.0, 640, 512),
@@ -67,7 +69,10 @@ def test_projection_is_opencvs(camera):
     pixels, _, valid = camera.project(points)
     assert len(points) > 300
     assert valid.all()
-    assert np.allclose(pixels, opencv_projection(camera, points), atol=1e-8)
+    # OpenCV's fisheye takes the angle from x/z and y/z: it knows nothing beyond 90 degrees.
+    ahead = points[:, 2] > 0.0
+    assert ahead.all() or camera.is_wide
+    assert np.allclose(pixels[ahead], opencv_projection(camera, points[ahead]), atol=1e-8)
 
 
 def test_jacobians_are_the_numeric_ones(camera):
@@ -152,8 +157,11 @@ def test_a_rational_lens_ends_at_its_pole():
 @pytest.mark.parametrize("name", DISTORTED)
 def test_points_beyond_the_lens_models_fold_are_not_valid(name):
     camera = CAMERAS[name]
-    just_within, beyond = 0.999 * camera.distortion.max_radius, 1.1 * camera.distortion.max_radius
-    points = np.array([[just_within, 0, 1], [beyond, 0, 1], [0, beyond, 1]])
+    just_within, beyond = 0.999 * camera.reach, camera.reach + 0.03 * (math.radians(120.0) - camera.reach)
+    points = np.array(
+        [[math.sin(off) * x, math.sin(off) * y, math.cos(off)]
+         for off, x, y in ((just_within, 1, 0), (beyond, 1, 0), (beyond, 0, 1))]
+    )  # fmt: skip
     pixels, jacobian, valid = camera.project(points)
     assert valid.tolist() == [True, False, False]
     assert np.isnan(pixels[1:]).all()
@@ -167,7 +175,9 @@ def test_what_is_behind_the_camera_or_not_a_number_is_flagged(camera):
     for project in (camera.project, camera.project_undistorted):
         pixels, jacobian, valid = project(points)
         assert valid[-1]
-        assert not valid[[0, 1, 2, 3, 5]].any()
+        assert not valid[[0, 1, 2, 3]].any()
+        # 90 degrees off the axis is nothing to a wide lens.
+        assert valid[5] == camera.is_wide
         assert np.isfinite(pixels[valid]).all()
         assert np.isfinite(jacobian[valid]).all()
         assert np.isnan(pixels[~valid]).all()
@@ -240,6 +250,76 @@ def test_the_ideal_bounds_of_an_image_wider_than_its_lens_model_end_with_the_mod
     camera = PinholeCamera(150.0, 150.0, 320.0, 240.0, 640, 480, Equidistant((0.0, 0.0, 0.0, 0.0)))
     assert np.isnan(camera.undistort(np.array([[0.0, 0.0]]))).all()
     low, high = camera.ideal_bounds
-    reach = 150.0 * camera.distortion.max_radius
+    reach = 150.0 * 2.0 * math.tan(WIDEST / 2.0)
     assert low == pytest.approx([320.0 - reach, 240.0 - reach])
     assert high == pytest.approx([320.0 + reach, 240.0 + reach])
+
+
+# --- a wide lens: undistorted pixels are stereographic ---
+
+KB = (0.0034, 7.65e-4, -8.2e-4, 1.1e-4)
+WIDE_LENS = PinholeCamera(193.0, 191.0, 319.5, 317.0, 640, 640, Equidistant(KB))
+
+
+def at_angle(degrees, about=0.0):
+    off, about = np.radians(degrees), np.radians(about)
+    return np.stack(
+        np.broadcast_arrays(np.sin(off) * np.cos(about), np.sin(off) * np.sin(about), np.cos(off)), axis=-1
+    ).reshape(-1, 3)
+
+
+def test_a_lens_is_wide_whose_corners_show_more_than_80_degrees_and_no_other():
+    widths = [640, 480, 320]
+    for width in widths:
+        camera = PinholeCamera(190.0, 190.0, 0.5 * width - 0.5, 119.5, width, 240, Equidistant((0.0,) * 4))
+        assert camera.is_wide == (math.hypot(width, 240) / 380.0 > WIDE)
+    for lens in (None, RadTan((-0.28, 0.07, 0.0, 0.0)), Equidistant((-0.2, 0.0, 0.0, 0.0))):
+        # The last one folds at 74 degrees.
+        assert not PinholeCamera(100.0, 100.0, 319.5, 239.5, 640, 480, lens).is_wide
+
+
+def test_a_wide_lens_shows_what_is_behind_the_camera_and_takes_it_back():
+    rays = at_angle(np.linspace(0.0, 109.0, 50), np.linspace(0.0, 350.0, 50))
+    image, _, valid = WIDE_LENS.project(4.0 * rays)
+    assert valid.all()
+    assert np.allclose(WIDE_LENS.bearing(image), rays, atol=1e-12)
+    ideal = WIDE_LENS.undistort(image)
+    radius = np.linalg.norm((ideal - [319.5, 317.0]) / [193.0, 191.0], axis=1)
+    assert radius == pytest.approx(2.0 * np.tan(0.5 * np.arccos(rays[:, 2])), abs=1e-9)
+    assert np.allclose(WIDE_LENS.project_undistorted(rays)[0], ideal, atol=1e-9)
+    assert np.allclose(WIDE_LENS.bearing_undistorted(ideal), rays, atol=1e-12)
+    # The image is the polynomial of the angle, whatever z is.
+    theta = np.arccos(rays[:, 2])
+    theta_d = theta * (1 + sum(k * theta ** (2 * n) for n, k in enumerate(KB, start=1)))
+    found = np.linalg.norm((image - [319.5, 317.0]) / [193.0, 191.0], axis=1)
+    assert found == pytest.approx(theta_d, abs=1e-12)
+
+
+def test_the_field_of_a_wide_lens_is_that_of_its_edges():
+    camera = PinholeCamera(193.0, 193.0, 319.5, 319.5, 640, 640, Equidistant((0.0,) * 4))
+    assert np.degrees(camera.field) == pytest.approx([190.0, 190.0], abs=0.1)
+    assert np.degrees(PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480).field[0]) == pytest.approx(90.0)
+
+
+def test_the_plane_of_a_wide_lens_image_goes_on_smoothly_beyond_its_reach():
+    place = np.array(
+        [[2.0 * math.tan(math.radians(off) / 2.0), 0.3] for off in (20.0, 80.0, 109.0, 112.0, 130.0)]
+    )
+    pixels = place * [193.0, 191.0] + [319.5, 317.0]
+    at, scale = WIDE_LENS.framed(pixels)
+    assert (np.diff(at[:, 0]) > 0.0).all()
+    assert np.isnan(WIDE_LENS.distort(pixels[3:])).all()
+    assert np.allclose(WIDE_LENS.distort(pixels[:3]), at[:3])
+    by_pixel = numeric_jacobian(lambda p: WIDE_LENS.framed(p).at, pixels, step=1e-4)
+    assert np.allclose(scale, np.linalg.norm(by_pixel, axis=2), rtol=1e-5)
+    assert np.allclose(WIDE_LENS.rays_in_frame(at[:3]), WIDE_LENS.bearing_undistorted(pixels[:3]))
+
+
+def test_a_box_of_a_wide_image_covers_an_angle_that_its_place_tells():
+    rays = at_angle(np.array([5.0, 60.0, 94.0]), np.array([0.0, 30.0, 90.0]))
+    pixels = WIDE_LENS.project_undistorted(rays)[0]
+    image = WIDE_LENS.distort(pixels)
+    angle = np.linalg.norm(WIDE_LENS.bearing_jacobian(image), axis=1)
+    assert np.allclose(1.0 / WIDE_LENS.box_per_radian(pixels), angle, rtol=1e-9)
+    ordinary = CAMERAS["ideal"]
+    assert ordinary.box_per_radian(pixels).tolist() == ordinary.per_radian(pixels).tolist() == [600.0, 610.0]

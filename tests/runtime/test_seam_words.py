@@ -17,7 +17,15 @@ def test_a_camera_that_is_turned_is_said_with_the_angles_that_would_fit():
     assert said.endswith("camera 1 or to it 9 times. rpy_deg = [0, 0, 92] would fit")
 
 
+def test_a_camera_of_which_only_an_overlap_tells_says_so():
+    fits = rotation.from_euler(0.0, 0.0, math.radians(92.0)) @ rotation.BODY_FROM_FORWARD_CAMERA
+    turn = FoundTurn(np.array([0.0, math.radians(-2.0), 0.0]), math.radians(0.2), 0, 300)
+    said = describe_seam(SeamNews(0, 1, turn, fits))
+    assert "by teammates that camera 1 shows as well. rpy_deg = [0, 0, 92] would fit" in said
+
+
 def test_cameras_that_do_not_fit_together_make_one_think_of_the_cables():
     said = describe_seam(SeamNews(1, 3, None, None))
     assert said.startswith("cameras 2 and 4 do not fit together")
     assert "cables swapped" in said
+    assert "upside down" in said

@@ -16,7 +16,7 @@ from swarmtrack.motion.gyro import GyroHistory, rotation_between
 from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker, create_trackers
 from swarmtrack.tracking.motion_model import optical_flow
 from swarmtrack.tracking.rig import Rig, RigCamera
-from swarmtrack.tracking.seams import Seam
+from swarmtrack.tracking.seams import Seam, SeamComparison
 
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 OTHER = PinholeCamera(500.0, 510.0, 400.0, 300.0, 800, 600)
@@ -58,15 +58,20 @@ class Drone:
         low, high = self.cameras[camera].ideal_bounds
         return pixel, ahead & ((pixel > low) & (pixel < high)).all(axis=1)
 
-    def look(self, camera, late=0.0, rate=0.0):
-        """A scan, exposed `late` seconds ago while the drone yawed at that rate."""
+    def look(self, camera, late=0.0, rate=0.0, noise=0.0, missed=False):
+        """A scan, exposed `late` seconds ago while the drone yawed at that rate; noise px of all it shows."""
         t, yaw = self.t - late, self.yaw - rate * late
         pixel, inside = self.seen_by(camera, yaw)
         width = self.span * self.cameras[camera].fx / np.linalg.norm(self.targets[inside], axis=1)
         orientation = self.gyro.orientation(t)
         self.rig.predict(camera, t, orientation)
+        if missed:
+            inside, width = np.zeros(len(self.targets), bool), width[:0]
         scan = Scan(
-            t, pixel[inside], size=np.column_stack([width, 0.5 * width]), score=np.full(len(width), 0.9)
+            t,
+            pixel[inside] + noise,
+            size=np.column_stack([width, 0.5 * width]),
+            score=np.full(len(width), 0.9),
         )
         self.rig.update(camera, scan, orientation)
 
@@ -286,6 +291,125 @@ def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said()
             drone.look(1)
             news += rig.take_news()
     assert news == [(0, 1, None, None)]
+
+
+def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), seed=2, told_deg=1.0):
+    """A drone 5 m away stays where two pictures overlap, the second of which is turned by so much beside what it is
+    told. Returns the rig, how far rays to it are off in the end [deg], and of the last two thirds the RMS error of its
+    track [px] and the sigma that it claims."""
+    poses = [looking(-40.0), looking(40.0, (0.0, baseline, 0.0))]
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    turn = math.radians(off_deg) * axis / np.linalg.norm(axis)
+    rig = rig_of("mbm", *poses, sigma_deg=told_deg)
+    true = [poses[0], Pose(poses[1].rotation @ rotation.exp(turn), poses[1].position)]
+    target = np.array([5.0, 0.3, 0.2])
+    drone = Drone(rig, true, [target])
+    errors, claimed = [], []
+    while drone.t < seconds:
+        for camera in (0, 1):
+            drone.turn(0.02 * math.cos(drone.t), 1.0 / 30.0)
+            if camera in cameras:
+                drone.look(camera, noise=1.5 * rng.normal(size=2), missed=rng.random() < 0.05)
+            (track,) = drone.tracks() or (None,)
+            if track is not None and drone.t > seconds / 3.0:
+                assert track.id == 1
+                pixel, _ = drone.seen_by(track.camera, drone.yaw)
+                errors.append(track.mean[::2] - pixel[0])
+                claimed.append(np.trace(track.cov[::2, ::2]))
+    found = rig.found_turns.get((0, 1))
+    ray = poses[1].rotation.T @ (target - poses[1].position)
+    left = turn + (found.angle if found else 0.0)
+    off = math.degrees(np.linalg.norm(np.cross(left, ray / np.linalg.norm(ray))))
+    return rig, off, math.sqrt((np.array(errors) ** 2).sum(axis=1).mean()), math.sqrt(np.mean(claimed))
+
+
+def test_a_drone_that_stays_where_two_pictures_overlap_tells_how_they_are_turned():
+    _, _, alone, _ = hover_in_the_overlap(2.0, seconds=20.0, cameras=(0,))
+    rig, off, together, claimed = hover_in_the_overlap(2.0, seconds=40.0)
+    assert off < 0.3
+    # Two cameras see twice as much as one, and do not pull the track to and fro.
+    assert together < 1.05 * alone
+    assert together < 1.5 * claimed
+    found = rig.found_turns[0, 1]
+    assert (found.crossings, found.compared > 200) == (0, True)
+    ((first, second, turn, _),) = rig.take_news()
+    assert (first, second) == (0, 1)
+    assert math.degrees(np.linalg.norm(turn.angle)) > 0.5
+
+
+def test_what_a_hovering_drone_tells_ends_with_how_well_its_distance_and_its_middle_are_known():
+    sigmas = []
+    for baseline in (0.0, 0.2):
+        rig, *_ = hover_in_the_overlap(0.0, seconds=15.0, baseline=baseline)
+        flow = optical_flow(np.array([[60.0, 240.0]]), CAMERA)[0]
+        (seam,) = rig._seams.values()
+        sigmas.append(math.sqrt((flow @ seam._cov @ flow.T)[0, 0]))
+    # px: a pixel of the middle of its box, and half of the parallax of 0.2 m.
+    assert 0.9 < sigmas[0] < 1.6
+    assert sigmas[1] > 4.0
+
+
+@given(seed=st.integers(0, 2**32 - 1), stays=st.integers(1, 6))
+@settings(max_examples=30, deadline=None)
+def test_a_seam_learns_from_stays_no_more_than_is_in_them(seed, stays):
+    rng = np.random.default_rng(seed)
+    sigma = math.radians(1.0)
+    truth = sigma * rng.normal(size=3)
+    seam = Seam(np.eye(3), sigma)
+    for number in range(stays):
+        pixel, by = rng.uniform([20.0, 100.0], [120.0, 380.0]), rng.normal(0.0, 4.0, 2)
+        s, shift = 0.5 * rng.normal(), rng.normal(size=2)
+        for k in range(40):
+            flow = seam.flow(pixel[None], CAMERA, to_second=True)[0]
+            off = flow @ (truth - seam.found.angle) + by * s + shift
+            z = pixel + off + 1.5 * rng.normal(size=2)
+            seam.compare(
+                number, SeamComparison(0.1 * k + 10.0 * number, pixel, z, 2.25 * np.eye(2), by), CAMERA
+            )
+        seam.end_stays(10.0 * number + 9.0)
+    assert seam.compared > 30 * stays
+    error = seam.found.angle - truth
+    # Chi-square, three degrees of freedom: beyond 30 once in a million.
+    assert error @ np.linalg.solve(seam._cov, error) < 30.0
+    assert seam.found.sigma > 0.0
+
+
+def test_two_pictures_agree_about_a_target_before_the_mounting_is_known():
+    seam = Seam(np.eye(3), math.radians(1.0))
+    pixel, by, rng = np.array([60.0, 240.0]), np.array([6.0, 0.0]), np.random.default_rng(1)
+    assert seam.disagreement(7, 0.0) is None
+    for k in range(50):
+        # What is foretold takes along what is known of δ.
+        known = seam.flow(pixel[None], CAMERA, to_second=True)[0] @ seam.found.angle
+        z = pixel + np.array([9.0, -5.0]) - known + rng.normal(size=2)
+        seam.compare(7, SeamComparison(0.1 * k, pixel, z, np.eye(2), by), CAMERA)
+    known = seam.disagreement(7, 5.0)
+    H = np.column_stack([seam.flow(pixel[None], CAMERA, to_second=True)[0], by, np.eye(2)])
+    assert np.sqrt(np.diag(H @ known.cov @ H.T)).max() < 0.3
+    assert seam.disagreement(7, 6.0) is None, "it has left"
+
+
+def test_a_camera_that_is_mounted_upside_down_is_said_and_the_others_go_on():
+    poses = [looking(azimuth) for azimuth in (0.0, 80.0, 160.0)]
+    rig = rig_of("mbm", *poses)
+    drone = Drone(rig, poses, [[6.0, 2.0, -1.0], [5.0, 6.0, 0.8], [-3.0, 6.0, 0.9]])
+    upside_down = Pose(poses[1].rotation @ rotation.exp([0.0, 0.0, math.pi]), poses[1].position)
+    drone.poses = [poses[0], upside_down, poses[2]]
+    news = []
+    for rate in (0.0, *[-0.8, 0.8] * 7):
+        for k in range(60):
+            drone.turn(rate, 0.033)
+            drone.look(k % 3)
+            news += rig.take_news()
+    assert {(one.first, one.second) for one in news} == {(0, 1), (1, 2)}
+    assert all(one.turn is None for one in news)
+    # What the first and the third show has a track each, where it is.
+    for camera in (0, 2):
+        pixels, inside = drone.seen_by(camera, drone.yaw)
+        held = [track.mean[::2] for track in drone.tracks() if track.camera == camera]
+        for pixel in pixels[inside]:
+            assert min(np.linalg.norm(pixel - place) for place in held) < 4.0
 
 
 @given(
