@@ -15,7 +15,7 @@ from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.tracking import AGENT_PARAMETERS, create_trackers
+from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_trackers
 
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 SPAN = 0.45
@@ -34,12 +34,12 @@ def looking(azimuth_deg, place=(0.0, 0.0, 0.0)):
 class Flight:
     """Drone 1 hovers, and yaws; its teammates hover around it."""
 
-    def __init__(self, azimuths, seed=1, compass=0.0):
+    def __init__(self, azimuths, seed=1, compass=0.0, tracker="mbm"):
         """compass rad: by how much the autopilot's heading is off."""
         self.compass = compass
         self.poses = [looking(azimuth) for azimuth in azimuths]
         cameras = [CAMERA] * len(self.poses)
-        trackers = create_trackers("mbm", cameras=cameras, **AGENT_PARAMETERS)
+        trackers = create_trackers(tracker, cameras=cameras, **AGENT_PARAMETERS)
         self.drone = Onboard(
             1,
             cameras=[
@@ -54,6 +54,8 @@ class Flight:
         )
         self.chance = np.random.default_rng(seed)
         self.t = self.yaw = 0.0
+        self.silent: set[int] = set()
+        """Cameras that have died."""
         self.number = 0
         self.reports = []
         self.wanted = 0
@@ -73,7 +75,8 @@ class Flight:
                 said = rotation.from_euler(0.0, 0.0, self.yaw + self.compass)
                 self.drone.tell(EgoPose(self.t, np.zeros(3), said))
             if k % SAMPLES_PER_SCAN == 0:
-                self.look(self.number % n, turned)
+                if self.number % n not in self.silent:
+                    self.look(self.number % n, turned)
                 self.number += 1
             for event in self.drone.events():
                 if isinstance(event, ScanReport):
@@ -190,3 +193,22 @@ def test_a_compass_that_is_25_degrees_off_is_doubted_and_names_nobody_wrongly(az
     ]
     assert wrong == []
     assert flight.drone.self_doubt
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_what_a_camera_showed_that_has_died_ends_within_a_second_while_the_others_go_on(tracker):
+    flight = Flight((0.0, 90.0), tracker=tracker)
+    flight.fly(0.0, 4.0)
+    shown = {
+        entry.track.camera for entry in flight.drone.tracks(flight.t).tracks if entry.identity is not None
+    }
+    assert shown == {0, 1}
+    flight.silent.add(1)
+    # As long as a track coasts that a camera misses, and the others' next scans.
+    flight.fly(0.0, 1.0 + 0.15)
+    assert {entry.identity for entry in flight.drone.tracks(flight.t).tracks} == {2}
+    assert [entry.track.camera for entry in flight.reports[-1][0].tracks.tracks] == [0]
+    flight.fly(0.0, 0.5)
+    flight.silent.clear()
+    flight.fly(0.0, 3.0)
+    assert {entry.identity for entry in flight.drone.tracks(flight.t).tracks} == {2, 3}

@@ -186,7 +186,15 @@ class Rig:
             self._learn_seams(camera, tracker)
         if accepted and len(self._cameras) > 1:
             self._keep_in_sight(camera, scan.t)
+            self._end_unseen(scan.t)
         return accepted
+
+    def _end_unseen(self, t: float) -> None:
+        """Who was with a camera that has died ends as one that it misses: else it would live for as long as the other
+        cameras tell the time. A camera whose scan may still come tells that itself."""
+        for each in self._cameras:
+            if each.tracker.t is not None and t - each.tracker.t > MOST_BACK:
+                each.tracker.end_unseen(t)
 
     def _keep_in_sight(self, giver: int, t: float) -> None:
         """Who has just left a picture, and should be in that of a camera which has not exposed since, is not lost."""
