@@ -212,3 +212,18 @@ def test_what_a_camera_showed_that_has_died_ends_within_a_second_while_the_other
     flight.silent.clear()
     flight.fly(0.0, 3.0)
     assert {entry.identity for entry in flight.drone.tracks(flight.t).tracks} == {2, 3}
+
+
+def test_how_long_ago_a_camera_showed_anything_new_is_told_of_each():
+    flight = Flight((0.0, 90.0))
+    flight.fly(0.0, 1.0)
+    flight.silent.add(1)
+    stuck = np.array([[300.0, 240.0]]), np.array([[30.0, 12.0]]), np.array([0.8])
+    began = flight.t
+    for k in range(10):
+        flight.fly(0.0, 0.12)
+        flight.drone.tell(Detections(flight.t, 900 + k, *stuck, camera=1))
+    flight.fly(0.0, 0.06)
+    alive, stands = flight.drone.own_flight(flight.t).scan_ages
+    assert alive < 0.15
+    assert stands == pytest.approx(flight.t - began - 0.12)
