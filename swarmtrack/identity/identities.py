@@ -267,7 +267,7 @@ class Identities:
         nameless = [
             pair for pair in zip(tracks, p_none.tolist(), strict=True) if pair[0].id in self._names.unassigned
         ]
-        self._weighing.learn(view, nameless, predicted, p_drone, self._names.stated)
+        self._weighing.learn(view, nameless, predicted, p_drone, self._names.stated_here)
         # Of a team that nobody has heard of, anybody may be.
         foreign = bool(self._teammates.announced) and not self._self_doubt.said
         foreign &= not self._weighing.misses_somebody(predicted, p_drone)

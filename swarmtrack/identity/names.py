@@ -50,6 +50,11 @@ class Names:
         return [held.drone_id for held in self if held.stated]
 
     @property
+    def stated_here(self) -> list[int]:
+        """Those of them whose tracks the camera of the last scan shows."""
+        return [held.drone_id for held in self if held.stated and held.track_id in self.shown]
+
+    @property
     def settled(self) -> list[Assignment]:
         """The assignments against which nothing speaks."""
         return [held for held in self if held.standing is Standing.SETTLED]

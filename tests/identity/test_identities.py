@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from support.observer import FORWARD, LEFT, MIDDLE, RIGHT, RIGHTWARD, SCAN_S, Observer, shifted
 from swarmtrack.identity.pose_requests import PoseRequests
+from swarmtrack.identity.posterior import PRIOR
 from swarmtrack.identity.teammates import DEPARTED_S
 from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted, PeerExpelled
 
@@ -369,6 +370,14 @@ def two_cameras():
         observer.sees(SCAN_S, camera=1, elsewhere="a", a=LEFT, b=MIDDLE)
     assert observer.names() == {"a": 2, "b": 3}
     return observer
+
+
+def test_a_drone_that_another_camera_sees_tells_nothing_of_how_surely_this_one_sees_whom_it_shows():
+    observer = two_cameras()
+    ahead, aside = (eye.scene for eye in observer.identities._weighing._eyes)
+    assert ahead.seen(2) > PRIOR.p_seen
+    assert aside.seen(3) > PRIOR.p_seen
+    assert ahead.seen(3) == aside.seen(2) == PRIOR.p_seen
 
 
 def test_a_drone_that_this_camera_has_just_missed_is_not_reported_as_seen():
