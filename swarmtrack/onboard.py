@@ -396,16 +396,14 @@ class Onboard:
         return used
 
     @property
-    def consistency(self) -> Consistency | None:
-        """Whether the tracker is as good as it thinks."""
-        found = (each.tracker.consistency for each in self._cameras)
-        return next((one for one in found if one is not None), None)
+    def consistencies(self) -> tuple[Consistency | None, ...]:
+        """By camera, whether its tracker is as good as it thinks."""
+        return tuple(each.tracker.consistency for each in self._cameras)
 
     @property
-    def measured_noise(self) -> MeasuredNoise | None:
-        """What the tracker has learned of the noise that it was told."""
-        found = (each.tracker.measured_noise for each in self._cameras)
-        return next((one for one in found if one is not None), None)
+    def measured_noises(self) -> tuple[MeasuredNoise | None, ...]:
+        """By camera, what its tracker has learned of the noise that it was told."""
+        return tuple(each.tracker.measured_noise for each in self._cameras)
 
     @property
     def camera_clock(self) -> CameraClock:
