@@ -187,7 +187,7 @@ def test_a_report_of_sightings_tells_of_all_cameras():
         assert sighting.direction @ away / np.linalg.norm(away) > math.cos(math.radians(1.5))
 
 
-def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_all_are_tracked_in_their_order():
+def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_those_that_wait_are_tracked_in_their_order():
     flight = Flight((-40.0, 40.0))
     flight.fly(0.0, 1.0)
     before = len(flight.reports)
