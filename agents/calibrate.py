@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _extrinsics(args: argparse.Namespace) -> int:
-    from swarmtrack.calibration.extrinsics import doubts, toml_lines, write_into
+    from swarmtrack.calibration.extrinsics import doubts, for_the_config, toml_lines, write_into
     from swarmtrack.clock import SystemClock
     from swarmtrack.doctor.watching import SensorWatch
     from swarmtrack.errors import SourceError
@@ -93,9 +93,9 @@ async def _extrinsics(args: argparse.Namespace) -> int:
     recorded = args.video is not None
     clock = RecordedTime() if recorded else SystemClock()
     simulation = make_simulation(config, clock)
-    number = args.camera - 1
-    if not 0 <= number < len(config.cameras):
-        raise SourceError(f"--camera {args.camera}: expected 1 to {len(config.cameras)}")
+    number, count = args.camera - 1, len(config.cameras)
+    if not 0 <= number < count:
+        raise SourceError(f"--camera {args.camera}: expected 1 to {count}")
     # The others are not looked at.
     config = config.model_copy(update={"cameras": (config.cameras[number],)})
     mounted = mount(config.camera, simulation)
@@ -119,7 +119,7 @@ async def _extrinsics(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(_record(found, problems, lines, mounted), indent=1))
     else:
-        _say(found, problems, lines, mounted)
+        _say(found, problems, for_the_config(lines, number, count), mounted)
     if args.write is not None and not problems:
         write_into(args.write, lines, number)
         print(f"written into {args.write}", file=sys.stderr)
@@ -213,7 +213,7 @@ def _change_deg(found: Any, mounted: MountedCamera) -> float:
     return float(np.degrees(np.linalg.norm(apart)))
 
 
-def _say(found: Any, problems: list[str], lines: list[str], mounted: MountedCamera) -> None:
+def _say(found: Any, problems: list[str], for_the_config: str, mounted: MountedCamera) -> None:
     import numpy as np
 
     from swarmtrack.calibration.extrinsics import rpy_deg
@@ -242,6 +242,4 @@ def _say(found: Any, problems: list[str], lines: list[str], mounted: MountedCame
         return
     print("Good. For the config:")
     print()
-    print("[camera]")
-    for line in lines:
-        print(line)
+    print(for_the_config)

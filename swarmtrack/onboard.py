@@ -194,8 +194,9 @@ class Onboard:
         self._orientation: Orientation | None = None
         self._pictures: dict[int, Detections] = {}
         """By camera, its last."""
-        self._changed_t: float | None = None
-        """Exposure of the last scan that was not the one before to the last bit: no camera that lives shows that."""
+        self._changed_t = [-math.inf] * len(cameras)
+        """By camera, exposure of its last scan that was not the one before to the last bit: no camera that lives shows
+        that."""
         self._waiting = WaitingScans(self.camera_clocks, gyro)
         self._events: list[Output] = []
 
@@ -336,7 +337,7 @@ class Onboard:
             return None
         way, velocity, _ = self._ego.flown_on(now)
         axis = pose.world_from_body @ self._mounting.body_from_camera.rotation[:, 2]
-        newest, gyro, scan = self._ego.newest_t, self.gyro.newest, self._changed_t
+        newest, gyro = self._ego.newest_t, self.gyro.newest
         north, east, down = (pose.position + way).tolist()
         vn, ve, vd = velocity.tolist()
         return OwnFlight(
@@ -346,7 +347,7 @@ class Onboard:
             position_sigma=self._as_sure_as_it_is(pose).position_sigma,
             pose_age=math.inf if newest is None else now - newest,
             gyro_age=math.inf if gyro is None else now - gyro,
-            scan_age=math.inf if scan is None else now - scan,
+            scan_ages=tuple(now - changed for changed in self._changed_t),
             heading_step_age=now - self._heading_stepped_at,
             clash=bool(self._clashing),
             doubted=self._doubted,
@@ -395,16 +396,14 @@ class Onboard:
         return used
 
     @property
-    def consistency(self) -> Consistency | None:
-        """Whether the tracker is as good as it thinks."""
-        found = (each.tracker.consistency for each in self._cameras)
-        return next((one for one in found if one is not None), None)
+    def consistencies(self) -> tuple[Consistency | None, ...]:
+        """By camera, whether its tracker is as good as it thinks."""
+        return tuple(each.tracker.consistency for each in self._cameras)
 
     @property
-    def measured_noise(self) -> MeasuredNoise | None:
-        """What the tracker has learned of the noise that it was told."""
-        found = (each.tracker.measured_noise for each in self._cameras)
-        return next((one for one in found if one is not None), None)
+    def measured_noises(self) -> tuple[MeasuredNoise | None, ...]:
+        """By camera, what its tracker has learned of the noise that it was told."""
+        return tuple(each.tracker.measured_noise for each in self._cameras)
 
     @property
     def camera_clock(self) -> CameraClock:
@@ -510,7 +509,7 @@ class Onboard:
         self._orientation = orientation
         before_it = self._pictures.get(number)
         if before_it is None or not _is_same(before_it, detections):
-            self._changed_t = t
+            self._changed_t[number] = t
         self._pictures[number] = detections
         self.counters.scans += 1
         self.counters.detections += len(detections)

@@ -93,7 +93,7 @@ def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
     assert own.velocity == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
     assert own.heading == pytest.approx(math.pi / 2)
     assert (own.pose_age, own.gyro_age) == (pytest.approx(0.1), pytest.approx(0.1))
-    assert own.scan_age == math.inf
+    assert own.scan_ages == (math.inf,)
     assert not own.clash
     assert not own.doubted
 
@@ -105,7 +105,8 @@ def test_the_same_picture_again_and_again_is_none():
 
     def looks(k, shift=0.0):
         drone.tell(Detections(0.1 * k, k, centre + shift, size, score))
-        return drone.own_flight(t).scan_age
+        (age,) = drone.own_flight(t).scan_ages
+        return age
 
     assert looks(1, shift=0.01) == pytest.approx(t - 0.1)
     assert looks(2) == pytest.approx(t - 0.2)
@@ -119,7 +120,7 @@ def test_to_see_nobody_again_and_again_is_no_stuck_camera():
     t = hover(drone)
     for k in (1, 2, 3):
         drone.tell(Detections(0.1 * k, k, np.empty((0, 2)), np.empty((0, 2)), np.empty(0)))
-    assert drone.own_flight(t).scan_age == pytest.approx(t - 0.3)
+    assert drone.own_flight(t).scan_ages == pytest.approx((t - 0.3,))
 
 
 def test_a_house_that_looks_as_near_as_a_drone_is_in_nobodys_way_once_its_parallax_is_known():

@@ -15,7 +15,7 @@ from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.tracking import AGENT_PARAMETERS, create_trackers
+from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_trackers
 from swarmtrack.tracking.seams import SeamNews
 
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
@@ -35,12 +35,12 @@ def looking(azimuth_deg, place=(0.0, 0.0, 0.0)):
 class Flight:
     """Drone 1 hovers, and yaws; its teammates hover around it."""
 
-    def __init__(self, azimuths, seed=1, compass=0.0):
+    def __init__(self, azimuths, seed=1, compass=0.0, tracker="mbm"):
         """compass rad: by how much the autopilot's heading is off."""
         self.compass = compass
         self.poses = [looking(azimuth) for azimuth in azimuths]
         cameras = [CAMERA] * len(self.poses)
-        trackers = create_trackers("mbm", cameras=cameras, **AGENT_PARAMETERS)
+        trackers = create_trackers(tracker, cameras=cameras, **AGENT_PARAMETERS)
         self.drone = Onboard(
             1,
             cameras=[
@@ -55,6 +55,11 @@ class Flight:
         )
         self.chance = np.random.default_rng(seed)
         self.t = self.yaw = 0.0
+        self.silent: set[int] = set()
+        """Cameras that have died."""
+        self.late: dict[int, float] = {}
+        """By camera: s by which its scans were exposed before those that come with them."""
+        self.rate = 0.0
         self.number = 0
         self.reports = []
         self.news = []
@@ -65,21 +70,21 @@ class Flight:
             )
 
     def fly(self, rate, seconds, hz=200):
-        n = len(self.poses)
+        n, self.rate = len(self.poses), rate
         for k in range(round(seconds * hz)):
             self.t += 1.0 / hz
             self.yaw += rate / hz
-            turned = rotation.from_euler(0.0, 0.0, self.yaw)
             self.drone.tell(ImuSample(self.t, np.array([0.0, 0.0, rate]), np.full(3, np.nan)))
             if k % 10 == 0:
                 said = rotation.from_euler(0.0, 0.0, self.yaw + self.compass)
                 self.drone.tell(EgoPose(self.t, np.zeros(3), said))
             if k % SAMPLES_PER_SCAN == 0:
-                self.look(self.number % n, turned)
+                if self.number % n not in self.silent:
+                    self.look(self.number % n)
                 self.number += 1
             for event in self.drone.events():
                 if isinstance(event, ScanReport):
-                    self.reports.append((event, self.yaw))
+                    self.reports.append((event, self.yaw - self.rate * (self.t - event.tracks.t)))
                 self.wanted += isinstance(event, PoseWanted)
                 if isinstance(event, SeamNews):
                     self.news.append(event)
@@ -90,13 +95,15 @@ class Flight:
         pixel, _, ahead = CAMERA.project_undistorted(pose.inverse().transform(places))
         return pixel, ahead & (pixel > 0.0).all(axis=1) & (pixel < [639.0, 479.0]).all(axis=1)
 
-    def look(self, camera, turned):
+    def look(self, camera):
+        late = self.late.get(camera, 0.0)
+        turned = rotation.from_euler(0.0, 0.0, self.yaw - self.rate * late)
         pixel, inside = self.seen_by(camera, turned)
         z = pixel[inside] + 1.5 * self.chance.standard_normal((int(inside.sum()), 2))
         width = SPAN * CAMERA.fx / np.linalg.norm(np.array(list(PLACES.values())) - HERE, axis=1)[inside]
         n = len(z)
         size = np.column_stack([1.14 * width, 0.5 * width])
-        self.drone.tell(Detections(self.t, self.number, z, size, np.full(n, 0.9), camera=camera))
+        self.drone.tell(Detections(self.t - late, self.number, z, size, np.full(n, 0.9), camera=camera))
 
     def entries(self, since=0.0):
         """Each track of each report, its name, and who is nearest to it in its own camera's picture."""
@@ -176,6 +183,22 @@ def test_metres_are_from_the_first_camera_whichever_sees_the_teammate():
     assert found > 100
 
 
+@pytest.mark.parametrize("late", [0.08, 0.12])
+def test_metres_are_as_good_where_one_camera_is_late(late):
+    """Its scans come after those of the other that were exposed later."""
+    sigmas = {}
+    for seconds in (0.0, late):
+        flight = Flight((-40.0, 40.0))
+        flight.late[1] = seconds
+        flight.fly(0.0, 4.0)
+        flight.fly(0.3, 4.0)
+        named = [entry for _, entry, _, _ in flight.entries(since=2.0) if isinstance(entry.identity, int)]
+        placed = [entry.relative for entry in named if entry.relative is not None]
+        assert len(placed) > 0.99 * len(named) > 100
+        sigmas[seconds] = np.median([state.range_sigma_log for state in placed])
+    assert sigmas[late] < 1.1 * sigmas[0.0]
+
+
 def test_a_report_of_sightings_tells_of_all_cameras():
     flight = Flight(ALL_ROUND)
     flight.fly(0.0, 3.0)
@@ -186,7 +209,7 @@ def test_a_report_of_sightings_tells_of_all_cameras():
         assert sighting.direction @ away / np.linalg.norm(away) > math.cos(math.radians(1.5))
 
 
-def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_all_are_tracked_in_their_order():
+def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_those_that_wait_are_tracked_in_their_order():
     flight = Flight((-40.0, 40.0))
     flight.fly(0.0, 1.0)
     before = len(flight.reports)
@@ -212,3 +235,37 @@ def test_a_compass_that_is_25_degrees_off_is_doubted_and_names_nobody_wrongly(az
     ]
     assert wrong == []
     assert flight.drone.self_doubt
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_what_a_camera_showed_that_has_died_ends_within_a_second_while_the_others_go_on(tracker):
+    flight = Flight((0.0, 90.0), tracker=tracker)
+    flight.fly(0.0, 4.0)
+    shown = {
+        entry.track.camera for entry in flight.drone.tracks(flight.t).tracks if entry.identity is not None
+    }
+    assert shown == {0, 1}
+    flight.silent.add(1)
+    # As long as a track coasts that a camera misses, and the others' next scans.
+    flight.fly(0.0, 1.0 + 0.15)
+    assert {entry.identity for entry in flight.drone.tracks(flight.t).tracks} == {2}
+    assert [entry.track.camera for entry in flight.reports[-1][0].tracks.tracks] == [0]
+    flight.fly(0.0, 0.5)
+    flight.silent.clear()
+    flight.fly(0.0, 3.0)
+    assert {entry.identity for entry in flight.drone.tracks(flight.t).tracks} == {2, 3}
+
+
+def test_how_long_ago_a_camera_showed_anything_new_is_told_of_each():
+    flight = Flight((0.0, 90.0))
+    flight.fly(0.0, 1.0)
+    flight.silent.add(1)
+    stuck = np.array([[300.0, 240.0]]), np.array([[30.0, 12.0]]), np.array([0.8])
+    began = flight.t
+    for k in range(10):
+        flight.fly(0.0, 0.12)
+        flight.drone.tell(Detections(flight.t, 900 + k, *stuck, camera=1))
+    flight.fly(0.0, 0.06)
+    alive, stands = flight.drone.own_flight(flight.t).scan_ages
+    assert alive < 0.15
+    assert stands == pytest.approx(flight.t - began - 0.12)

@@ -170,7 +170,7 @@ class FlightJudge:
             if drone_id != scan.observer:
                 self._meet(scan, drone_id, shown)
         period = int(scan.t // NIS_EVERY_S)
-        consistency = onboard.consistency
+        consistency = onboard.consistencies[0]
         if scan.t > record.turns_from and period != self._nis_judged.get(scan.observer) and consistency:
             self._nis_judged[scan.observer] = period
             self.nis.append(2.0 * consistency.nis / (consistency.low + consistency.high))

@@ -77,7 +77,7 @@ class Stories:
             position_sigma=float(abs(self._numbers(1, 0.3, odd=odd)[0])),
             pose_age=ages[0],
             gyro_age=ages[1],
-            scan_age=ages[2],
+            scan_ages=(ages[2],),
             heading_step_age=100.0 * ages[3],
             clash=flags[0],
             doubted=flags[1],

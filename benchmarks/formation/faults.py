@@ -9,7 +9,7 @@ import dataclasses
 import enum
 import math
 from collections import defaultdict
-from typing import assert_never
+from typing import Any, assert_never
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from swarmtrack.messages import (
     PeerDeparted,
     SightingReport,
 )
+from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import EgoParameters
 from swarmtrack.transport.sender_clock import (
     ANNOUNCED_CLOCKS_AGREE_S,
@@ -67,9 +68,16 @@ class Failure:
 
 
 class FailingSwarm(VirtualSwarm):
-    """A virtual swarm with a failure, or none. Call `fail` now and then with the time."""
+    """A virtual swarm with a failure, or none. Call `fail` now and then with the time. options: see `VirtualSwarm`."""
 
-    failure: Failure | None = None
+    def __init__(self, scenario: Scenario, failure: Failure | None, **options: Any) -> None:
+        super().__init__(scenario, **options)
+        self.failure = failure
+        self._told_gone = self._told_back = self._rebooted = False
+        self._clocks: dict[tuple[int, int], SenderClock] = defaultdict(SenderClock)
+        self._picture: Detections | None = None
+        if failure is not None and failure.fault is Fault.STUCK_CAMERA:
+            self._eyes = self._stuck(self._eyes)
 
     def _is(self, fault: Fault, now: float, *drones: int) -> bool:
         """Whether that fault is there, and of one of these drones."""
@@ -77,14 +85,6 @@ class FailingSwarm(VirtualSwarm):
         return (
             failure is not None and failure.fault is fault and failure.lasts(now) and failure.victim in drones
         )
-
-    def begin_failing(self) -> None:
-        """Once, in front of the flight."""
-        self._told_gone = self._told_back = self._rebooted = False
-        self._clocks: dict[tuple[int, int], SenderClock] = defaultdict(SenderClock)
-        self._picture: Detections | None = None
-        if self.failure is not None and self.failure.fault is Fault.STUCK_CAMERA:
-            self._eyes = self._stuck(self._eyes)
 
     def fail(self, now: float) -> None:
         """What the others and the victim are told of it, once each."""

@@ -113,6 +113,7 @@ class FormationFlight(FailingSwarm):
         )
         super().__init__(
             scenario,
+            plan.failure,
             share_hz=plan.share_hz,
             camera_clocks_told=True,
             relative=RelativeParameters(airframe_span_m=SPAN_M, box_width=box_width),
@@ -123,8 +124,6 @@ class FormationFlight(FailingSwarm):
         self._followers = {drone: Follower(self._of(drone)) for drone in self.slots if drone != LEADER}
         self._whys = dict.fromkeys(self._followers, Why.NOT_ENGAGED)
         self._judged = -1
-        self.failure = plan.failure
-        self.begin_failing()
         self.samples: list[FlightSample] = []
 
     def run(self) -> list[FlightSample]:

@@ -78,6 +78,12 @@ def toml_lines(found: HandEye, position_m: Array) -> list[str]:
     ]
 
 
+def for_the_config(lines: list[str], number: int, count: int) -> str:
+    """What to put into a config by hand, for the camera of this place among its `count`."""
+    head = "[camera]" if count == 1 else f"[[camera]]  # into that of camera {number + 1} of {count}"
+    return "\n".join([head, *lines])
+
+
 def write_into(path: Path, lines: list[str], number: int = 0) -> None:
     """Put lines `key = …` into the [camera] of a config, over those of the same keys; of several into that one, by its
     place. The file stays as it was where that makes no valid config: SourceError."""

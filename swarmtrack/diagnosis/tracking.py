@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 from swarmtrack.diagnosis.findings import Finding, fault
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
@@ -12,6 +15,17 @@ NOISY = 2.0  # times the standard deviation that was told, from which on a camer
 SURE, CAREFUL = 4.0, 1.0 / 9.0
 
 
+def ratio_of(consistency: Consistency) -> float:
+    """The normalised innovation squared over its expectation: above 1 the tracker is too sure, below too careful."""
+    return consistency.nis / (0.5 * (consistency.low + consistency.high))
+
+
+def worst(consistencies: Iterable[Consistency | None]) -> Consistency | None:
+    """Of several trackers, that which is farthest from what it thinks; None where nothing can be told of any."""
+    known = (one for one in consistencies if one is not None)
+    return max(known, key=lambda one: abs(math.log(max(ratio_of(one), 1e-9))), default=None)
+
+
 def check_tracking(consistency: Consistency | None, noise: MeasuredNoise | None) -> list[Finding]:
     """Nothing where all is well, or where too little was seen to tell."""
     findings = []
@@ -19,7 +33,7 @@ def check_tracking(consistency: Consistency | None, noise: MeasuredNoise | None)
         findings.append(fault("tracking.noisy", times=noise.detections))
     if consistency is None:
         return findings
-    ratio = consistency.nis / (0.5 * (consistency.low + consistency.high))
+    ratio = ratio_of(consistency)
     if ratio >= SURE:
         findings.append(fault("tracking.sure", times=ratio**0.5))
     elif ratio <= CAREFUL:

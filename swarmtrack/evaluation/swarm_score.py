@@ -85,7 +85,7 @@ class Glance:
     index: of the instant, equal for all observers (⌊t · RATE_HZ⌋); t: the exact world time of what it said [s]; boot:
     one life of its process. in_view, hidden: true boxes (4,) [u, v, w, h] undistorted px of the drones that it can see,
     and of those in front of it that it cannot. tracks: None where it said nothing. cameras: of an observer with
-    several, the boxes in the pixels of each, of all that are ahead of it; empty: one camera, whose boxes those two have.
+    several, the boxes in the pixels of each, of all that are ahead of it; empty: one camera, whose boxes are those two.
     """
 
     observer: int

@@ -135,7 +135,7 @@ class Formation:
             return self._brake(t, dt, Why.OWN_POSE)
         states = {track: state for track, state in relative_states.items() if _is_usable(state)}
         trusted = self._trusted(states, own, tracks, t)
-        why = _forbidden(own)
+        why = _forbidden(own, self._cameras(own))
         if self._lasts(why, t):
             self._forget()
         if why in (Why.OWN_POSE, Why.GYRO):
@@ -198,9 +198,14 @@ class Formation:
                 watch.restart()
                 continue
             watch.see(named[0], state, own, t)
-            if watch.trusted:
+            if watch.trusted and _is_new(own.scan_ages[named[0].track.camera]):
                 trusted.append((watch.drone_id, named[0].track.id))
         return trusted
+
+    def _cameras(self, own: OwnFlight) -> Sequence[int]:
+        """Those that saw the references last; any, of those that nobody has seen."""
+        seen_by = [watch.camera for watch in self._watches if watch.camera is not None]
+        return seen_by or range(len(own.scan_ages))
 
     def _lasts(self, why: Why | None, t: float) -> bool:
         """Whether what holds it is more than a moment's delay."""
@@ -387,8 +392,9 @@ class Formation:
         return Setpoint(t, self._flown, self._yaw_rate, why, HOLDS[why])
 
 
-def _forbidden(own: OwnFlight) -> Why | None:
-    """Why this drone may not fly by what it sees; None where it may. Of several reasons the gravest."""
+def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
+    """Why this drone may not fly by what it sees; None where it may. Of several reasons the gravest. cameras: one of
+    these has to be alive."""
     # Who doubts its start says that it knows its place to a kilometre: its autopilot still knows how it moves.
     vague = not own.doubted and not own.position_sigma <= VAGUEST_PLACE_M
     if vague or not own.pose_age <= OLDEST_POSE_S:
@@ -399,9 +405,14 @@ def _forbidden(own: OwnFlight) -> Why | None:
         (own.clash, Why.CLASH),
         (not own.heading_step_age >= HEADING_SETTLES_S, Why.HEADING),
         (own.doubted, Why.DOUBT),
-        (not own.scan_age <= OLDEST_SCAN_S, Why.CAMERA),
+        (not any(_is_new(own.scan_ages[camera]) for camera in cameras), Why.CAMERA),
     )
     return next((why for holds, why in reasons if holds), None)
+
+
+def _is_new(scan_age: float) -> bool:
+    """Whether what a camera shows tells of now."""
+    return scan_age <= OLDEST_SCAN_S
 
 
 def _is_usable(state: RelativeState) -> bool:

@@ -32,6 +32,8 @@ class ReferenceWatch:
         """Whether it may be flown by."""
         self.entering = False
         """Whether it is named, and not for long enough."""
+        self.camera: int | None = None
+        """That which saw it last."""
         self._track: int | None = None
         self._sure_since: float | None = None
         self._place: Velocity = (0.0, 0.0, 0.0)
@@ -41,7 +43,7 @@ class ReferenceWatch:
     def engage(self) -> None:
         """A new flight: nothing of the last one is known."""
         self.restart()
-        self._known_track = None
+        self._known_track = self.camera = None
 
     def restart(self) -> None:
         """Nobody bears its name, or it has not been seen for too long: that has to hold for `ENTRY_S` again."""
@@ -50,6 +52,7 @@ class ReferenceWatch:
 
     def see(self, entry: IdentifiedTrack, state: RelativeState, own: OwnFlight, t: float) -> None:
         """It bears the name now."""
+        self.camera = entry.track.camera
         coasting = entry.track.coasting_since
         unseen = coasting is not None and t - coasting > UNSEEN_S
         vague = not state.range_sigma_log < VAGUE_RANGE

@@ -52,8 +52,9 @@ class OwnFlight:
     """This drone itself, by its own autopilot, at the time of a command.
 
     position [m] and velocity [m/s] in the team frame; position_sigma [m], of its worst axis; heading [rad]: where its
-    camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, of the exposure of
-    the newest scan that showed anything new, and since the heading last stepped; inf where there was none. clash:
+    camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, by camera of the
+    exposure of its newest scan that showed anything new, and since the heading last stepped; inf where there was none.
+    clash:
     another process speaks as this drone; doubted: what it sees tells that its own start or heading is wrong;
     clock_known: the autopilot's clock is mapped. sways: as its code has it.
     """
@@ -64,7 +65,7 @@ class OwnFlight:
     position_sigma: float = 0.1
     pose_age: float = 0.0
     gyro_age: float = 0.0
-    scan_age: float = 0.0
+    scan_ages: tuple[float, ...] = (0.0,)
     heading_step_age: float = math.inf
     clash: bool = False
     doubted: bool = False

@@ -52,7 +52,7 @@ from swarmtrack.messages import (
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.relative.alignment import FrameTransform
 
-# s: what another camera saw so lately is part of what this drone sees now.
+# s: what another camera saw so shortly before or after is part of what this drone sees now.
 RECENT_S = 0.2
 
 
@@ -201,14 +201,15 @@ class Identities:
         return tuple(self._labelled(track) for track in tracks)
 
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
-        """The rays to identified drones that were detected in the scan of t, or a moment ago by another camera, and how
-        surely it is they."""
-        if self._view is None or len(self._cameras) == 1:
-            return self._names.sightings(t)
+        """The rays to identified drones that were detected in the scan of t, and to those that another camera shows and
+        has just detected; and how surely it is they."""
+        here = self._names.sightings(t)
+        if self._view is None:
+            return here
         latest = self._teammates.whereabouts.latest
-        return [
-            (ray if ray.t == t else seen_from(ray, latest(ray.drone_id).position, self._view), p)
-            for ray, p in self._names.sightings(t, t - RECENT_S)
+        return here + [
+            (seen_from(ray, latest(ray.drone_id).position, self._view), p)
+            for ray, p in self._names.sightings_elsewhere(t, RECENT_S)
         ]
 
     def take_vouched(self) -> tuple[int, ...]:
@@ -266,7 +267,7 @@ class Identities:
         nameless = [
             pair for pair in zip(tracks, p_none.tolist(), strict=True) if pair[0].id in self._names.unassigned
         ]
-        self._weighing.learn(view, nameless, predicted, p_drone, self._names.stated)
+        self._weighing.learn(view, nameless, predicted, p_drone, self._names.stated_here)
         # Of a team that nobody has heard of, anybody may be.
         foreign = bool(self._teammates.announced) and not self._self_doubt.said
         foreign &= not self._weighing.misses_somebody(predicted, p_drone)

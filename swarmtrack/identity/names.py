@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from swarmtrack.identity.assignment import Assignment, Unassigned
 from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, rays_to
@@ -50,6 +50,11 @@ class Names:
         return [held.drone_id for held in self if held.stated]
 
     @property
+    def stated_here(self) -> list[int]:
+        """Those of them whose tracks the camera of the last scan shows."""
+        return [held.drone_id for held in self if held.stated and held.track_id in self.shown]
+
+    @property
     def settled(self) -> list[Assignment]:
         """The assignments against which nothing speaks."""
         return [held for held in self if held.standing is Standing.SETTLED]
@@ -66,14 +71,19 @@ class Names:
             return FOREIGN, unassigned.p_none
         return None, 0.0
 
-    def sightings(self, t: float, since: float | None = None) -> list[tuple[LastSeen, float]]:
-        """The rays to identified drones that were detected in the scan of t, or from since [s] on, and how surely it is
-        they."""
-        first = t if since is None else since
+    def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
+        """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
+        return self._rays((held for held in self.settled if held.track_id in self.shown), t, 0.0)
+
+    def sightings_elsewhere(self, t: float, within: float) -> list[tuple[LastSeen, float]]:
+        """Likewise of those that other cameras show, and detected within so many s of t."""
+        return self._rays((held for held in self.settled if held.track_id not in self.shown), t, within)
+
+    def _rays(self, named: Iterable[Assignment], t: float, within: float) -> list[tuple[LastSeen, float]]:
         return [
             (held.seen, held.probability * self.alive[held.track_id].probability)
-            for held in self.settled
-            if held.seen and first <= held.seen.t <= t
+            for held in named
+            if held.seen and abs(held.seen.t - t) <= within
         ]
 
     def assign(self, held: Assignment) -> None:

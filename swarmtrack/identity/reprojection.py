@@ -241,10 +241,12 @@ def rays_to(named: Sequence[tuple[int, Track]], view: ObserverCamera) -> list[La
 
 
 def seen_from(ray: LastSeen, place: Array, view: ObserverCamera) -> LastSeen:
-    """What another camera of the observer saw a moment ago, as if this one saw it now. place (3,) m: where the drone
-    says it is, which tells its distance well enough for the way between two cameras."""
+    """What another camera of the observer saw a moment ago, as if this one saw it now: less surely by as far as it has
+    gone on since. place (3,) m: where the drone says it is, which tells its distance well enough for the way between
+    two cameras."""
     t, origin = view.observer.t, view.team_from_camera.position
-    direction = ray.direction + (t - ray.t) * ray.rate
+    on = (t - ray.t) * ray.rate
+    direction = ray.direction + on
     distance = max(float(np.linalg.norm(place - ray.origin)), NEAREST)
     apart = ray.origin - origin
     towards = distance * direction / np.linalg.norm(direction) + apart
@@ -254,7 +256,7 @@ def seen_from(ray: LastSeen, place: Array, view: ObserverCamera) -> LastSeen:
         t,
         towards / np.linalg.norm(towards),
         ray.rate,
-        math.hypot(ray.sigma, 0.5 * beside),
+        math.hypot(ray.sigma, 0.5 * beside, float(np.linalg.norm(on))),
         origin,
     )
 

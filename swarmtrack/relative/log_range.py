@@ -103,6 +103,13 @@ def decay(dt: float, wander: VelocityPrior) -> Decay:
     return Decay(unit.phi, unit.left, q * unit.pp, q * unit.pv, q * unit.vv)
 
 
+def decay_back(dt: float, wander: VelocityPrior) -> Decay:
+    """To dt s ago: what it was then, by what it is now, and all that may have come to it in between."""
+    back, unit = unit_decay(-dt, wander.forget_s), unit_decay(dt, wander.forget_s)
+    q = density(wander)
+    return Decay(back.phi, back.left, q * unit.pp, -q * unit.pv, q * unit.vv)
+
+
 def density(wander: VelocityPrior) -> Array:
     """(n,) m²/s³ of the white noise that keeps velocities as fast as they are."""
     return np.asarray(2.0 * wander.speed_sigma**2 / wander.forget_s)

@@ -151,7 +151,9 @@ class _Fit:
         if seen is None:
             return False
         z, H, along = seen
-        dt, self.t = sight.t - self.t, sight.t
+        # A sight of another camera may be a little older than the last one.
+        newest = max(sight.t, self.t)
+        dt, self.t = newest - self.t, newest
         kept = math.exp(-dt / FORGET_S)
         self.information = kept * self.information + H.T @ H / sight.variance
         self.vector = kept * self.vector + H.T @ z / sight.variance
@@ -215,7 +217,7 @@ class FarOff:
         """look: of the tracks that have no name. Who is not in it has ended, or has a name by now."""
         if self._last is not None:
             t, camera = self._last
-            if float(np.linalg.norm(look.camera - camera)) > FASTEST_M_S * (look.t - t) + LEAPT_M:
+            if float(np.linalg.norm(look.camera - camera)) > FASTEST_M_S * abs(look.t - t) + LEAPT_M:
                 self._fits, self._gone = {}, []
         self._last = look.t, look.camera
         seen = {key[1] for key in look.keys}

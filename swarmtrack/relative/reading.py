@@ -38,7 +38,7 @@ class OwnMotion(NamedTuple):
 
 
 class Reading:
-    """What is believed of some teammates at a scan, ready to be read at any later time."""
+    """What is believed of some teammates at a scan, ready to be read at any later time, and back to the last look."""
 
     def __init__(
         self,
@@ -50,10 +50,13 @@ class Reading:
         *,
         sources: Sequence[tuple[RelativeSource, ...]],
         jitter_m: float,
+        looked_t: float,
     ) -> None:
         """The scan's time and where the camera was then, (3,) m; keys: drone and track of n rows of beliefs; prior: of
-        these rows; jitter_m: how far the own place scatters from one pose to the next."""
+        these rows; jitter_m: how far the own place scatters from one pose to the next; looked_t: of the last look, the
+        scan's or of one that was exposed before it."""
         self._t, self._camera, self._keys = t, camera, tuple(keys)
+        self._back = looked_t - t
         self._sources = tuple(sources)
         self._forget_s = prior.forget_s
         found = cartesian(beliefs)
@@ -64,7 +67,7 @@ class Reading:
         """By track: the states carried on to t, seen from where the own camera is then. The attitude's error, which
         bears on all of them alike, comes in here and nowhere else."""
         n = len(self._keys)
-        numbers = self._step(max(t - self._t, 0.0)) @ self._table
+        numbers = self._step(max(t - self._t, self._back)) @ self._table
         cov, mean = numbers[: 36 * n].reshape(n, 6, 6), numbers[36 * n :].reshape(n, 6)
         mean[:, _PLACE] -= own.camera - self._camera
         mean[:, _SPEED] -= own.velocity
@@ -82,6 +85,8 @@ class Reading:
         if dt == 0.0:
             return np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0])
         phi, left, pp, _, vv = unit_decay(dt, self._forget_s)
+        if dt < 0.0:
+            _, _, pp, _, vv = unit_decay(-dt, self._forget_s)
         return np.array([1.0, phi, phi * phi, left, left * phi, left * left, pp, vv])
 
 

@@ -6,6 +6,10 @@ drone and a track. The belief stands at the last scan. What comes with a time of
 of the last scan before that time, and corrects the belief of now by what the two share; `History` keeps, for a second,
 how errors moved from scan to scan. That is exact until a row has been corrected so: what is older than that is let go.
 
+Of several cameras one may be late: its look comes after that of another which was exposed later. The belief stays where
+it stands, and the look is compared with what the belief makes of that time. What may have happened since is counted as
+its noise, which a look some hundredths of a second late hardly feels.
+
 What contradicts the belief is refused and counted: a liar, or a clock that is hours off, costs nothing but the count.
 """
 
@@ -51,6 +55,7 @@ from swarmtrack.relative.log_range import (
     corrected,
     corrected_late,
     decay,
+    decay_back,
     nobody,
     predicted,
 )
@@ -121,6 +126,7 @@ class RelativeStates:
         """s: since when its sizes have been unexpected."""
         self._rays: dict[tuple[int, int], float] = {}
         """By observer and drone: when it last told a ray."""
+        self._looked_t = -math.inf
         self._reading: Reading | None = None
         """None: to be made when somebody reads."""
         self.refused = 0
@@ -139,9 +145,11 @@ class RelativeStates:
     # --- what is seen ---
 
     def observe(self, look: TeamLook) -> None:
-        """A scan, later than the one before."""
-        self._reading = None
-        kept = self._carry(look) if self._now is not None else nobody()
+        """A scan; of another camera than the last one also one that was exposed before that."""
+        self._reading, self._looked_t = None, look.t
+        last = self._now
+        late = 0.0 if last is None else max(last.t - look.t, 0.0)
+        kept = nobody() if last is None else self._carry(look) if not late else self._look_back(look, late)
         known = () if self._now is None else tuple(key for key in self._now.keys if key in look.keys)
         self._sources = {key: self._sources[key] for key in known}
         self._exact_since, self._pace, self._odd_since = (
@@ -152,32 +160,32 @@ class RelativeStates:
             i for i, key in enumerate(look.keys) if key not in known and math.isfinite(float(look.ray[i, 0]))
         ]
         begun = [self._begun(look, i) for i in fresh]
+        t, camera, velocity = look.t, look.camera, look.velocity
+        if last is not None and late:
+            t, camera, velocity = last.t, last.camera, last.velocity
+            keyed = zip(fresh, begun, strict=True)
+            begun = [self._carried_on(row, look.keys[i], late, camera - look.camera) for i, row in keyed]
         beliefs = kept
         for row in begun:
             beliefs = beliefs.joined(row)
         # A name that comes back begins anew: what is older is of another row.
-        self._exact_since |= {look.keys[i]: look.t for i in fresh}
+        self._exact_since |= {look.keys[i]: t for i in fresh}
         keys = known + tuple(look.keys[i] for i in fresh)
-        self._now = _Moment(look.t, look.camera, look.velocity, keys, beliefs, np.empty((0, STATES, STATES)))
+        self._now = _Moment(t, camera, velocity, keys, beliefs, np.empty((0, STATES, STATES)))
 
     def _carry(self, look: TeamLook) -> Beliefs:
         """The rows that go on, at the time of the look and corrected by it."""
         last = self._now
         assert last is not None
-        stay = [i for i, key in enumerate(last.keys) if key in look.keys]
-        if len(stay) < len(last.keys):
-            last.keys, last.beliefs = tuple(last.keys[i] for i in stay), last.beliefs.rows(stay)
         dt, u = look.t - last.t, look.camera - last.camera
-        if float(u @ u) > (FASTEST * dt + 1.0) ** 2:
-            last.keys, last.beliefs, stay = (), nobody(), []
-        if not stay:
-            self._before.clear()
+        if not self._go_on(last, look, dt, u):
             return nobody()
-        own = OwnWay(u, self._p.odometry**2 * dt, self._p.jitter_m**2, self._p.attitude_walk**2 * dt)
         step = decay(dt, self._prior(last.keys))
-        prior, F = predicted(last.beliefs, step, own, dt=dt, errors=self._errors, drift=self._drift)
-        rows = [look.keys.index(key) for key in last.keys]
-        posterior, A = self._corrected(prior, look, rows, last.keys)
+        prior, F = predicted(
+            last.beliefs, step, self._own_way(u, dt), dt=dt, errors=self._errors, drift=self._drift
+        )
+        found = self._measured(prior, look, last.keys)
+        posterior, A = self._corrected(prior, found, look.t, last.keys)
         self._learn_pace(dt, posterior)
         last.onward = A @ F
         self._before.append(last)
@@ -185,13 +193,54 @@ class RelativeStates:
             self._before.popleft()
         return posterior
 
-    def _corrected(
-        self, prior: Beliefs, look: TeamLook, rows: list[int], keys: tuple[tuple[int, int], ...]
-    ) -> tuple[Beliefs, Array]:
+    def _look_back(self, look: TeamLook, late: float) -> Beliefs:
+        """The rows that go on, where they are, corrected by a look that was exposed `late` s before."""
+        last = self._now
+        assert last is not None
+        u = look.camera - last.camera
+        if not self._go_on(last, look, late, u):
+            return nobody()
+        step = decay_back(late, self._prior(last.keys))
+        then, F = predicted(
+            last.beliefs, step, self._own_way(u, late), dt=late, errors=self._errors, drift=self._drift
+        )
+        nu, H, R = self._measured(then, look, last.keys)
+        since = then.P - F @ last.beliefs.P @ F.swapaxes(1, 2)
+        found = Measured(nu, H @ F, R + H @ since @ H.swapaxes(1, 2))
+        posterior, last.onward = self._corrected(last.beliefs, found, look.t, last.keys)
+        self._before.append(last)
+        return posterior
+
+    def _go_on(self, last: _Moment, look: TeamLook, dt: float, u: Array) -> bool:
+        """Leave of the last scan only the rows that a look dt s before or after it has as well, none if the own camera
+        has leapt by u; whether any is left."""
+        stay = [i for i, key in enumerate(last.keys) if key in look.keys]
+        if len(stay) < len(last.keys):
+            last.keys, last.beliefs = tuple(last.keys[i] for i in stay), last.beliefs.rows(stay)
+        if float(u @ u) > (FASTEST * dt + 1.0) ** 2:
+            last.keys, last.beliefs, stay = (), nobody(), []
+        if not stay:
+            self._before.clear()
+        return bool(stay)
+
+    def _own_way(self, u: Array, dt: float) -> OwnWay:
+        return OwnWay(u, self._p.odometry**2 * dt, self._p.jitter_m**2, self._p.attitude_walk**2 * dt)
+
+    def _carried_on(self, row: Beliefs, key: tuple[int, int], dt: float, u: Array) -> Beliefs:
+        step = decay(dt, self._prior([key]))
+        return predicted(row, step, self._own_way(u, dt), dt=dt, errors=self._errors, drift=self._drift)[0]
+
+    def _measured(self, prior: Beliefs, look: TeamLook, keys: tuple[tuple[int, int], ...]) -> Measured:
+        """What the look tells of these rows, which stand at its time."""
+        rows = [look.keys.index(key) for key in keys]
         near = np.exp(-2.0 * prior.log_range)
         ray_cov = look.ray_cov[rows] + (self._p.jitter_m**2 * near)[:, None, None] * np.eye(3)
-        found = measurements.seen(prior, look.ray[rows], ray_cov, self._sized(look, rows))
-        prior = self._surprised(prior, found, look.t, keys)
+        return measurements.seen(prior, look.ray[rows], ray_cov, self._sized(look, rows))
+
+    def _corrected(
+        self, prior: Beliefs, found: Measured, t: float, keys: tuple[tuple[int, int], ...]
+    ) -> tuple[Beliefs, Array]:
+        prior = self._surprised(prior, found, t, keys)
         for key, sized in zip(keys, found.H[:, 2, RANGE].tolist(), strict=True):
             if sized:
                 self._sources[key].add("size")
@@ -445,7 +494,7 @@ class RelativeStates:
         sources = [tuple(name for name in RELATIVE_SOURCES if name in self._sources[key]) for key in keys]
         return Reading(
             now.t, now.camera, keys, now.beliefs.rows(stated), self._prior(keys),
-            sources=sources, jitter_m=self._p.jitter_m,
+            sources=sources, jitter_m=self._p.jitter_m, looked_t=min(self._looked_t, now.t),
         )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from typing import Protocol
 from swarmtrack.clock import Clock
 from swarmtrack.diagnosis.readiness import Readiness, judge
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
-from swarmtrack.diagnosis.tracking import check_tracking
+from swarmtrack.diagnosis.tracking import check_tracking, ratio_of, worst
 from swarmtrack.messages import Array, IdClash, LinkStatus, Membership, PeerDeparted
 from swarmtrack.perceived import Perceived
 from swarmtrack.runtime import periods
@@ -136,8 +136,8 @@ class Health:
         self._stale_of = [0] * count
 
     def links(self) -> list[LinkStatus]:
-        """State of everything this agent is connected to; of several cameras with what became of their frames, and what
-        their clocks are known to be late."""
+        """State of everything this agent is connected to; of several cameras with what became of their frames, what
+        their clocks are known to be late, and how wrong their trackers are about themselves."""
         statuses = self._links.statuses()
         count = len(self._links.cameras)
         if count == 1:
@@ -154,6 +154,10 @@ class Health:
         clock = self._perceived.camera_clocks[number]
         found = clock.found
         known = [("time_offset_s", found.offset_s), ("time_offset_sigma_s", found.sigma_s)] if found else []
+        consistency = self._perceived.consistencies[number]
+        noise = self._perceived.measured_noises[number]
+        known += [("nis", ratio_of(consistency))] if consistency else []
+        known += [("noise", noise.detections)] if noise else []
         return [("stale_frames", self._stale_of[number]), ("time_offset_used_s", clock.used_s), *known]
 
     def on_detections(self, camera: int) -> None:
@@ -231,7 +235,7 @@ class Health:
             for name, value in link.counters
             if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
         }
-        consistency = perceived.consistency
+        consistency = worst(perceived.consistencies)
         readiness = self.readiness()
         drops: Counter[str] = Counter()
         for counts in (asdict(perceived.counters), perceived.part_counters, self.drops):
@@ -258,16 +262,22 @@ class Health:
         )
 
     def _noise(self) -> NoiseHealth | None:
-        """What was learned of the noise; and in words, once it has lasted, what the tracks do not know of it."""
-        consistency, noise = self._perceived.consistency, self._perceived.measured_noise
-        if consistency is None and noise is None:
+        """What was learned of the noise; and in words, once it has lasted, what the tracks do not know of it. Of
+        several cameras that of the first with which something is wrong, else of the noisiest."""
+        told = list(zip(self._perceived.consistencies, self._perceived.measured_noises, strict=True))
+        known = [k for k, one in enumerate(told) if one != (None, None)]
+        if not known:
             return None
-        findings = check_tracking(consistency, noise)
+        noisiest = max(known, key=lambda k: noise.detections if (noise := told[k][1]) is not None else 0.0)
+        number = next((k for k in known if check_tracking(*told[k])), noisiest)
+        noise, findings = told[number][1], check_tracking(*told[number])
         # A manoeuvre passes, and so does the time in which the noise is learned.
         self._misfits = self._misfits + 1 if findings else 0
         if self._misfits < MISFITS_SAID:
             return NoiseHealth(noise and noise.detections, noise and noise.motion, "", "")
         found, remedy = findings[0].found, findings[0].remedy
+        if len(told) > 1:
+            found = f"{camera_name(number)}: {found}"
         if self._misfits == MISFITS_SAID:
             self.events.append(f"{found}: {remedy}")
         return NoiseHealth(

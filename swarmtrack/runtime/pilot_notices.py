@@ -91,6 +91,8 @@ class PilotNotices:
         self._links: Mapping[str, bool] = {}
         self._ready = False
         self._camera = Debounced(True, hold=HOLD)
+        self._each_camera: dict[str, Debounced[bool]] = {}
+        """Of several, by the names of their links."""
         self._network = Debounced(True, hold=HOLD)
         self._trouble = Debounced("", hold=HOLD)
         self._sight = Debounced((0, 0), hold=SIGHT_HOLD, rest=SIGHT_REST)
@@ -187,7 +189,10 @@ class PilotNotices:
         trouble = self._autopilot.trouble
         if not self._links or trouble == "no autopilot":
             return  # not looked at yet; or it would not hear us
-        camera = all(ok for name, ok in self._links.items() if name == "camera" or name.startswith("camera "))
+        cameras = {
+            name: ok for name, ok in self._links.items() if name == "camera" or name.startswith("camera ")
+        }
+        camera = not cameras or any(cameras.values())
         network = all(ok for name, ok in self._links.items() if name in NETWORKS)
         if not self._ready:
             self._ready = self._scan is not None and camera and not trouble
@@ -195,6 +200,12 @@ class PilotNotices:
                 self.add(Severity.INFO, f"ready, drone {self._drone_id}")
         if self._camera.is_news(camera, now):
             self._say_of("" if camera else "no camera", "camera")
+        # Of none at all that was all there is to say.
+        if camera and len(cameras) > 1:
+            for name, ok in cameras.items():
+                each = self._each_camera.setdefault(name, Debounced(True, hold=HOLD))
+                if each.is_news(ok, now):
+                    self._say_of("" if ok else f"{name} gone", name)
         if self._network.is_news(network, now):
             self._say_of("" if network else "no network", "network")
         before = self._trouble.told

@@ -266,6 +266,16 @@ class Tracker:
         self._shown = None
         self._filter.adopt(arriving)
 
+    def end_unseen(self, t: float) -> None:
+        """By t no scan has come for a while: who was not detected for `max_coast_s` has ended all the same. Nothing is
+        learned of it, and a scan that comes after all is not late."""
+        if self._t is None:
+            return
+        table, most = self._filter.table, self._sensor.parameters.max_coast_s
+        unseen = t - table.last_seen >= most
+        if unseen.any():
+            self.release(unseen, self._t, np.eye(3), 0.0)
+
     def vouch(self, track_id: int) -> None:
         """Something else than its looks says that a weak look-alike is a target: it may be confirmed."""
         table = self._filter.table

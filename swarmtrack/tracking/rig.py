@@ -210,7 +210,15 @@ class Rig:
         if accepted and len(self._cameras) > 1:
             self._compare_looks(camera, scan.t, orientation, crossed)
             self._keep_in_sight(camera, scan.t)
+            self._end_unseen(scan.t)
         return accepted
+
+    def _end_unseen(self, t: float) -> None:
+        """Who was with a camera that has died ends as one that it misses: else it would live for as long as the other
+        cameras tell the time. A camera whose scan may still come tells that itself."""
+        for each in self._cameras:
+            if each.tracker.t is not None and t - each.tracker.t > MOST_BACK:
+                each.tracker.end_unseen(t)
 
     def _compare_looks(
         self, camera: int, t: float, orientation: Orientation, crossed: frozenset[int]

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from swarmtrack.benchmarks.formation.benchmark import FAULTS, FLIGHTS
-from swarmtrack.benchmarks.formation.faults import BOOTS_S, CLOCK_OFF_S, GLITCH_M, Failure, Fault
+from swarmtrack.benchmarks.formation.faults import (
+    BOOTS_S,
+    CLOCK_OFF_S,
+    GLITCH_M,
+    FailingSwarm,
+    Failure,
+    Fault,
+)
 from swarmtrack.benchmarks.formation.flights import FlightPlan, FormationFlight
 from swarmtrack.benchmarks.virtual_swarm import Exposure
 from swarmtrack.formation.setpoint import Why
@@ -45,6 +52,16 @@ def test_each_fault_has_a_row():
     assert {failure.fault for _, failure in FAULTS} == set(Fault)
     assert all(FLIGHTS[name].failure is failure for name, failure in FAULTS)
     assert all(FLIGHTS[name].ends_s > failure.begins_s + 10.0 for name, failure in FAULTS)
+
+
+@pytest.mark.parametrize("fault", [Fault.KILLED, Fault.CLOCK, Fault.STUCK_CAMERA])
+def test_a_swarm_fails_by_what_it_was_made_with_and_nothing_else_has_to_be_called(fault):
+    plan = FlightPlan(name="pair", drones=2)
+    swarm = FailingSwarm(FormationFlight(plan, seed=4).scenario, Failure(fault=fault, victim=2, begins_s=0.5))
+    for _ in swarm.fly(1.0):
+        pass
+    swarm.fail(1.0)
+    assert swarm._runs(2, 1.0) == (fault is not Fault.KILLED)
 
 
 def test_a_swapped_id_is_a_swapped_start():

@@ -7,6 +7,7 @@ import json
 import math
 import struct
 import time
+import tomllib
 from contextlib import AsyncExitStack
 
 import cv2
@@ -20,7 +21,14 @@ from support.ports import free_port
 from swarmtrack.agents.main import main
 from swarmtrack.benchmarks import calibration as bench
 from swarmtrack.calibration.board import KINDS, Board, Seen, as_pdf
-from swarmtrack.calibration.extrinsics import doubts, rpy_deg, toml_lines, with_lines, write_into
+from swarmtrack.calibration.extrinsics import (
+    doubts,
+    for_the_config,
+    rpy_deg,
+    toml_lines,
+    with_lines,
+    write_into,
+)
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.calibration.intrinsics import as_yaml, fit
 from swarmtrack.calibration.views import BoardViews
@@ -460,6 +468,15 @@ def test_of_several_cameras_the_lines_go_into_the_table_of_the_one_that_was_meas
     assert [camera.time_offset_s for camera in load_config(path).cameras] == [None, 0.1]
     write_into(path, ["time_offset_s = 0.2"], 0)
     assert [camera.time_offset_s for camera in load_config(path).cameras] == [0.2, 0.1]
+
+
+def test_what_is_printed_to_be_pasted_is_a_table_like_those_of_the_config():
+    lines = ["body_from_camera = { rpy_deg = [0.0, 0.0, 90.0] }", "time_offset_s = 0.1"]
+    one, second = for_the_config(lines, 0, 1), for_the_config(lines, 1, 2)
+    assert one.startswith("[camera]\nbody_from_camera")
+    assert second.startswith("[[camera]]  # into that of camera 2 of 2\nbody_from_camera")
+    # Beside those that are there, "[camera]" would be an error.
+    assert tomllib.loads(f'[[camera]]\nsource = "a"\n{second}\n')["camera"][1]["time_offset_s"] == 0.1
 
 
 def test_a_camera_that_the_config_does_not_have_cannot_be_calibrated(tmp_path, capsys):

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from support.formation_states import HEIGHT, Flying, in_slot, leader_from, parameters, state, track
+from support.formation_states import HEIGHT, SLOTS, Flying, in_slot, leader_from, parameters, state, track
 from swarmtrack.formation.formation import FADED_S, HOLDS, MOST_ASIDE_M, Formation
 from swarmtrack.formation.references import ENTRY_S, UNSEEN_S
 from swarmtrack.formation.setpoint import STILL, OwnSway, Why
@@ -185,7 +185,7 @@ def test_a_name_that_leaps_to_another_place_is_not_flown_after(flying):
         ({"position_sigma": 1.1}, Why.OWN_POSE),
         ({"pose_age": math.nan}, Why.OWN_POSE),
         ({"gyro_age": 0.4}, Why.GYRO),
-        ({"scan_age": 1.1}, Why.CAMERA),
+        ({"scan_ages": (1.1,)}, Why.CAMERA),
         ({"clash": True}, Why.CLASH),
         ({"doubted": True}, Why.DOUBT),
         ({"heading_step_age": 0.5}, Why.HEADING),
@@ -206,7 +206,7 @@ def test_what_a_drone_cannot_fly_by_makes_it_stop_and_say_so(flying, facts, why)
     assert flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=0.2).why is Why.FOLLOW
 
 
-@pytest.mark.parametrize("facts", [{"pose_age": 0.3}, {"gyro_age": 0.4}, {"scan_age": 1.1}])
+@pytest.mark.parametrize("facts", [{"pose_age": 0.3}, {"gyro_age": 0.4}, {"scan_ages": (1.1,)}])
 def test_what_comes_late_for_a_moment_stops_it_and_costs_its_reference_no_trust(flying, facts):
     own, moving = in_slot(), {"velocity": (1.0, 0.0, 0.0)}
     flying.settled(own, **moving)
@@ -215,6 +215,34 @@ def test_what_comes_late_for_a_moment_stops_it_and_costs_its_reference_no_trust(
     assert slowed.holds
     assert level(slowed) < 0.6
     assert flying.tell(own, {10: leader_from(own, **moving)}, [track()]).why is Why.FOLLOW
+
+
+def test_of_several_cameras_that_counts_which_saw_the_reference_last(flying):
+    alive = in_slot(scan_ages=(0.0, 0.0))
+    flying.tell(alive, {10: leader_from(alive)}, [track(camera=1)], seconds=3.0)
+    other_died = in_slot(scan_ages=(1.1, 0.0))
+    assert flying.tell(other_died, {10: leader_from(alive)}, [track(camera=1)]).why is Why.FOLLOW
+    # That one is stuck, and then shows nobody any more: the first one lives, and tells nothing of the leader.
+    its_died = in_slot(scan_ages=(0.0, 1.1))
+    assert flying.tell(its_died, {10: leader_from(alive)}, [track(camera=1)]).why is Why.CAMERA
+    assert flying.tell(its_died, seconds=5.0).why is Why.CAMERA
+    # Until it comes into that one's picture.
+    assert flying.tell(its_died, {10: leader_from(alive)}, [track()]).why is Why.ENTRY
+    assert flying.tell(its_died, {10: leader_from(alive)}, [track()], seconds=1.2).why is Why.FOLLOW
+
+
+def test_of_two_references_that_is_flown_by_whose_camera_lives():
+    flying = Flying(Formation(parameters(drone_id=3, references=(1, 2))))
+    own = in_slot(drone_id=3, scan_ages=(0.0, 0.0))
+    north, east, down = SLOTS[2]
+    states = {10: leader_from(own), 11: leader_from(own, at=(north, east, down - HEIGHT), drone_id=2)}
+    tracks = [track(), track(2, 11, camera=1)]
+    assert flying.tell(own, states, tracks, seconds=3.0).error == pytest.approx(0.0, abs=1e-6)
+    stuck = in_slot(drone_id=3, scan_ages=(0.0, 1.1))
+    leads_astray = states | {11: leader_from(own, at=(north + 1.5, east, down - HEIGHT), drone_id=2)}
+    told = flying.tell(stuck, leads_astray, tracks)
+    assert told.why is Why.FOLLOW
+    assert told.error == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_drone_that_holds_still_keeps_clear(flying):

@@ -1,12 +1,15 @@
 """Who keeps an ID, who loses it, who is asked, and who is a stranger: no tracker, tracks are put by hand."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
+from support.observer import FORWARD, LEFT, MIDDLE, RIGHT, RIGHTWARD, SCAN_S, Observer, shifted
 from swarmtrack.identity.pose_requests import PoseRequests
+from swarmtrack.identity.posterior import PRIOR
 from swarmtrack.identity.teammates import DEPARTED_S
 from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted, PeerExpelled
 
@@ -352,3 +355,51 @@ def test_who_is_no_member_any_more_has_no_name_and_is_forgotten(observer):
     observer.identities.on_membership(PeerExpelled(3))
     assert observer.sees(0.5, a=LEFT, b=RIGHT) == {"a": 2, "b": None}
     assert observer.identities.announced.keys() == {2}
+
+
+# --- several cameras ---
+
+
+def two_cameras():
+    """Drone 2 ahead and drone 3 to the right, each named in the picture of its camera."""
+    observer = Observer(cameras=(FORWARD, RIGHTWARD))
+    observer.hears(2, LEFT)
+    observer.hears(3, MIDDLE, camera=RIGHTWARD)
+    for _ in range(20):
+        observer.sees(SCAN_S, camera=0, elsewhere="b", a=LEFT, b=MIDDLE)
+        observer.sees(SCAN_S, camera=1, elsewhere="a", a=LEFT, b=MIDDLE)
+    assert observer.names() == {"a": 2, "b": 3}
+    return observer
+
+
+def test_a_drone_that_another_camera_sees_tells_nothing_of_how_surely_this_one_sees_whom_it_shows():
+    observer = two_cameras()
+    ahead, aside = (eye.scene for eye in observer.identities._weighing._eyes)
+    assert ahead.seen(2) > PRIOR.p_seen
+    assert aside.seen(3) > PRIOR.p_seen
+    assert ahead.seen(3) == aside.seen(2) == PRIOR.p_seen
+
+
+def test_a_drone_that_this_camera_has_just_missed_is_not_reported_as_seen():
+    observer = two_cameras()
+    assert sighted(observer) == [2, 3]
+    # The other camera's turn will come; this one's is now.
+    observer.sees(SCAN_S, camera=0, elsewhere="b", coasting="a", a=LEFT, b=MIDDLE)
+    assert sighted(observer) == [3]
+    observer.sees(2 * SCAN_S, camera=0, elsewhere="b", coasting="a", a=LEFT, b=MIDDLE)
+    assert sighted(observer) == []
+
+
+def test_where_a_drone_is_that_another_camera_saw_is_known_the_less_the_faster_it_crosses_the_picture():
+    observer = two_cameras()
+    sigmas = []
+    for px_s in (0.0, 60.0):
+        observer.moving = px_s
+        observer.sees(SCAN_S, camera=1, elsewhere="a", a=LEFT, b=MIDDLE)
+        observer.sees(SCAN_S, camera=0, elsewhere="b", a=LEFT, b=MIDDLE)
+        sigmas += [ray.sigma for ray, _ in observer.identities.sightings(observer.t) if ray.drone_id == 3]
+    assert math.sqrt(sigmas[1] ** 2 - sigmas[0] ** 2) == pytest.approx(60.0 / 430.0 * SCAN_S, rel=0.05)
+
+
+def sighted(observer):
+    return sorted(ray.drone_id for ray, _ in observer.identities.sightings(observer.t))

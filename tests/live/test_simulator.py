@@ -207,6 +207,7 @@ async def test_the_autopilot_streams_what_was_asked_on_its_own_clock_and_tells_t
         async with RealFlight(simulated.drones[1]["autopilot"]) as pilot:
             await eventually(lambda: len(pilot.listener.imu) > 1200 and len(pilot.listener.poses) > 200)
             assert pilot.unit.status().ok
+            sigma = dict(pilot.unit.status().counters)["clock_sigma_s"]
             imu, poses = pilot.listener.imu[-200:], pilot.listener.poses[-50:]
     # By their stamps: when they are read is the machine's.
     assert np.median(np.diff([sample.t for sample in imu])) == pytest.approx(1 / 200.0, rel=0.1)
@@ -218,8 +219,11 @@ async def test_the_autopilot_streams_what_was_asked_on_its_own_clock_and_tells_t
         true_rate = [drone.body_rate(simulated.world_time(sample.t - late)) for sample in imu]
         return told - np.array(true_rate) - bias
 
-    # The mapped clock is off by a millisecond or two, by more on a machine that is busy with something else.
-    error = min(map(errors, np.linspace(-0.01, 0.01, 41)), key=lambda error: np.abs(error).mean())
+    # The mapped clock is off by a millisecond or two; on a machine that is busy with something else by more, and then
+    # it says so.
+    most = max(0.003, 2.0 * sigma)
+    off = min(np.arange(-most, most, 5e-4), key=lambda late: np.abs(errors(late)).mean())
+    error = errors(off)
     assert np.abs(error).max() < 0.05  # its noise
     assert np.abs(error.mean(axis=0)).max() < 0.005
     origin = scenario.world.pose(1, 0.0).position

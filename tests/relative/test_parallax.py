@@ -158,6 +158,35 @@ def test_a_leap_of_the_own_place_that_was_not_flown_makes_nobody_far(leap):
         assert far.tracks == frozenset()
 
 
+@pytest.mark.parametrize("late", [0.0, 0.08, 0.2])
+def test_a_house_stays_far_off_where_another_camera_is_late(late):
+    """Its looks come after those that were exposed later, and show the same tracks, but do not detect them."""
+    width, where = house(30.0)
+    far, chance = FarOff(), np.random.default_rng(0)
+    told = []
+    for k in range(160):
+        t = k / FPS
+        far.observe(seen(t, to_and_fro(t), where(t), width, chance))
+        told.append(TRACK in far.tracks)
+        beside = to_and_fro(t - late) + np.array([0.1, 0.1, 0.0])
+        back = seen(t - late, beside, where(t), width, chance)
+        unseen = np.full_like(back.ray, np.nan)
+        far.observe(replace(back, ray=unseen, ray_cov=np.full((1, 3, 3), np.nan), width=unseen[:, 0]))
+    assert all(told[100:])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_house_that_goes_to_a_late_camera_and_back_stays_far_off(seed):
+    width, where = house(30.0)
+    far, chance = FarOff(), np.random.default_rng(seed)
+    told = []
+    for k in range(240):
+        t = k / FPS - (0.2 if k % 2 else 0.0)
+        far.observe(seen(t, to_and_fro(t), where(t), width, chance))
+        told.append(TRACK in far.tracks)
+    assert all(told[120:])
+
+
 def test_what_is_not_detected_for_a_while_stays_what_it_was():
     width, where = house(30.0)
     far = FarOff()

@@ -206,6 +206,38 @@ def test_a_late_word_counts_at_its_own_time():
     assert only(states, t).velocity[1] < 1.2
 
 
+@pytest.mark.parametrize("late", [0.08, 0.2])
+@pytest.mark.parametrize("words", [False, True])
+def test_looks_of_a_camera_that_is_late_tell_nearly_as_much_as_in_their_order(late, words):
+    """Of two cameras that look in turn, one sits beside the other; the own drone and the teammate fly."""
+
+    def seen(t, camera, rng):
+        own = np.array([1.0 * t, 0.3 * math.sin(t) + 0.14 * camera, 0.0])
+        there = PLACE + np.array([1.5 * math.sin(0.8 * t), 2.0 * math.sin(0.5 * t), 0.0])
+        return look(t, there - own, camera=own, rng=rng)
+
+    arrives = sorted((k * DT / 2.0 + late * (k % 2), k * DT / 2.0, k % 2) for k in range(120))
+    told = []
+    for scans in (sorted(arrives, key=lambda scan: scan[1]), arrives):
+        states, rngs = RelativeStates(TOLD), [np.random.default_rng(1), np.random.default_rng(2)]
+        told.append([])
+        for _, t, camera in scans:
+            states.observe(seen(t, camera, rngs[camera]))
+            if words and not camera:
+                said = t - 0.05
+                states.hear_motion(moves((1.2 * math.cos(0.8 * said), math.cos(0.5 * said), 0.0), said))
+            if t > 4.0 and not camera:
+                told[-1].append(only(states, t))
+        assert (states.surprised, states.refused) == (0, 0)
+    for ordered, state in zip(*told, strict=True):
+        sigma = np.sqrt(np.diagonal(ordered.cov))
+        assert (np.abs(state.position - ordered.position) < sigma[:3]).all()
+        assert (np.abs(state.velocity - ordered.velocity) < sigma[3:]).all()
+    less = [state.range_sigma_log / ordered.range_sigma_log for ordered, state in zip(*told, strict=True)]
+    # What may have happened between such a look and the scan that it comes after counts as its noise.
+    assert 0.97 < np.mean(less) < 1.3
+
+
 def test_what_is_older_than_the_history_or_yet_to_come_is_let_go():
     states = RelativeStates(TOLD)
     t = watched(states, [PLACE] * 20)

@@ -140,11 +140,13 @@ def telling(tmp_path, tell, **tables):
 class Told:
     """A notices and the autopilot that it tells, on a perfect link in simulated time."""
 
-    def __init__(self, tmp_path, tell='["status"]', *, looking=False):
+    def __init__(self, tmp_path, tell='["status"]', *, looking=False, cameras=1):
         path = telling(tmp_path, tell, team=ORIGIN)
         self.ground = Ground(boot_at=60.0)
         self.flight = Flight(self.ground)
-        self.camera, self.network = Source("camera"), Source("zenoh")
+        names = ["camera"] if cameras == 1 else [f"camera {k}" for k in range(1, cameras + 1)]
+        self.cameras, self.network = [Source(name) for name in names], Source("zenoh")
+        self.camera = self.cameras[0]
         self.parts = assemble(load_config(path), self.flight.clock)
         self.parts.autopilot = self.flight.unit
         if looking:
@@ -181,10 +183,8 @@ class Told:
                 )
             )
             self.sequence += 1
-            self.notices.see_links(
-                link_health(link) for link in (self.camera.status(), self.network.status())
-            )
-            if self.camera.ok:
+            self.notices.see_links(link_health(link.status()) for link in (*self.cameras, self.network))
+            if any(camera.ok for camera in self.cameras):
                 self.notices.see(ScanReport(self.sequence, TrackList(now, now, tracks)))
             self.notices.tick(now)
 
@@ -213,6 +213,26 @@ async def test_what_is_lost_and_comes_back_is_told_once_it_lasts(tmp_path):
         severities = {text: severity for severity, text in told.ground.texts}
         assert severities["swarmtrack: no camera"] == common.MAV_SEVERITY_WARNING
         assert severities["swarmtrack: camera is there"] == common.MAV_SEVERITY_INFO
+
+
+async def test_of_several_cameras_it_is_told_which_one_is_gone_and_no_camera_only_if_all_are(tmp_path):
+    told = Told(tmp_path, cameras=4)
+    told.cameras[2].ok = False
+    async with told.flight:
+        told.fly(8.0)
+        # The others see, and it flies with them.
+        assert told.texts == ["ready, drone 1", "camera 3 gone"]
+        for camera in told.cameras:
+            camera.ok = False
+        told.fly(5.0)
+        assert told.texts[2:] == ["no camera"]
+        for camera in told.cameras[:2]:
+            camera.ok = True
+        told.fly(8.0)
+        assert told.texts[3:] == ["camera is there", "camera 4 gone"]
+        told.cameras[2].ok = told.cameras[3].ok = True
+        told.fly(8.0)
+        assert told.texts[5:] == ["camera 3 is there", "camera 4 is there"]
 
 
 async def test_teammates_that_come_and_go_make_no_stream_of_lines(tmp_path):

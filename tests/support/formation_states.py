@@ -21,7 +21,9 @@ def in_slot(drone_id=2, off=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), heading=0
     return OwnFlight((north, east, down - HEIGHT), velocity, heading, **facts)
 
 
-def track(identity=1, track_id=10, probability=0.999, status=TrackStatus.CONFIRMED, coasting_since=None):
+def track(
+    identity=1, track_id=10, probability=0.999, status=TrackStatus.CONFIRMED, coasting_since=None, camera=0
+):
     seen = Track(
         track_id,
         0.0,
@@ -31,6 +33,7 @@ def track(identity=1, track_id=10, probability=0.999, status=TrackStatus.CONFIRM
         1.0,
         np.full(2, 30.0),
         coasting_since,
+        camera,
     )
     return IdentifiedTrack(seen, identity, probability if identity is not None else 0.0)
 

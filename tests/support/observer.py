@@ -14,6 +14,8 @@ from swarmtrack.motion.ego import TeamPose
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 FORWARD = Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
+TO_THE_RIGHT = rotation.from_euler(0.0, 0.0, math.pi / 2)
+RIGHTWARD = Pose(TO_THE_RIGHT @ rotation.BODY_FROM_FORWARD_CAMERA, np.array([0.0, 0.1, 0.0]))
 SCAN_S = 0.1
 
 LEFT, MIDDLE, RIGHT = (170.0, 240.0), (320.0, 240.0), (470.0, 240.0)
@@ -32,9 +34,11 @@ def shifted(pixel, right=0.0, down=0.0):
 class Observer:
     """Drone 1: it hears announcements, and its tracks are what a test says."""
 
-    def __init__(self, **parameters):
+    def __init__(self, cameras=(FORWARD,), **parameters):
         self.identities = Identities(
-            1, cameras=[(CAMERA, FORWARD)], parameters=IdentityParameters(**parameters)
+            1,
+            cameras=[(CAMERA, pose) for pose in cameras],
+            parameters=IdentityParameters(**parameters),
         )
         self.t = 0.0
         self.attitude = np.eye(3)
@@ -43,13 +47,14 @@ class Observer:
         self.coasting = {}
         self.wanted = []
         self.sizes = {}
+        self.moving = 0.0
+        """px/s, to the right, of all tracks."""
         self.reports = 0
 
-    def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0):
+    def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0, camera=FORWARD):
+        place = camera.transform(FORWARD.inverse().transform(at(pixel, metres)))
         return self.identities.announce(
-            Announcement(
-                drone_id, boot, sequence, self.t, 0.0, at(pixel, metres), np.eye(3), 0.01 * np.eye(3)
-            )
+            Announcement(drone_id, boot, sequence, self.t, 0.0, place, np.eye(3), 0.01 * np.eye(3))
         )
 
     def is_told(self, drone_id, pixel, boot="0000000a", metres=8.0, sigma=0.1):
@@ -63,12 +68,16 @@ class Observer:
         """To the right; what it sees from now on is in its image as the test says."""
         self.attitude = rotation.from_euler(0.0, 0.0, math.radians(degrees)) @ self.attitude
 
-    def sees(self, seconds, coasting=(), tentative=(), **tracks):
-        """`a=(u, v)` is track 1 there, b track 2 … ; the IDs by name after so many seconds of scans."""
+    def sees(self, seconds, coasting=(), tentative=(), camera=0, elsewhere=(), **tracks):
+        """`a=(u, v)` is track 1 there, b track 2 … ; the IDs by name after so many seconds of scans of a camera.
+        elsewhere: those that are in the other camera's pixels."""
         for _ in range(max(round(seconds / SCAN_S), 1)):
             self.t = round(self.t + SCAN_S, 6)
             self.coasting = {name: self.coasting.get(name, self.t) for name in coasting}
-            self.tracks = [self._track(name, pixel, name in tentative) for name, pixel in tracks.items()]
+            self.tracks = [
+                self._track(name, pixel, name in tentative)._replace(camera=camera ^ (name in elsewhere))
+                for name, pixel in tracks.items()
+            ]
             self.identities.observe(
                 self.tracks,
                 TeamPose(
@@ -78,6 +87,7 @@ class Observer:
                     0.05**2 * np.eye(3),
                     self.attitude_sigma**2 * np.eye(3),
                 ),
+                camera,
             )
             self.wanted += [(self.t, drone) for drone in self.identities.take_wanted()]
         return self.names()
@@ -93,7 +103,7 @@ class Observer:
         return Track(
             id=ord(name) - ord("a") + 1,
             t=self.t,
-            mean=np.array([pixel[0], 0.0, pixel[1], 0.0]),
+            mean=np.array([pixel[0], self.moving, pixel[1], 0.0]),
             cov=np.diag([4.0, 25.0, 4.0, 25.0]),
             status=TrackStatus.TENTATIVE if tentative else status,
             probability=1.0,

@@ -181,3 +181,28 @@ def test_what_tracks_misjudge_is_said_once_it_has_lasted(tmp_path):
     assert "times further off than the tracks expect" in told[-1].noise.found
     assert told[-1].noise.remedy
     assert len([line for line in told[-1].events if "tracks expect" in line]) == 1
+
+
+def test_of_several_cameras_health_tells_of_the_worst_which_one_it_is_and_of_each(tmp_path):
+    """The first camera's detections scatter as was told, the second one's five times as much."""
+    config = tmp_path / "drone.toml"
+    told = AGENT.replace("measurement_sigma = 1.0", "measurement_sigma = 0.8").replace(
+        "[camera]", "[[camera]]"
+    )
+    aside = told[told.index("[[camera]]") :] + "body_from_camera = { rpy_deg = [0.0, 0.0, 120.0] }\n"
+    config.write_text(told + aside.replace(":9/", ":9/2"), encoding="utf-8")
+    parts = assemble(load_config(config), SystemClock())
+    health, rng = make_health(parts), np.random.default_rng(0)
+    for k in range(400):
+        sigma = (0.8, 4.0)[k % 2]
+        centre = np.array([[300.0, 200.0]]) + rng.normal(0.0, sigma, (1, 2))
+        seen = Detections(k / 30, k, centre, np.full((1, 2), 30.0), np.full(1, 0.9), camera=k % 2)
+        parts.door.tell(seen)
+    messages = [codec.decode(HealthMessage, codec.encode(health.message())) for _ in range(25)]
+    last = messages[-1]
+    assert last.consistency.nis > last.consistency.high
+    assert last.noise.found.startswith("camera 2: ")
+    assert [line for line in last.events if line.startswith("camera 2: ")]
+    nis = {link.name: link.counters.get("nis") for link in last.links}
+    assert nis["camera 1"] < 2.0
+    assert nis["camera 2"] > 4.0
