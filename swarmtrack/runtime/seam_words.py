@@ -20,10 +20,10 @@ def describe_seam(news: SeamNews) -> str:
     forward = rotation.BODY_FROM_FORWARD_CAMERA
     roll, pitch, yaw = np.degrees(rotation.to_euler(news.body_from_second @ forward.T)).round(1) + 0.0
     if news.turn.crossings:
-        by = f"crossed from camera {first} or to it {news.turn.crossings} times"
+        by = f"went from one to the other {news.turn.crossings} times"
     else:
-        by = f"camera {first} shows as well"
+        by = "both show"
     return (
-        f"camera {second} is turned by {turned:.1f}° beside its body_from_camera, by teammates that {by}. "
-        f"rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit"
+        f"cameras {first} and {second} are turned by {turned:.1f}° against what is written, by teammates that {by}. "
+        f"If camera {first} is right, rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit camera {second}"
     )

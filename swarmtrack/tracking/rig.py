@@ -81,21 +81,23 @@ class RigCamera(NamedTuple):
 
 class Foretold(NamedTuple):
     """A track that has come from another camera and was not detected since: from which, the pixel (2,) where the scan
-    that comes should show it, and its covariance (2, 2) px² but for the seam."""
+    that comes should show it, and its covariance (2, 2) px² but for the seam; angle (3,): see `_Arrived`."""
 
     giver: int
     pixel: Array
     cov: Array
+    angle: Array
 
 
 @dataclass(slots=True)
 class _Arrived:
-    """From one camera to another; since when it had been with the first, s; scans of the second which should have shown
-    it."""
+    """From one camera to another; since when it had been with the first, s; by which angle (3,) rad of the seam; scans
+    of the second which should have shown it."""
 
     giver: int
     taker: int
     since: float
+    angle: Array
     scans: int = 0
 
 
@@ -327,7 +329,7 @@ class Rig:
             if way.taker == camera:
                 pixel, P = mean[rows[track_id], POSITION], cov[rows[track_id], POSITION, POSITION]
                 of_seam = self._of_seam(pixel[None], way.giver, camera)[0]
-                found[track_id] = Foretold(way.giver, pixel.copy(), P - of_seam)
+                found[track_id] = Foretold(way.giver, pixel.copy(), P - of_seam, way.angle)
         return found
 
     def _learn_seams(self, taker: int, tracker: Tracker) -> frozenset[int]:
@@ -339,11 +341,11 @@ class Rig:
             if foretold is not None:
                 del self._arrived[track_id]
                 crossed.add(track_id)
-                giver, pixel, cov = foretold
-                self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker)
+                giver, pixel, cov, angle = foretold
+                self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker, by=angle)
         low, high = camera.frame_bounds
         border = BORDER * (high - low)
-        for track_id, (giver, pixel, _) in self._foretold.items():
+        for track_id, (giver, pixel, _, _) in self._foretold.items():
             way = self._arrived[track_id]
             (at,) = camera.framed(pixel[None]).at
             way.scans += bool(((at > low + border) & (at < high - border)).all())
@@ -515,7 +517,7 @@ class Rig:
                 self._came[track_id] = way.since
                 continue
             if confirmed and t - since > SETTLED_S:
-                self._arrived[track_id] = _Arrived(giver, taker, since)
+                self._arrived[track_id] = _Arrived(giver, taker, since, self._seam(giver, taker).angle)
             self._came[track_id] = t
         if len(self._came) > MOST_REMEMBERED:
             self._came = {track_id: came for track_id, came in self._came.items() if t - came < SETTLED_S}

@@ -164,21 +164,30 @@ class Seam:
         flow = self.flow(pixel, camera, to_second=to_second)
         return np.asarray(flow @ (self._cov + LEAST_SIGMA**2 * np.eye(3)) @ flow.swapaxes(1, 2))
 
-    def learn(self, foretold: Array, cov: Array, z: Array, camera: PinholeCamera, *, to_second: bool) -> None:
-        """A track was foretold at a pixel (2,) and detected at z (2,); cov (2, 2) px²: of both but for the seam."""
+    @property
+    def angle(self) -> Array:
+        """(3,) rad: δ as it is used now."""
+        return self._angle
+
+    def learn(
+        self, foretold: Array, cov: Array, z: Array, camera: PinholeCamera, *, to_second: bool, by: Array
+    ) -> None:
+        """A track was foretold at a pixel (2,), `by` the angle (3,) of when it went over, and detected at z (2,);
+        cov (2, 2) px²: of both but for the seam."""
         flow = self.flow(foretold[None], camera, to_second=to_second)[0]
         value, axes = np.linalg.eigh(cov)
         # Of a difference of two covariances only the positive part is one.
         S = (axes * np.maximum(value, 0.0)) @ axes.T + LASTING_PX2 * np.eye(2)
-        # Against what is known: the residual of the angle as it is used.
+        # Others may have told of the angle since.
         residual = z - foretold
+        surprise = residual - flow @ (self._angle - by)
         expected = S + flow @ self._cov @ flow.T
-        if float(residual @ np.linalg.solve(expected, residual)) > GATE:
+        if float(surprise @ np.linalg.solve(expected, surprise)) > GATE:
             self.refused += 1
             return
         weighed = np.linalg.solve(S, flow)
         self._information = self._information + flow.T @ weighed
-        self._sum = self._sum + weighed.T @ (residual + flow @ self._angle)
+        self._sum = self._sum + weighed.T @ (residual + flow @ by)
         self.crossings += 1
         self._settle()
 
