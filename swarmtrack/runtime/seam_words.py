@@ -19,10 +19,7 @@ def describe_seam(news: SeamNews) -> str:
     turned = np.degrees(np.linalg.norm(news.turn.angle))
     forward = rotation.BODY_FROM_FORWARD_CAMERA
     roll, pitch, yaw = np.degrees(rotation.to_euler(news.body_from_second @ forward.T)).round(1) + 0.0
-    if news.turn.crossings:
-        by = f"went from one to the other {news.turn.crossings} times"
-    else:
-        by = "both show"
+    by = f"went from one to the other {news.turn.crossings} times" if news.turn.crossings else "both show"
     return (
         f"cameras {first} and {second} are turned by {turned:.1f}° against what is written, by teammates that {by}. "
         f"If camera {first} is right, rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit camera {second}"
