@@ -21,7 +21,9 @@ def test_a_camera_of_which_only_an_overlap_tells_says_so():
     fits = rotation.from_euler(0.0, 0.0, math.radians(92.0)) @ rotation.BODY_FROM_FORWARD_CAMERA
     turn = FoundTurn(np.array([0.0, math.radians(-2.0), 0.0]), math.radians(0.2), 0, 300)
     said = describe_seam(SeamNews(0, 1, turn, fits))
-    assert "by teammates that both show. If camera 1 is right, rpy_deg = [0, 0, 92] would fit camera 2" in said
+    assert (
+        "by teammates that both show. If camera 1 is right, rpy_deg = [0, 0, 92] would fit camera 2" in said
+    )
 
 
 def test_cameras_that_do_not_fit_together_make_one_think_of_the_cables():
