@@ -258,7 +258,7 @@ class Viewer:
                     drones = [drone["id"] for drone in json.loads(message.data)["drones"]]
                     if drones != watched:
                         watched = drones
-                        await socket.send_json({"watch": drones})
+                        await socket.send_json({"watch": [(drone, 0) for drone in drones]})
                 else:
                     self._views += 1
                 await socket.send_str("+")

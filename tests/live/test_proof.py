@@ -61,7 +61,7 @@ async def proofs_shown(url: str) -> set[tuple[int, int]]:
     ):
         async for message in page:
             if message.type is aiohttp.WSMsgType.TEXT:
-                await page.send_str('{"watch":[1,2]}')
+                await page.send_str('{"watch":[[1,0],[2,0]]}')
             else:
                 (length,) = struct.unpack_from("<I", message.data)
                 header = json.loads(message.data[4 : 4 + length])
