@@ -66,9 +66,13 @@ EXAMPLES = """where to begin:
 
 def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
-    arguments = parse(sys.argv[1:] if argv is None else argv)
-    plain_warnings()
-    code = _run(arguments)
+    try:
+        arguments = parse(sys.argv[1:] if argv is None else argv)
+        plain_warnings()
+        code = _run(arguments)
+    except BrokenPipeError:  # `swarmtrack sim --list | head`: whoever read us has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
     if argv is None:
         end_at_once_if_stuck(code)
     return code
@@ -110,9 +114,6 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"swarmtrack {arguments.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        return 0
-    except BrokenPipeError:  # `swarmtrack log info … | head`: whoever read us has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
 

@@ -2,6 +2,8 @@
 
 import argparse
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -105,3 +107,19 @@ def test_a_page_is_named_by_a_path_that_is_there_or_by_where_it_is(monkeypatch, 
     # As installed from a wheel, which has no pages.
     monkeypatch.setattr(arguments, "__file__", str(tmp_path / "swarmtrack" / "arguments.py"))
     assert page("security.md") == "docs/security.md in swarmtrack's source"
+
+
+def test_a_reader_of_a_list_who_has_enough_sees_no_traceback():
+    """As `swarmtrack sim --list | head -1`."""
+    listing = subprocess.Popen(
+        [sys.executable, "-m", "swarmtrack.agents.main", "sim", "--list"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert listing.stdout is not None
+    assert listing.stderr is not None
+    assert listing.stdout.readline()
+    listing.stdout.close()
+    with listing.stderr:
+        assert listing.stderr.read() == b""
+    assert listing.wait() == 0
