@@ -54,8 +54,7 @@ class OwnFlight:
     position [m] and velocity [m/s] in the team frame; position_sigma [m], of its worst axis; heading [rad]: where its
     camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, by camera of the
     exposure of its newest scan that showed anything new, and since the heading last stepped; inf where there was none.
-    clash:
-    another process speaks as this drone; doubted: what it sees tells that its own start or heading is wrong;
+    clash: another process speaks as this drone; doubted: what it sees tells that its own start or heading is wrong;
     clock_known: the autopilot's clock is mapped. sways: as its code has it.
     """
 

@@ -24,7 +24,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.geometry.charts import Gnomonic, Stereographic
+from swarmtrack.geometry.charts import Chart, Gnomonic, Stereographic
 from swarmtrack.messages import Array
 
 Mask = NDArray[np.bool_]
@@ -316,7 +316,7 @@ class PinholeCamera:
         return bool(angles[-1] == WIDE and radii[-1] < corner)
 
     @cached_property
-    def chart(self) -> Gnomonic | Stereographic:
+    def chart(self) -> Chart:
         """Which undistorted pixel stands for which direction."""
         kind = Stereographic if self.is_wide else Gnomonic
         return kind(self.fx, self.fy, self.cx, self.cy)
@@ -501,10 +501,10 @@ class PinholeCamera:
         return normalised if self._lens is None else self._lens.remove(normalised)
 
     def _normalised(self, pixels: Array) -> Array:
-        return (_pairs(pixels) - [self.cx, self.cy]) / [self.fx, self.fy]
+        return self.chart.normalised(_pairs(pixels))
 
     def _denormalise(self, normalised: Array) -> Array:
-        return normalised * [self.fx, self.fy] + [self.cx, self.cy]
+        return self.chart.denormalised(normalised)
 
 
 def _pairs(pixels: Array) -> Array:

@@ -11,9 +11,10 @@ a rotation of the camera does to places and motions, and how many pixels an angl
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,66 +37,19 @@ class Turned(NamedTuple):
     bend: Array
 
 
-class Chart(Protocol):
-    """Pixels (n, 2) are undistorted ones; directions are in the camera's axes."""
-
-    halves: ClassVar[float]
-    """m in u = m f tan(θ/m)."""
-    reach: ClassVar[float]
-    """rad off the axis: what is further has no place."""
-
-    def places(self, points: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Points (n, 3) m -> places (n, 2) in focal lengths, d place / d point (n, 2, 3), which have one (n,); those of
-        the others mean nothing."""
-        ...
-
-    def rays(self, places: Array) -> Array:
-        """Unit vectors (n, 3) of places (n, 2) in focal lengths."""
-        ...
-
-    def rays_by_place(self, places: Array) -> Array:
-        """d ray / d place (n, 3, 2), places in focal lengths."""
-        ...
-
-    def flow(self, pixels: Array) -> Array:
-        """d pixel / d angle (n, 2, 3) px/rad, of points at infinity for a rotation of the camera."""
-        ...
-
-    def flow_gradient(self, pixels: Array, angle: Array) -> Array:
-        """d (flow · angle) / d pixel (n, 2, 2), at an angle (3,) rad."""
-        ...
-
-    def add_flow_of_error(self, cov: Array, pixels: Array, variance: float) -> None:
-        """Add variance [rad²] × flow flowᵀ to the places' part of covariances (n, 4+, 4+), in place."""
-        ...
-
-    def turn(self, moving: Array, rotation: Array) -> Turned:
-        """Every direction, and its motion, by a rotation (3, 3) of the camera: its axes now from then. moving (2, 2,
-        n) px and px/s: coordinate, then place and motion."""
-        ...
-
-    def per_radian(self, pixels: Array) -> Array:
-        """px that a radian is along u and v, (n, 2) or the same for all, (2,)."""
-        ...
-
-    def solid_angle(self, pixels: Array) -> Array:
-        """rad² (n,) that a square pixel covers."""
-        ...
-
-    def radial(self, squared: Array) -> tuple[Array, Array, Array]:
-        """By which factor a place of the *other* chart, `squared` (n,) its squared distance off the centre in focal
-        lengths, is farther out here; and the first two derivatives of that by `squared`."""
-        ...
-
-
 @dataclass(frozen=True)
-class _Plane:
-    """The pixels of a plane: focal lengths and centre, px."""
+class Chart(ABC):
+    """Focal lengths and centre, px. Pixels (n, 2) are undistorted ones; directions are in the camera's axes."""
 
     fx: float
     fy: float
     cx: float
     cy: float
+
+    halves: ClassVar[float]
+    """m in u = m f tan(θ/m)."""
+    reach: ClassVar[float]
+    """rad off the axis: what is further has no place."""
 
     @cached_property
     def K(self) -> Array:
@@ -119,9 +73,52 @@ class _Plane:
     def denormalised(self, places: Array) -> Array:
         return places * [self.fx, self.fy] + [self.cx, self.cy]
 
+    @abstractmethod
+    def places(self, points: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Points (n, 3) m -> places (n, 2) in focal lengths, d place / d point (n, 2, 3), which have one (n,); those of
+        the others mean nothing."""
+
+    @abstractmethod
+    def rays(self, places: Array) -> Array:
+        """Unit vectors (n, 3) of places (n, 2) in focal lengths."""
+
+    @abstractmethod
+    def rays_by_place(self, places: Array) -> Array:
+        """d ray / d place (n, 3, 2), places in focal lengths."""
+
+    @abstractmethod
+    def flow(self, pixels: Array) -> Array:
+        """d pixel / d angle (n, 2, 3) px/rad, of points at infinity for a rotation of the camera."""
+
+    @abstractmethod
+    def flow_gradient(self, pixels: Array, angle: Array) -> Array:
+        """d (flow · angle) / d pixel (n, 2, 2), at an angle (3,) rad."""
+
+    @abstractmethod
+    def add_flow_of_error(self, cov: Array, pixels: Array, variance: float) -> None:
+        """Add variance [rad²] × flow flowᵀ to the places' part of covariances (n, 4+, 4+), in place."""
+
+    @abstractmethod
+    def turn(self, moving: Array, rotation: Array) -> Turned:
+        """Every direction, and its motion, by a rotation (3, 3) of the camera: its axes now from then. moving (2, 2,
+        n) px and px/s: coordinate, then place and motion."""
+
+    @abstractmethod
+    def per_radian(self, pixels: Array) -> Array:
+        """px that a radian is along u and v, (n, 2) or the same for all, (2,)."""
+
+    @abstractmethod
+    def solid_angle(self, pixels: Array) -> Array:
+        """rad² (n,) that a square pixel covers."""
+
+    @abstractmethod
+    def radial(self, squared: Array) -> tuple[Array, Array, Array]:
+        """By which factor a place of the *other* chart, `squared` (n,) its squared distance off the centre in focal
+        lengths, is farther out here; and the first two derivatives of that by `squared`."""
+
 
 @dataclass(frozen=True)
-class Gnomonic(_Plane):
+class Gnomonic(Chart):
     """The tangent plane: (x, y) = (X, Y) / Z."""
 
     halves: ClassVar[float] = 1.0
@@ -159,8 +156,7 @@ class Gnomonic(_Plane):
         return flow * [[self.fx], [self.fy]]
 
     def flow_gradient(self, pixels: Array, angle: Array) -> Array:
-        p = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
-        x, y = p[:, 0], p[:, 1]
+        x, y = self.normalised(pixels).T
         aspect = self.fx / self.fy
         gradient = np.empty((len(pixels), 2, 2))
         gradient[:, 0, 0] = y * angle[0] - 2.0 * x * angle[1]
@@ -231,7 +227,7 @@ class Gnomonic(_Plane):
 
 
 @dataclass(frozen=True)
-class Stereographic(_Plane):
+class Stereographic(Chart):
     """(x, y) = 2 (X, Y) / (|P| + Z). As one complex number x + iy it is turned by a Möbius transformation, so that all
     derivatives are complex numbers as well: a turn of the plane, and a stretch that is the same all ways."""
 
@@ -349,7 +345,7 @@ class Stereographic(_Plane):
         return np.asarray(1.0 + 0.25 * (places**2).sum(axis=1))
 
 
-def cross(moving: Array, here: Gnomonic | Stereographic, there: Gnomonic | Stereographic) -> Turned:
+def cross(moving: Array, here: Chart, there: Chart) -> Turned:
     """Places and motions (2, 2, n) px of one chart in another, for a camera that looks the same way.
 
     Charts of two kinds differ by a radial factor s of q = |p|²: p' = s p, J = s I + 2 s' p pᵀ, v' = J v, and

@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 
 from swarmtrack.identity.reprojection import NEAREST
 from swarmtrack.messages import Array, Sighting, SightingReport
+from swarmtrack.motion.leap import has_leapt
 
 # s of its own way that a drone remembers, and how far a report may be from what it knows of it.
 MEMORY_S, SIMULTANEOUS_S = 2.0, 0.3
 # s that a report counts; and while the drone doubts itself, when teammates no longer know whom they see.
 COUNTS_S, COUNTS_IN_DOUBT_S = 3.0, 60.0
-# m/s, and m: the own place that moves farther from scan to scan has leapt.
-FASTEST_M_S, LEAPT_M = 8.0, 0.5
 # s, m and rad: a report that knows less tells nothing.
 VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 3.0, 0.3
 # Of reports: those as good as they say, those off by some of it, and those by much; these in rad and m.
@@ -60,7 +59,7 @@ class Onlookers:
         """Where this drone thinks that it is (3,) m at a scan. in_doubt: whether it doubts that."""
         if self._path:
             before, there, _ = self._path[-1]
-            if math.dist(position, there) > FASTEST_M_S * abs(t - before) + LEAPT_M:
+            if has_leapt(there, position, t - before):
                 self._path.clear()
                 self._rays.clear()
         self._path.append((t, position, sigma))

@@ -35,6 +35,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from swarmtrack.messages import Array
+from swarmtrack.motion.leap import has_leapt
 from swarmtrack.relative.log_range import across
 from swarmtrack.relative.looks import TeamLook
 
@@ -48,8 +49,6 @@ LEAST_S, LEAST_LOOKS, LEAST_ACROSS_M = 1.0, 6, 0.3
 GROWS, WIDTH_SIGMA = 0.06, 0.1
 # s: over which the fit forgets, and over which what has just been seen is averaged.
 FORGET_S, RECENT_S = 20.0, 0.7
-# m/s, and m: the own place that moves farther from look to look has leapt.
-FASTEST_M_S, LEAPT_M = 8.0, 0.5
 # rad, per axis: of the own attitude, from one look to the next.
 ATTITUDE_SIGMA: Final = 0.006
 # Of squared residuals over their variance: as large is their mean where the fit fits, and where it does of late.
@@ -217,7 +216,7 @@ class FarOff:
         """look: of the tracks that have no name. Who is not in it has ended, or has a name by now."""
         if self._last is not None:
             t, camera = self._last
-            if float(np.linalg.norm(look.camera - camera)) > FASTEST_M_S * abs(look.t - t) + LEAPT_M:
+            if has_leapt(camera, look.camera, look.t - t):
                 self._fits, self._gone = {}, []
         self._last = look.t, look.camera
         seen = {key[1] for key in look.keys}

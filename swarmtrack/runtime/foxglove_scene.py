@@ -70,6 +70,7 @@ CAMERAS_S = 1.0
 # m: how far the lines around a field of view go, and a ray to who knows how far.
 VIEW_M, RAY_M = 1.0, 30.0
 GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
+LINES = 0.8  # their opacity
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 Written = tuple[Topic, bytes]
@@ -133,8 +134,8 @@ class FoxgloveScene:
             frame_id=name,
             id=name,
             lines=[
-                _line(LinePrimitiveLineType.LineLoop, border, _colour_of(None)),
-                _line(LinePrimitiveLineType.LineList, edges, _colour_of(None)),
+                _line(LinePrimitiveLineType.LineLoop, border, colour_of_name(None, LINES)),
+                _line(LinePrimitiveLineType.LineList, edges, colour_of_name(None, LINES)),
             ],
         )
 
@@ -162,7 +163,11 @@ class FoxgloveScene:
             id=str(entry.track.id),
             lifetime=LIFETIME,
             lines=[
-                _line(LinePrimitiveLineType.LineStrip, (np.zeros(3), far * ray), _colour_of(entry.identity))
+                _line(
+                    LinePrimitiveLineType.LineStrip,
+                    (np.zeros(3), far * ray),
+                    colour_of_name(entry.identity, LINES),
+                )
             ],
         )
 
@@ -257,12 +262,13 @@ def _line(kind: LinePrimitiveLineType, points: Sequence[Array] | Array, color: C
     )
 
 
-def _colour_of(identity: Identity) -> Color:
+def colour_of_name(identity: Identity, opacity: float) -> Color:
+    """opacity: 0 … 1."""
     if identity is None or identity == FOREIGN:
         r, g, b = GREY if identity is None else WHITE
     else:
         r, g, b = (value / 255 for value in colour_of(identity))
-    return Color(r=r, g=g, b=b, a=0.8)
+    return Color(r=r, g=g, b=b, a=opacity)
 
 
 def _transform(parent: str, child: str, parent_from_child: Placed, stamp: Timestamp) -> FrameTransform:

@@ -26,14 +26,13 @@ from foxglove.messages import (
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
-from swarmtrack.messages import FOREIGN, MOST_CAMERAS, EgoPose, Frame, Identity, Input, ScanReport
+from swarmtrack.messages import MOST_CAMERAS, EgoPose, Frame, Input, ScanReport
 from swarmtrack.recording import schemas
 from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.writer import Topic
 from swarmtrack.relative.read_out import read_out
-from swarmtrack.runtime.foxglove_scene import camera_frame
+from swarmtrack.runtime.foxglove_scene import camera_frame, colour_of_name
 from swarmtrack.runtime.outputs import SeenTrack, as_seen
-from swarmtrack.runtime.palette import colour_of
 
 IMAGES = [Topic.well_known(image_topic(k), CompressedImage) for k in range(MOST_CAMERAS)]
 FRAME = Topic.of_json(FRAMES_TOPIC, schemas.FRAME)
@@ -46,7 +45,6 @@ EVENTS = Topic.well_known("/log", Log)
 
 JPEG_QUALITY = 90
 UNKNOWN_BOX = 24.0  # px
-GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
 
 Written = tuple[Topic, bytes]
 
@@ -116,14 +114,6 @@ def stamp(ns: int) -> Timestamp:
     return Timestamp(sec=ns // 1_000_000_000, nsec=ns % 1_000_000_000)
 
 
-def _colour(identity: Identity) -> Color:
-    if identity is None or identity == FOREIGN:
-        r, g, b = GREY if identity is None else WHITE
-    else:
-        r, g, b = (value / 255 for value in colour_of(identity))
-    return Color(r=r, g=g, b=b, a=1.0)
-
-
 def _box(track: SeenTrack, when: Timestamp) -> PointsAnnotation:
     u, v = track.centre.tolist()
     w, h = (UNKNOWN_BOX if math.isnan(side) else side for side in track.size.tolist())
@@ -132,7 +122,7 @@ def _box(track: SeenTrack, when: Timestamp) -> PointsAnnotation:
         timestamp=when,
         type=PointsAnnotationType.LineLoop,
         points=[Point2(x=u + 0.5 * sx * w, y=v + 0.5 * sy * h) for sx, sy in corners],
-        outline_color=_colour(track.entry.identity),
+        outline_color=colour_of_name(track.entry.identity, 1.0),
         thickness=2.0,
     )
 
@@ -153,6 +143,6 @@ def _label(track: SeenTrack, when: Timestamp) -> TextAnnotation:
         position=Point2(x=u, y=v),
         text=f"{name}{_away(track)}  (track {track.entry.track.id}, {track.entry.track.status})",
         font_size=12.0,
-        text_color=_colour(identity),
+        text_color=colour_of_name(identity, 1.0),
         background_color=Color(r=0.0, g=0.0, b=0.0, a=0.5),
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
-from swarmtrack.identity.proof import LASTS_S, PROVED
+from swarmtrack.identity.proof import LASTS_S, PROVED, Proofs
 from swarmtrack.identity.weighing import PLACE_ALONE
 from swarmtrack.messages import MotionReport, SightingReport
 
@@ -112,6 +112,33 @@ def test_who_starts_on_the_other_s_pad_gets_its_own_name_by_its_motion_and_that_
     apart = np.linalg.norm(at(LEFT) - at(RIGHT))
     for told in found.values():
         assert told.miss_m == pytest.approx(apart, rel=0.2)
+
+
+class Compared:
+    """Motion of drones 1 … m compared with tracks: log ratios (n, m)."""
+
+    def __init__(self, *ratios):
+        self.ratios = np.array([ratios])
+        self.exact = tuple(range(1, 1 + self.ratios.shape[2]))
+        self.turn_weight = np.ones(1)
+
+    def log_ratios(self, tracks, drones):
+        return self.ratios
+
+
+@pytest.mark.parametrize(
+    ("ratios", "proved"),
+    [
+        (((13.8, -13.8), (13.8, 13.8)), {(1, 1), (2, 2)}),
+        (((13.8, 13.8), (13.8, 13.8)), set()),
+        (((13.8, 2.0), (2.0, 3.0)), {(1, 1)}),
+    ],
+    ids=["one may be both, the other is the first", "both may be both", "neither is a rival"],
+)
+def test_who_moves_like_others_is_proved_by_who_the_others_cannot_be(ratios, proved):
+    proofs = Proofs()
+    proofs.judge(1.0, (1, 2), Compared(*ratios))
+    assert {pair for pair in ((1, 1), (1, 2), (2, 1), (2, 2)) if proofs.of(*pair)} == proved
 
 
 def test_a_drone_is_named_by_its_motion_although_it_should_be_behind_the_camera():
