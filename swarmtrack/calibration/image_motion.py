@@ -67,11 +67,12 @@ class ImageMotion:
         return turn
 
     def turns(self) -> Turns:
-        """All that was found."""
+        """All that was found so far. Any thread may ask while more frames are seen."""
+        found = self.found.copy()
         return Turns(
-            np.array([turn.start for turn in self.found]),
-            np.array([turn.end for turn in self.found]),
-            np.array([turn.vector for turn in self.found]).reshape(-1, 3),
+            np.array([turn.start for turn in found]),
+            np.array([turn.end for turn in found]),
+            np.array([turn.vector for turn in found]).reshape(-1, 3),
         )
 
     def _between(self, start: float, before: Image, end: float, after: Image) -> Turn | None:

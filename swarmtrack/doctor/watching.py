@@ -63,9 +63,11 @@ class SampleCollector(AutopilotListener):
         """Of no interest here."""
 
     def gyro(self) -> GyroTurns:
+        """So far. Any thread may ask while more samples come in."""
+        samples = self.samples.copy()
         return GyroTurns(
-            np.array([sample.t for sample in self.samples]),
-            np.array([sample.gyro for sample in self.samples]).reshape(-1, 3),
+            np.array([sample.t for sample in samples]),
+            np.array([sample.gyro for sample in samples]).reshape(-1, 3),
         )
 
 
