@@ -96,6 +96,7 @@ class Identities:
             pose_requests=self._pose_requests,
             occlusion=self._occlusion,
             team_fit=self._team_fit,
+            self_doubt=self._self_doubt,
         )
 
     @property
@@ -297,12 +298,14 @@ class Identities:
                 whereabouts=whereabouts,
                 weighing=self._weighing,
             )
-        for name in [name for name in self._names if self._self_doubt.forbids(name, self._weighing)]:
-            self._names.fire(name, Event.OVERRULED)
+        t = view.observer.t
+        for name in list(self._names):
+            if self._self_doubt.forbids(name, self._weighing) or self._team_fit.forbids(name, t):
+                self._names.fire(name, Event.OVERRULED)
         if self.self_doubt:
             proofs = self._weighing.proofs
             for held in self._names.settled:
-                if not proofs.lasts(held.track_id, held.drone_id, view.observer.t):
+                if not proofs.lasts(held.track_id, held.drone_id, t):
                     self._names.fire(held, Event.SELF_DOUBTED)
                     held.weaken(0.0)
 
@@ -321,4 +324,4 @@ class Identities:
             self._judgement.judge(held, matches, t)
         is_new = self._names.of(track.id) is None and track.status is not TrackStatus.LOST
         if is_new and seen_in >= self._parameters.scans:
-            self._judgement.assign_likeliest(track, matches, t, in_doubt=self._self_doubt.is_puzzled)
+            self._judgement.assign_likeliest(track, matches, t)

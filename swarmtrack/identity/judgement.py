@@ -22,6 +22,7 @@ from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.posterior import LOG_ANYWHERE
 from swarmtrack.identity.proof import Astray
 from swarmtrack.identity.reprojection import ObserverCamera, Predictions, is_vague
+from swarmtrack.identity.self_doubt import SelfDoubt
 from swarmtrack.identity.standing import Event, Standing
 from swarmtrack.identity.team_fit import TeamFit
 from swarmtrack.identity.teammates import Teammates
@@ -52,6 +53,7 @@ class Judgement:
         pose_requests: PoseRequests,
         occlusion: OcclusionWatch,
         team_fit: TeamFit,
+        self_doubt: SelfDoubt,
     ) -> None:
         self._parameters = parameters
         self._teammates = teammates
@@ -61,6 +63,7 @@ class Judgement:
         self._pose_requests = pose_requests
         self._occlusion = occlusion
         self._team_fit = team_fit
+        self._self_doubt = self_doubt
         self._vouched: set[int] = set()
         self._astray: list[Astray] = []
 
@@ -146,13 +149,11 @@ class Judgement:
         else:
             self._ask(matches, t)
 
-    def assign_likeliest(
-        self, track: Track, matches: Mapping[int, Match], t: float, *, in_doubt: bool
-    ) -> None:
+    def assign_likeliest(self, track: Track, matches: Mapping[int, Match], t: float) -> None:
         """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it. One that looks too
-        weak for a track is vouched for, and named once the tracker agrees. in_doubt: this drone's own pose is."""
+        weak for a track is vouched for, and named once the tracker agrees."""
         drone = max(matches, key=lambda drone: matches[drone].probability, default=None)
-        if drone is None or not self._may_be_named(track, drone, t, in_doubt=in_doubt):
+        if drone is None or not self._may_be_named(track, drone, t):
             return
         match = matches[drone]
         if match.probability < self._weighing.sure(drone, self._parameters.probability):
@@ -179,7 +180,7 @@ class Judgement:
         if explained and t - unassigned.first_t > NAMELESS_S:
             self._ask(matches, t)
 
-    def _may_be_named(self, track: Track, drone: int, t: float, *, in_doubt: bool) -> bool:
+    def _may_be_named(self, track: Track, drone: int, t: float) -> bool:
         """Whether any probability is enough: who is disputed, or knows no place, is named by motion alone, and so is
         by who doubts its own pose whoever tells how it moves."""
         if drone in self._disputes:
@@ -189,8 +190,9 @@ class Judgement:
             return False
         if self._weighing.proofs.lasts(track.id, drone, t):
             return True
-        in_doubt = (in_doubt and tells_motion) or self._disputes.needs_proof(drone)
-        return not in_doubt and self._team_fit.tells(drone)
+        if self._disputes.needs_proof(drone) or not self._team_fit.tells(drone):
+            return False
+        return self._self_doubt.trusts_place(track.id, drone, self._weighing)
 
     def _doubt(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
         """Another track may be the drone: where this one was seen says nothing of where the drone is."""

@@ -27,6 +27,8 @@ from swarmtrack.motion.ego import TeamPose
 SAID = ((0.75, 0.5), (0.4, 1.5))
 # And below which it is said no more.
 GONE = ((0.25, 3.0),)
+# And from which on it is suspected at once, which is not said.
+SUSPECTED = 0.4
 # rad: by so many sigmas, and by so much at least, a heading must be off to be worth a word.
 SIGMAS, LEAST = 2.0, math.radians(6.0)
 # m: and a start.
@@ -137,16 +139,20 @@ class SelfDoubt:
             self._break_off(t)
 
     def forbids(self, name: Assignment, weighing: Weighing) -> bool:
-        """Whether it is given up: who is elsewhere knows nobody by place, and who doubts itself nobody by place alone
-        that tells how it moves."""
+        """Whether it is given up: who is elsewhere knows nobody by place."""
         proved = weighing.proofs.of(name.track_id, name.drone_id) is not None
-        by_place = self.own.turned >= 0.5 and not (self.is_puzzled and weighing.tells_motion(name.drone_id))
-        return self.said and not proved and not by_place
+        if not self.said or proved:
+            return False
+        return self.own.turned < 0.5 or not self.trusts_place(name.track_id, name.drone_id, weighing)
 
-    @property
-    def is_puzzled(self) -> bool:
-        """Whether the own pose is wrong, and it may be that this drone looks to another side than it thinks."""
-        return self.said and self.own.beside > FAR
+    def trusts_place(self, track_id: int, drone_id: int, weighing: Weighing) -> bool:
+        """Whether its place may tell that a track is a drone. Who may be wrong itself waits for motion, of those that
+        tell how they move: until it is clear to which side it looks, and where it moves as two of them."""
+        if not (self.said or self._p > SUSPECTED) or not weighing.tells_motion(drone_id):
+            return True
+        if self.said and self.own.beside > FAR:
+            return False
+        return not weighing.moves_as_another(track_id, drone_id)
 
     def _think_of_turns(self, t: float, weighing: Weighing) -> None:
         """By motion, as long as something may be wrong: with every heading that is too much work for each scan."""

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from swarmtrack.identity.assignment import Assignment
 from swarmtrack.identity.names import Names
 from swarmtrack.identity.reprojection import NEAREST, ObserverCamera, Predictions
 from swarmtrack.identity.teammates import Teammates
@@ -41,7 +42,7 @@ class TeamFit:
         self._weighing = weighing
         self._missing: list[int] = []
         """The teammates without a track of whom it is not known that their places are right."""
-        self._is_puzzling = False
+        self._puzzling_since = math.inf
         self._most_fit = True
         self._fits_since: dict[int, float] = {}
         """By drone whose place fits: since when, s."""
@@ -65,7 +66,8 @@ class TeamFit:
         ]
         odd = [track for track in odd if self._others(track)]
         # Where there are more of them than teammates are missing, the scene is full of such things.
-        self._is_puzzling = 0 < len(odd) <= len(self._missing)
+        is_puzzling = 0 < len(odd) <= len(self._missing)
+        self._puzzling_since = min(self._puzzling_since, t) if is_puzzling else math.inf
         fits = set(self._names.stated) | found
         self._most_fit = len(fits) >= len(odd)
         self._remember(t)
@@ -76,6 +78,14 @@ class TeamFit:
             return True
         # Who tells how it moves will prove its name in a moment.
         return self._most_fit and not self._weighing.tells_motion(drone_id)
+
+    def forbids(self, name: Assignment, t: float) -> bool:
+        """Whether it is given up: its place gave it before it showed that the tracks do not fit the team, they have not
+        for a while, and motion will tell."""
+        if t - self._puzzling_since < FITS_S or self.tells(name.drone_id):
+            return False
+        proved = self._weighing.proofs.of(name.track_id, name.drone_id) is not None
+        return not proved and self._weighing.tells_motion(name.drone_id)
 
     def may_be_missing(self, track: Track, view: ObserverCamera) -> bool:
         """Whether a track that no place explains may be a teammate whose start is wrong."""
@@ -89,6 +99,10 @@ class TeamFit:
         """Another life of the drone begins in another place."""
         self._placed.discard(drone_id)
         self._fits_since.pop(drone_id, None)
+
+    @property
+    def _is_puzzling(self) -> bool:
+        return math.isfinite(self._puzzling_since)
 
     def _others(self, track_id: int) -> list[int]:
         """The missing that it may be by how it moves."""

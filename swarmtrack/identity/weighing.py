@@ -331,6 +331,15 @@ class Weighing:
         """The part of a log ratio that tells how both moved."""
         return self._motion.log_ratio(track_id, drone_id)
 
+    def moves_as_another(self, track_id: int, drone_id: int) -> bool:
+        """Whether the track moves about as another drone that tells how it moves, and is not proved to be elsewhere."""
+        least = self.motion(track_id, drone_id) - MOVES_AS
+        return any(
+            self.motion(track_id, other) > least and self.proofs.track_of(other) in (None, track_id)
+            for other in self._motion.exact
+            if other != drone_id
+        )
+
     def moved_since(self, held: Assignment) -> float:
         """Log ratio: what motion says of an ID since it was last judged."""
         return self.motion(held.track_id, held.drone_id) - held.motion

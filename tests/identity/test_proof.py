@@ -186,3 +186,14 @@ def test_one_that_moves_elsewhere_than_it_says_is_no_reason_to_doubt_oneself():
     flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: shifted(RIGHT, -150.0)})
     assert flight.flies(12.0) == {"a": 2, "b": 3}
     assert not flight.observer.identities.self_doubt
+
+
+def test_who_doubts_itself_does_not_tell_by_their_places_who_is_who_of_two_that_move_alike():
+    """Its compass is off by 10°."""
+    flight = Sway(
+        {"a": LEFT, "b": RIGHT}, {2: 12, 3: 12}, {2: shifted(LEFT, -75.0), 3: shifted(RIGHT, -75.0)}
+    )
+    flight.flies(6.0)
+    assert flight.observer.identities.self_doubt
+    for _ in range(20):
+        assert flight.flies(SCAN_S) == {"a": None, "b": None}

@@ -51,6 +51,17 @@ def test_another_life_of_it_has_to_fit_again():
     assert observer.sees(1.0, d=LEFT, e=UP, f=FAR_UP)["d"] is None
 
 
+def test_a_name_given_before_the_others_were_heard_waits_for_motion_where_their_places_fit_no_track():
+    observer = Observer()
+    observer.hears(2, MIDDLE)
+    for drone in (2, 3, 4):
+        observer.stands_still(drone)
+    assert observer.sees(1.0, a=LEFT, b=MIDDLE, c=RIGHT)["b"] == 2
+    observer.hears(3, UP, metres=-8.0)
+    observer.hears(4, FAR_UP, metres=-8.0)
+    assert observer.sees(2.0, a=LEFT, b=MIDDLE, c=RIGHT) == {"a": None, "b": None, "c": None}
+
+
 @pytest.mark.parametrize(("metres_aside", "may_be"), [(5.0, True), (20.0, False)])
 def test_a_track_may_be_a_missing_teammate_that_is_some_metres_beside_its_ray(metres_aside, may_be):
     """No stranger is called foreign while it may be."""

@@ -9,7 +9,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Announcement, SightingReport, Track, TrackStatus
+from swarmtrack.messages import Announcement, MotionReport, SightingReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -63,6 +63,11 @@ class Observer:
         self.identities.on_report(
             SightingReport(drone_id, boot, self.reports, self.t, 0.0, at(pixel, metres), sigma, (), ())
         )
+
+    def stands_still(self, drone_id, boot="0000000a"):
+        """The drone says that it does not move."""
+        still, cov = np.zeros(3), 0.01 * np.eye(3)
+        self.identities.on_motion(MotionReport(drone_id, boot, 1, self.t, 0.0, still, cov, still, cov))
 
     def turn(self, degrees):
         """To the right; what it sees from now on is in its image as the test says."""
