@@ -22,7 +22,6 @@ CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 SPAN = 0.45
 PLACES = {2: np.array([6.0, 1.0, -3.0]), 3: np.array([2.0, 7.0, -2.2]), 4: np.array([-5.0, -4.0, -2.8])}
 HERE = np.array([0.0, 0.0, -2.5])
-# Of the gyro, from one scan to that of the next camera.
 SAMPLES_PER_SCAN = 12
 ALL_ROUND = (0.0, 90.0, 180.0, 270.0)
 
@@ -35,9 +34,11 @@ def looking(azimuth_deg, place=(0.0, 0.0, 0.0)):
 class Flight:
     """Drone 1 hovers, and yaws; its teammates hover around it."""
 
-    def __init__(self, azimuths, seed=1, compass=0.0, tracker="mbm"):
-        """compass rad: by how much the autopilot's heading is off."""
+    def __init__(self, azimuths, seed=1, compass=0.0, tracker="mbm", samples_per_scan=SAMPLES_PER_SCAN):
+        """compass rad: by how much the autopilot's heading is off. samples_per_scan: of the gyro, from one scan to that
+        of the next camera."""
         self.compass = compass
+        self.samples_per_scan = samples_per_scan
         self.poses = [looking(azimuth) for azimuth in azimuths]
         cameras = [CAMERA] * len(self.poses)
         trackers = create_trackers(tracker, cameras=cameras, **AGENT_PARAMETERS)
@@ -78,7 +79,7 @@ class Flight:
             if k % 10 == 0:
                 said = rotation.from_euler(0.0, 0.0, self.yaw + self.compass)
                 self.drone.tell(EgoPose(self.t, np.zeros(3), said))
-            if k % SAMPLES_PER_SCAN == 0:
+            if k % self.samples_per_scan == 0:
                 if self.number % n not in self.silent:
                     self.look(self.number % n)
                 self.number += 1
@@ -199,14 +200,26 @@ def test_metres_are_as_good_where_one_camera_is_late(late):
     assert sigmas[late] < 1.1 * sigmas[0.0]
 
 
-def test_a_report_of_sightings_tells_of_all_cameras():
+@pytest.mark.parametrize("detector_hz", [16.7, 10.0])
+def test_a_report_of_sightings_tells_of_all_cameras(detector_hz):
+    flight = Flight(ALL_ROUND, samples_per_scan=round(200.0 / detector_hz))
+    flight.fly(0.0, 3.0)
+    for _ in range(10):
+        flight.fly(0.0, 0.33)
+        report = flight.drone.sighting_report("0000000b", 1)
+        assert sorted(sighting.drone_id for sighting in report.sightings) == [2, 3, 4]
+        for sighting in report.sightings:
+            away = PLACES[sighting.drone_id] - report.position
+            assert sighting.direction @ away / np.linalg.norm(away) > math.cos(math.radians(1.5))
+
+
+def test_a_report_of_sightings_tells_of_nobody_whom_its_camera_does_not_show_any_more(monkeypatch):
     flight = Flight(ALL_ROUND)
     flight.fly(0.0, 3.0)
+    monkeypatch.delitem(PLACES, 3)
+    flight.fly(0.0, 0.5)
     report = flight.drone.sighting_report("0000000b", 1)
-    assert sorted(sighting.drone_id for sighting in report.sightings) == [2, 3, 4]
-    for sighting in report.sightings:
-        away = PLACES[sighting.drone_id] - report.position
-        assert sighting.direction @ away / np.linalg.norm(away) > math.cos(math.radians(1.5))
+    assert sorted(sighting.drone_id for sighting in report.sightings) == [2, 4]
 
 
 def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_those_that_wait_are_tracked_in_their_order():

@@ -382,6 +382,12 @@ class PinholeCamera:
         """Focal lengths from the centre, in the plane of `framed`, where a wide lens ends; infinite for others."""
         return float(self._lens.table[1][-1]) if isinstance(self._lens, WideLens) else math.inf
 
+    def within_reach(self, at: Array) -> Array:
+        """(n,) focal lengths by which places (n, 2) in the plane of `framed` are within a wide lens' reach; negative
+        beyond it."""
+        away = (at - [self.cx, self.cy]) / [self.fx, self.fy]
+        return np.asarray(self.frame_radius - np.linalg.norm(away, axis=1))
+
     def framed(self, pixels: Array) -> Framed:
         """Undistorted pixels (n, 2) in the plane where the image is an upright box and boxes are as wide as told.
 

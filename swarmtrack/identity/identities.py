@@ -52,8 +52,9 @@ from swarmtrack.messages import (
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.relative.alignment import FrameTransform
 
-# s: what another camera saw so shortly before or after is part of what this drone sees now.
-RECENT_S = 0.2
+# s: what another camera saw so shortly before or after is part of what this drone sees now, until that camera looks
+# again.
+RECENT_S = 1.0
 
 
 class Identities:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 from swarmtrack.identity.assignment import Assignment, Unassigned
 from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, rays_to
@@ -27,6 +27,8 @@ class Names:
         self.lost: dict[int, Assignment] = {}
         self._assignments: dict[int, Assignment] = {}
         """By track."""
+        self._looked: dict[int, float] = {}
+        """By camera, of when its last scan is, s."""
 
     def __iter__(self) -> Iterator[Assignment]:
         return iter(self._assignments.values())
@@ -73,18 +75,22 @@ class Names:
 
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
         """The rays to identified drones that were detected in the scan of t, and how surely it is they."""
-        return self._rays((held for held in self.settled if held.track_id in self.shown), t, 0.0)
+        named = [held for held in self.settled if held.track_id in self.shown]
+        return [(held.seen, self._surely(held)) for held in named if held.seen and held.seen.t == t]
 
     def sightings_elsewhere(self, t: float, within: float) -> list[tuple[LastSeen, float]]:
-        """Likewise of those that other cameras show, and detected within so many s of t."""
-        return self._rays((held for held in self.settled if held.track_id not in self.shown), t, within)
-
-    def _rays(self, named: Iterable[Assignment], t: float, within: float) -> list[tuple[LastSeen, float]]:
+        """Likewise of those that other cameras show, and detected when they looked last, within so many s of t."""
         return [
-            (held.seen, held.probability * self.alive[held.track_id].probability)
-            for held in named
-            if held.seen and abs(held.seen.t - t) <= within
+            (held.seen, self._surely(held))
+            for held in self.settled
+            if held.track_id not in self.shown
+            and held.seen
+            and abs(held.seen.t - t) <= within
+            and held.seen.t >= self._looked[self.alive[held.track_id].camera]
         ]
+
+    def _surely(self, held: Assignment) -> float:
+        return held.probability * self.alive[held.track_id].probability
 
     def assign(self, held: Assignment) -> None:
         """Its track is that drone, and no longer whichever it was."""
@@ -112,6 +118,7 @@ class Names:
     def follow(self, alive: Mapping[int, Track], t: float, camera: int = 0) -> None:
         """The tracks after another scan, of this camera: IDs are taken from those that ended."""
         self.alive = alive
+        self._looked[camera] = t
         self.shown = {id: track for id, track in alive.items() if track.camera == camera}
         for ended in [held for held in self if held.track_id not in alive]:
             self.fire(ended, Event.TRACK_ENDED)

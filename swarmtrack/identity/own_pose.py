@@ -369,11 +369,14 @@ def _in_view(look: ScanEvidence, here: ReprojectionResiduals, camera: PinholeCam
 def _inside(pixel: Array, sigma: Array, camera: PinholeCamera) -> Array:
     """(…,) that what is at pixel (…, 2), ± sigma (…, 2), is in the image."""
     low, high = camera.frame_bounds
+    reached: Array | float = 1.0
     if camera.is_wide:
         framed = camera.framed(pixel.reshape(-1, 2))
         sigma = sigma * np.reshape(framed.scale, pixel.shape)
+        spread = np.sqrt(((sigma / [camera.fx, camera.fy]) ** 2).mean(axis=-1))
+        reached = _below(camera.within_reach(framed.at).reshape(pixel.shape[:-1]) / spread)
         pixel = framed.at.reshape(pixel.shape)
-    return np.asarray((_below((high - pixel) / sigma) - _below((low - pixel) / sigma)).prod(axis=-1))
+    return np.asarray((_below((high - pixel) / sigma) - _below((low - pixel) / sigma)).prod(axis=-1) * reached)
 
 
 def _below(sigmas: Array) -> Array:

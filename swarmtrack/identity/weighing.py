@@ -411,8 +411,10 @@ class Weighing:
     def _is_inside(self, predicted: Predictions, beside: float = 0.0) -> NDArray[np.bool_]:
         """(k,); beside: how far out counts as well, of the image's size."""
         camera = self._eye.camera
-        away = np.abs(camera.framed(predicted.pixel).at / (camera.width, camera.height) - 0.5)
-        return np.asarray((away < 0.5 + beside).all(axis=1))
+        at, size = camera.framed(predicted.pixel).at, np.array([camera.width, camera.height])
+        inside = (np.abs(at / size - 0.5) < 0.5 + beside).all(axis=1)
+        reached = camera.within_reach(at) > -beside * (size / (camera.fx, camera.fy)).min()
+        return np.asarray(inside & reached)
 
     def recognise(self, drone_id: int, track: Track, distance: float, probability: float) -> None:
         """The posterior is sure that the track is the drone, which is `distance` m away now."""

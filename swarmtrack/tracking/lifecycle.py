@@ -57,10 +57,8 @@ def probability_in_view(mean: Array, cov: Array, camera: PinholeCamera) -> Array
 
 def _within_the_circle(at: Array, sigma: Array, camera: PinholeCamera) -> Array:
     """(n,) that a place (n, 2) of the frame, ± sigma (n, 2), is within the reach of a wide lens."""
-    focal = np.array([camera.fx, camera.fy])
-    places = (at - [camera.cx, camera.cy]) / focal
-    away = camera.frame_radius - np.linalg.norm(places, axis=1)
-    return _normal_cdf(away / np.sqrt(((sigma / focal) ** 2).mean(axis=1)))
+    spread = sigma / [camera.fx, camera.fy]
+    return _normal_cdf(camera.within_reach(at) / np.sqrt((spread**2).mean(axis=1)))
 
 
 def _normal_cdf(x: Array) -> Array:

@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from support.observer import FORWARD, LEFT, MIDDLE, RIGHT, RIGHTWARD, SCAN_S, Observer, shifted
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera
 from swarmtrack.identity.pose_requests import PoseRequests
 from swarmtrack.identity.posterior import PRIOR
 from swarmtrack.identity.teammates import DEPARTED_S
@@ -380,14 +381,38 @@ def test_a_drone_that_another_camera_sees_tells_nothing_of_how_surely_this_one_s
     assert ahead.seen(3) == aside.seen(2) == PRIOR.p_seen
 
 
+def test_a_drone_beyond_the_reach_of_a_fisheye_is_not_missed_in_its_corners():
+    lens = PinholeCamera(193.0, 193.0, 399.5, 399.5, 800, 800, Equidistant((0.0, 0.0, 0.0, 0.0)))
+    observer = Observer(lens=lens)
+    off = np.radians([20.0, 125.0])
+    diagonal = np.column_stack([np.sin(off) / math.sqrt(2.0), np.sin(off) / math.sqrt(2.0), np.cos(off)])
+    shown, _ = lens.project_undistorted(8.0 * diagonal)[0]
+    for drone, direction in zip((2, 3), diagonal, strict=True):
+        observer.hears_at(drone, FORWARD.transform(8.0 * direction))
+    assert observer.sees(10.0, a=tuple(shown)) == {"a": 2}
+    (eye,) = observer.identities._weighing._eyes
+    assert eye.scene.seen(2) > PRIOR.p_seen
+    assert eye.scene.seen(3) == PRIOR.p_seen
+
+
 def test_a_drone_that_this_camera_has_just_missed_is_not_reported_as_seen():
     observer = two_cameras()
     assert sighted(observer) == [2, 3]
     # The other camera's turn will come; this one's is now.
     observer.sees(SCAN_S, camera=0, elsewhere="b", coasting="a", a=LEFT, b=MIDDLE)
     assert sighted(observer) == [3]
-    observer.sees(2 * SCAN_S, camera=0, elsewhere="b", coasting="a", a=LEFT, b=MIDDLE)
-    assert sighted(observer) == []
+
+
+def test_what_another_camera_saw_is_reported_until_that_looks_again_for_a_second_at_most():
+    observer = two_cameras()
+    observer.sees(0.8, camera=0, elsewhere="b", a=LEFT, b=MIDDLE)
+    assert sighted(observer) == [2, 3]
+    observer.sees(0.3, camera=0, elsewhere="b", a=LEFT, b=MIDDLE)
+    assert sighted(observer) == [2]
+    observer = two_cameras()
+    observer.sees(SCAN_S, camera=1, elsewhere="a", coasting="b", a=LEFT, b=MIDDLE)
+    observer.sees(SCAN_S, camera=0, elsewhere="b", coasting="b", a=LEFT, b=MIDDLE)
+    assert sighted(observer) == [2]
 
 
 def test_where_a_drone_is_that_another_camera_saw_is_known_the_less_the_faster_it_crosses_the_picture():

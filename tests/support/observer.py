@@ -34,10 +34,10 @@ def shifted(pixel, right=0.0, down=0.0):
 class Observer:
     """Drone 1: it hears announcements, and its tracks are what a test says."""
 
-    def __init__(self, cameras=(FORWARD,), **parameters):
+    def __init__(self, cameras=(FORWARD,), lens=CAMERA, **parameters):
         self.identities = Identities(
             1,
-            cameras=[(CAMERA, pose) for pose in cameras],
+            cameras=[(lens, pose) for pose in cameras],
             parameters=IdentityParameters(**parameters),
         )
         self.t = 0.0
@@ -53,6 +53,10 @@ class Observer:
 
     def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0, camera=FORWARD):
         place = camera.transform(FORWARD.inverse().transform(at(pixel, metres)))
+        return self.hears_at(drone_id, place, sequence, boot)
+
+    def hears_at(self, drone_id, place, sequence=1, boot="0000000a"):
+        """place (3,) m: from the observer, which faces north."""
         return self.identities.announce(
             Announcement(drone_id, boot, sequence, self.t, 0.0, place, np.eye(3), 0.01 * np.eye(3))
         )
