@@ -200,9 +200,15 @@ def _problem(layers: Layers, fault: PlanFault) -> Problem:
     return layers.problem(key, f"{'.'.join(key)}: {fault.text}")
 
 
-def field_of_view(camera: PinholeCamera, body_from_camera: Pose) -> HalfView:
-    """Of a drone that stands level."""
-    # As a drone that is turned like that camera would have it if it looked straight ahead.
-    turned = np.asarray(body_from_camera.rotation) @ BODY_FROM_FORWARD_CAMERA.T
-    roll, pitch, yaw = to_euler(turned).tolist()
-    return HalfView(*half_angles(camera), pitch, yaw, roll)
+def fields_of_view(mounted: Iterable[tuple[PinholeCamera, Pose]]) -> list[HalfView]:
+    """What the cameras of a level drone see. mounted: of each its lens and body_from_camera; it is the first that a
+    follower turns towards its references."""
+    views: list[HalfView] = []
+    first = 0.0
+    for camera, body_from_camera in mounted:
+        # As a drone that is turned like that camera would have it if it looked straight ahead.
+        turned = np.asarray(body_from_camera.rotation) @ BODY_FROM_FORWARD_CAMERA.T
+        roll, pitch, yaw = to_euler(turned).tolist()
+        first = first if views else yaw
+        views.append(HalfView(*half_angles(camera), pitch, math.remainder(yaw - first, 2.0 * math.pi), roll))
+    return views

@@ -222,6 +222,14 @@ def test_a_report_of_sightings_tells_of_nobody_whom_its_camera_does_not_show_any
     assert sorted(sighting.drone_id for sighting in report.sightings) == [2, 4]
 
 
+@pytest.mark.parametrize("first", [0.0, 90.0])
+def test_a_follower_turns_its_first_camera(first):
+    """As `fields_of_view` has it when a formation is checked."""
+    flight = Flight((first, 45.0))
+    flight.fly(0.0, 1.0)
+    assert math.degrees(flight.drone.own_flight(flight.t).heading) == pytest.approx(first, abs=1.0)
+
+
 def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_those_that_wait_are_tracked_in_their_order():
     flight = Flight((-40.0, 40.0))
     flight.fly(0.0, 1.0)

@@ -151,7 +151,7 @@ def _metres(scale: float, offset: float) -> Iterator[str]:
 
 
 def _wedge(plan: FormationPlan, drone: int, view: HalfView, scale: float, corner: tuple[float, float]) -> str:
-    """What a camera sees level, the nose towards the middle of the references."""
+    """What a camera sees level, the first one towards the middle of the references."""
     look = plan.looks(drone)[0]
     there, here = plan.slots[look.reference], plan.slots[drone]
     middle = math.atan2(there[1] - here[1], there[0] - here[0]) - look.right + view.right

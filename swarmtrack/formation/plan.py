@@ -30,13 +30,13 @@ LONGEST_SIZE_ERROR = 0.12
 NEIGHBOURS_M, ONE_HEIGHT_M = 6.0, 0.5
 # s: a leader that covers its distance to a follower in less is upon it before the follower knows.
 GAP_S = 3.0
-# Length of the mean of the directions to the references, below which the nose has nowhere to turn: of two, 145° apart.
+# Length of the mean of the directions to the references, below which there is nowhere to turn to: of two, 145° apart.
 LEAST_MIDDLE = 0.3
 
 
 class HalfView(NamedTuple):
-    """Half of the width and of the height of what a camera sees, how far its axis looks up and right of the nose, and
-    how far its picture is turned clockwise about that axis; rad."""
+    """Half of the width and of the height of what a camera sees, how far its axis looks up, and right of that of the
+    drone's first camera, and how far its picture is turned clockwise about that axis; rad."""
 
     half_width: float
     half_height: float
@@ -45,7 +45,7 @@ class HalfView(NamedTuple):
     roll: float = 0.0
 
     def where(self, look: LookAt) -> tuple[float, float]:
-        """Right and up of this camera's axis [rad], of what is right and up of the nose of a level drone."""
+        """Right and up of this camera's axis [rad], of what is right and up of the first camera's level axis."""
         right, level = look.right - self.right, math.cos(look.up)
         x, y, up = level * math.cos(right), level * math.sin(right), math.sin(look.up)
         ahead = x * math.cos(self.up) + up * math.sin(self.up)
@@ -65,7 +65,8 @@ class PlanFault(NamedTuple):
 
 
 class LookAt(NamedTuple):
-    """A reference from a slot: distance [m], and where it is: right of the nose, and above the level [rad]."""
+    """A reference from a slot: distance [m], and where it is: right of where the first camera looks, and above the
+    level [rad]."""
 
     reference: int
     distance: float
@@ -101,7 +102,7 @@ class FormationPlan:
         return sum(n for n, _ in units) / count, sum(e for _, e in units) / count
 
     def looks(self, drone: int) -> list[LookAt]:
-        """Where a follower in its slot sees its references, its nose towards their middle."""
+        """Where a follower in its slot sees its references, its first camera towards their middle, as it flies."""
         here = self.slots[drone]
         ways = [_minus(self.slots[other], here) for other in self.references[drone]]
         north, east = self.middle(drone)
@@ -145,7 +146,9 @@ def view_faults(
     faults = []
     tilt = math.atan(acceleration / GRAVITY_M_S2)
     if len(views) > 1 and math.hypot(*plan.middle(drone)) < LEAST_MIDDLE:
-        text = "its references lie in opposite directions, expected a middle to which its nose can turn"
+        text = (
+            "its references lie in opposite directions, expected a middle to which its first camera can turn"
+        )
         faults.append(PlanFault(("references", str(drone)), text))
     for look in plan.looks(drone):
         share, number = min((share_of_view(look, view, tilt), number) for number, view in enumerate(views))

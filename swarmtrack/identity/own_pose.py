@@ -376,7 +376,9 @@ def _inside(pixel: Array, sigma: Array, camera: PinholeCamera) -> Array:
         spread = np.sqrt(((sigma / [camera.fx, camera.fy]) ** 2).mean(axis=-1))
         reached = _below(camera.within_reach(framed.at).reshape(pixel.shape[:-1]) / spread)
         pixel = framed.at.reshape(pixel.shape)
-    return np.asarray((_below((high - pixel) / sigma) - _below((low - pixel) / sigma)).prod(axis=-1) * reached)
+    return np.asarray(
+        (_below((high - pixel) / sigma) - _below((low - pixel) / sigma)).prod(axis=-1) * reached
+    )
 
 
 def _below(sigmas: Array) -> Array:

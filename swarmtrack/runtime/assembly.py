@@ -10,7 +10,7 @@ from swarmtrack.clock import Clock, ManualClock
 from swarmtrack.config import CameraSection, DroneConfig, MountedCamera, mount_camera
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.formation.plan import range_faults, view_faults
-from swarmtrack.formation_config import field_of_view
+from swarmtrack.formation_config import fields_of_view
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import AgreedMotion, Announcement
@@ -159,7 +159,7 @@ def check_formation(config: DroneConfig, mounted: Sequence[MountedCamera], detec
     plan = section.plan()
     if plan is None or drone_id == plan.leader:
         return
-    views = [field_of_view(one.camera, one.body_from_camera) for one in mounted]
+    views = fields_of_view((one.camera, one.body_from_camera) for one in mounted)
     faults = view_faults(plan, drone_id, views, section.limits.acceleration_m_s2)
     told = config.team.share == "velocity" or section.ranging
     described = BoxWidth() if detector is None else detector.description.box_width or BoxWidth()

@@ -13,7 +13,7 @@ from swarmtrack.diagnosis.formation_drawing import as_svg, as_text
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan, HalfView
-from swarmtrack.formation_config import field_of_view
+from swarmtrack.formation_config import fields_of_view
 from swarmtrack.runtime.assembly import Parts, assemble
 from swarmtrack.runtime.outputs import check_outputs
 from swarmtrack.sensors.camera_address import parse_address as camera_address
@@ -107,10 +107,7 @@ def draw_formation(path: Path) -> str:
 
 def _views(parts: Parts) -> list[HalfView]:
     perceived = parts.door.perceived
-    return [
-        field_of_view(lens, mounting)
-        for lens, mounting in zip(perceived.lenses, perceived.mountings, strict=True)
-    ]
+    return fields_of_view(zip(perceived.lenses, perceived.mountings, strict=True))
 
 
 def _role(plan: FormationPlan, drone_id: int) -> str:

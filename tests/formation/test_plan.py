@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 
 from swarmtrack.formation.plan import (
@@ -10,6 +11,10 @@ from swarmtrack.formation.plan import (
     range_faults,
     view_faults,
 )
+from swarmtrack.formation_config import fields_of_view
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, from_euler
 from swarmtrack.relative.box_width import BoxWidth
 
 VIEW = HalfView(math.radians(45.0), math.radians(37.0), 0.0)
@@ -107,22 +112,37 @@ def turned(right_deg: float, **more: float) -> HalfView:
 
 
 def test_a_reference_is_in_view_if_any_camera_has_it():
-    """Two references 144° apart, their middle ahead: one camera to each side has them, one ahead does not."""
+    """Two references 144° apart, their middle ahead of the first camera: of three cameras the other two have them."""
     wide = plan({2: (-1.0, 3.0, 0.0), 3: (0.0, 6.0, 0.0)}, {2: (1, 3)})
     assert [look.right for look in wide.looks(2)] == pytest.approx(
         [-math.radians(72), math.radians(72)], abs=0.01
     )
-    assert view_faults(wide, 2, [turned(-60), turned(60)]) == []
     assert view_faults(wide, 2, [VIEW, turned(90), turned(-90)]) == []
     [fault] = view_faults(wide, 2, [VIEW, turned(90)])
     assert fault.text.startswith(
         "drone 1 is 72° beside the axis of camera 1, the nearest, expected at most 36°"
     )
-    [fault] = view_faults(wide, 2, [turned(-25), turned(60)])
-    assert fault.text.startswith("drone 1 is 47° beside the axis of camera 1, the nearest")
+    [fault] = view_faults(wide, 2, [VIEW, turned(-60), turned(30)])
+    assert fault.text.startswith("drone 3 is 42° beside the axis of camera 3, the nearest")
 
 
-def test_the_nose_must_have_somewhere_to_turn():
+def test_views_are_those_of_a_drone_that_turns_its_first_camera_to_its_references():
+    lens = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
+
+    def views(*yaw_deg: float) -> list[HalfView]:
+        turned = (from_euler(0.0, 0.0, math.radians(yaw)) @ BODY_FROM_FORWARD_CAMERA for yaw in yaw_deg)
+        return fields_of_view((lens, Pose(rotation, np.zeros(3))) for rotation in turned)
+
+    assert view_faults(plan({2: (-4.0, 0.0, 0.0)}), 2, views(90.0)) == []
+    assert [view.right for view in views(30.0, -30.0)] == pytest.approx([0.0, math.radians(-60.0)])
+    # Both would be in view if the nose were turned to their middle, and it is not.
+    aside = plan({2: (-3.0, 3.0, 0.0), 3: (0.0, 6.0, 0.0)}, {2: (1, 3)})
+    [fault] = view_faults(aside, 2, views(30.0, -30.0))
+    assert fault.text.startswith("drone 3 is 45° beside the axis of camera 1, the nearest")
+    assert view_faults(aside, 2, views(0.0, 60.0, -60.0)) == []
+
+
+def test_there_must_be_somewhere_to_turn_to():
     """One reference ahead and one behind: all-round cameras see both, and no heading is the better one."""
     between = plan({2: (-4.0, 0.0, 0.0), 3: (-8.0, 0.3, 0.0)}, {2: (1, 3)})
     all_round = [turned(90 * k, half_width=math.radians(60)) for k in range(4)]

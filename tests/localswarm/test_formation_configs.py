@@ -6,7 +6,7 @@ import pytest
 
 from swarmtrack.config import load_config, mount_camera
 from swarmtrack.formation.plan import view_faults
-from swarmtrack.formation_config import field_of_view
+from swarmtrack.formation_config import fields_of_view
 from swarmtrack.localswarm.configs import Sources, write_configs
 from swarmtrack.scenario_file import load_scenario
 
@@ -33,5 +33,5 @@ def test_every_agent_of_a_star_may_fly_in_its_slot_and_sees_its_leader_there(
         if drone_id == star.leader:
             continue
         mounted = mount_camera(config.camera)
-        view = field_of_view(mounted.camera, mounted.body_from_camera)
-        assert view_faults(plan, drone_id, [view], config.formation.limits.acceleration_m_s2) == []
+        views = fields_of_view([(mounted.camera, mounted.body_from_camera)])
+        assert view_faults(plan, drone_id, views, config.formation.limits.acceleration_m_s2) == []
