@@ -92,7 +92,7 @@ BENCHMARKS = {
     ),
     "relative-flights": (
         "swarmtrack.benchmarks.relative_flights",
-        "the same in whole flights, with trackers and names",
+        "places in metres over whole flights, with trackers and names",
     ),
     "rotation": (
         "swarmtrack.benchmarks.rotating_observer",

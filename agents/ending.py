@@ -1,10 +1,12 @@
-"""How a program ends that has left a call to Zenoh behind."""
+"""How a program ends whose reader has left, or that has left a call to Zenoh behind."""
 
 from __future__ import annotations
 
 import os
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 ZENOH_THREADS = "zenoh "  # what `transport.zenoh_session.bounded` names its threads
 
@@ -19,3 +21,15 @@ def end_at_once_if_stuck(code: int) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
+
+
+@contextmanager
+def reader_may_leave() -> Iterator[None]:
+    """Around all that a program prints: `swarmtrack sim --list | head` has read enough, and nothing has failed."""
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()  # what is left is written as the interpreter ends, where nobody catches anything
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from importlib import import_module
 
 from swarmtrack import __version__
-from swarmtrack.agents.ending import end_at_once_if_stuck
+from swarmtrack.agents.ending import end_at_once_if_stuck, reader_may_leave
 from swarmtrack.arguments import add_commands, unknown
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.log_lines import plain_warnings
@@ -66,13 +65,11 @@ EXAMPLES = """where to begin:
 
 def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
-    try:
+    code = 0
+    with reader_may_leave():
         arguments = parse(sys.argv[1:] if argv is None else argv)
         plain_warnings()
         code = _run(arguments)
-    except BrokenPipeError:  # `swarmtrack sim --list | head`: whoever read us has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
     if argv is None:
         end_at_once_if_stuck(code)
     return code

@@ -24,7 +24,7 @@ where it holds: who streams them adds that place.
   FILE.csv    id, t_s, north_m, east_m, down_m and the velocity. `[team] plan` can read it, too.
   FILE.json   fields of MAVLink's SET_POSITION_TARGET_LOCAL_NED, with frame and type_mask.
 
-ArduPilot   GUIDED mode. Stream position and velocity. WPNAV_ACCEL_Z (1 m/s² by default) must be 400 cm/s² or more, or
+ArduPilot   GUIDED mode. Stream position and velocity. WPNAV_ACCEL_Z (100 cm/s² by default) must be 400 or more, or
             the quick codes come out too small.
 PX4         OFFBOARD mode. Stream the place where it holds for a second first, then these, then that place again.
 Missions    A mission of way points (QGC WPL) cannot fly it: way points have no times. So none is written.

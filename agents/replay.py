@@ -120,6 +120,8 @@ def run(args: argparse.Namespace) -> int:
         raise RecordingError(
             f"--json {args.json}: cannot be written, expected a file in a folder that exists"
         )
+    if args.camera is not None and args.video is None:
+        raise RecordingError("--camera needs --video")
     recordings = recordings_below(*args.paths)
     drones = [recording for recording in recordings if recording.kind == "drone"]
     flight = next((recording for recording in recordings if recording.is_simulated_flight), None)
@@ -171,7 +173,7 @@ def run(args: argparse.Namespace) -> int:
 def _check_video(args: argparse.Namespace, recordings: list[Recording]) -> None:
     from swarmtrack.runtime.outputs import check_outputs
 
-    check_outputs(None, args.video)
+    check_outputs(None, args.video, video_key="--video")
     _check_pictures(recordings, "--video")
 
 

@@ -15,7 +15,7 @@ import threading
 from pathlib import Path
 
 from swarmtrack import __version__
-from swarmtrack.agents.ending import end_at_once_if_stuck
+from swarmtrack.agents.ending import end_at_once_if_stuck, reader_may_leave
 from swarmtrack.arguments import add_file, add_flag, add_seconds
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, ungrouped
 from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
@@ -34,7 +34,13 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # As a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    arguments = parser().parse_args(argv)
+    code = DONE
+    with reader_may_leave():
+        code = _run(parser().parse_args(argv))
+    return code
+
+
+def _run(arguments: argparse.Namespace) -> int:
     log_to_stderr(logging.getLevelNamesMapping()[arguments.log.upper()], AGENT_FORMAT)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # "±" on a terminal without it is no reason to end a flight

@@ -141,6 +141,16 @@ class Intrinsics(Section):
     width: Count = Field(description="width of the image, px")
     height: Count = Field(description="height of the image, px")
 
+    @model_validator(mode="after")
+    def _of_one_image(self) -> Intrinsics:
+        """As of calibration files: a slip, and numbers of another resolution, show in the optical axis."""
+        if not (0.0 < self.cx < self.width and 0.0 < self.cy < self.height):
+            raise ValueError(
+                f"found cx = {self.cx:g}, cy = {self.cy:g}, expected an optical axis in the image of {self.width} x "
+                f"{self.height}"
+            )
+        return self
+
 
 class Lens(Section):
     """How a lens bends straight lines."""

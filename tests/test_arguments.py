@@ -1,6 +1,7 @@
 """Command lines: what is said of a command, and what is not guessed."""
 
 import argparse
+import os
 import re
 import subprocess
 import sys
@@ -109,17 +110,41 @@ def test_a_page_is_named_by_a_path_that_is_there_or_by_where_it_is(monkeypatch, 
     assert page("security.md") == "docs/security.md in swarmtrack's source"
 
 
-def test_a_reader_of_a_list_who_has_enough_sees_no_traceback():
-    """As `swarmtrack sim --list | head -1`."""
-    listing = subprocess.Popen(
-        [sys.executable, "-m", "swarmtrack.agents.main", "sim", "--list"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    assert listing.stdout is not None
-    assert listing.stderr is not None
-    assert listing.stdout.readline()
-    listing.stdout.close()
-    with listing.stderr:
-        assert listing.stderr.read() == b""
-    assert listing.wait() == 0
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("main", "sim", "--list"),
+        ("main", "--help"),
+        ("main", "--version"),
+        ("main", "config", "schema"),
+        ("vehicle", "--help"),
+        ("vehicle", "--config", str(ROOT / "configs" / "sim.toml"), "--check"),
+    ],
+    ids=" ".join,
+)
+def test_a_reader_who_has_enough_before_anything_is_read_sees_no_complaint(words):
+    """As `swarmtrack sim --list | true`. Where output waits in a buffer, it is first written at the end."""
+    program, *rest = words
+    surroundings = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        printing = subprocess.run(
+            [sys.executable, "-m", f"swarmtrack.agents.{program}", *rest],
+            stdout=write,
+            stderr=subprocess.PIPE,
+            env=surroundings,
+            check=False,
+        )
+    finally:
+        os.close(write)
+    assert (printing.returncode, printing.stderr) == (0, b"")
+
+
+def test_what_a_command_ends_with_stays_when_nobody_reads_it(monkeypatch):
+    monkeypatch.setattr(swarmtrack, "_run", lambda arguments: print("a verdict") or 1)
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        assert swarmtrack.main(["sim", "--seconds", "1"]) == 1

@@ -136,6 +136,10 @@ probability = 2
         (f'[drone]\nid = "1"\n{CAMERA}', ':2: drone.id: "1", expected a valid integer'),
         ('[drone]\nid = 1\n[camera]\nsource = "0"', ":3: camera: neither calibration nor intrinsics"),
         (MINIMAL + 'calibration = "a.yaml"', ":4: camera: both calibration and intrinsics"),
+        (
+            MINIMAL.replace("cx = 320.0", "cx = 3200.0"),
+            ":6: camera.intrinsics: found cx = 3200, cy = 256, expected an optical axis in the image of 640 x 512",
+        ),
         (MINIMAL + 'distortion = { model = "fov", coefficients = [1] }', ":7: camera.distortion.model"),
         (MINIMAL + 'distortion = { model = "radtan", coefficients = [1, 2] }', "expected finite numbers, 4"),
         (

@@ -292,6 +292,23 @@ class PinholeCamera:
             if not (value > 0 and int(value) == value):
                 raise ValueError(f"PinholeCamera.{name}: {value}, expected a whole number of pixels above 0")
             object.__setattr__(self, name, int(value))
+        if not self._reaches_image():
+            raise ValueError(
+                f"PinholeCamera.cx, cy: ({self.cx:g}, {self.cy:g}), expected them in the image of {self.width} x "
+                f"{self.height}, or so near to it that the lens' model reaches a part of it"
+            )
+
+    def _reaches_image(self) -> bool:
+        """Whether the lens' model has an answer for any pixel of the image."""
+        if (self.middle == (self.cx, self.cy)).all():
+            return True
+        return bool(np.isfinite(self.bearing(self.middle[None])).all())
+
+    @property
+    def middle(self) -> Array:
+        """The pixel (2,) of the image that is nearest to the lens' axis: (cx, cy), unless that misses the image."""
+        low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
+        return np.clip([self.cx, self.cy], low, high)
 
     @cached_property
     def K(self) -> Array:

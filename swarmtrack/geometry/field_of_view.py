@@ -30,16 +30,18 @@ def outline(camera: PinholeCamera, per_side: int = PER_SIDE) -> Array:
             np.column_stack([np.full(per_side, left), bottom + top - down]),
         ]
     )
-    return camera.bearing(_within_reach(camera, border))
+    return _rays_within_reach(camera, border)
 
 
 def half_angles(camera: PinholeCamera) -> tuple[float, float]:
     """Half of the width and of the height of what the camera sees, through the middle of its lens [rad]; of a lens that
-    does not sit in the middle, half of the whole."""
+    does not sit in the middle, half of the whole, and of one beside the picture, through what is nearest to it."""
+    u, v = camera.middle
     right, bottom = camera.width - 0.5, camera.height - 0.5
-    ends = np.array([[-0.5, camera.cy], [right, camera.cy], [camera.cx, -0.5], [camera.cx, bottom]])
-    rays = camera.bearing(_within_reach(camera, ends))
-    angles = np.arctan2(np.linalg.norm(rays[:, :2], axis=1), rays[:, 2])
+    ends = np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]])
+    rays = _rays_within_reach(camera, ends)
+    (axis,) = camera.bearing(camera.middle[None])
+    angles = np.arctan2(np.linalg.norm(np.cross(axis, rays), axis=1), rays @ axis)
     return 0.5 * float(angles[0] + angles[1]), 0.5 * float(angles[2] + angles[3])
 
 
@@ -93,11 +95,10 @@ def _sees(camera: PinholeCamera, body_from_camera: Pose, directions: Array) -> M
     return np.asarray(valid & camera.contains(np.where(valid[:, None], pixels, -1e9)))
 
 
-def _within_reach(camera: PinholeCamera, border: Array) -> Array:
-    """Pixels (n, 2) on the border, or as far towards it from the middle of the lens as that sees."""
-    middle = np.array([camera.cx, camera.cy])
-    if not camera.contains(middle[None])[0]:
-        middle = 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
+def _rays_within_reach(camera: PinholeCamera, border: Array) -> Array:
+    """Unit vectors (n, 3) of pixels (n, 2) on the border, or of what is as far towards it from the middle of the lens
+    as that sees; all are finite."""
+    middle = camera.middle
     whole = _is_seen(camera, border)
     low, high = np.zeros(len(border)), np.ones(len(border))
     for _ in range(HALVINGS if not whole.all() else 0):
@@ -105,8 +106,9 @@ def _within_reach(camera: PinholeCamera, border: Array) -> Array:
         seen = _is_seen(camera, middle + half[:, None] * (border - middle))
         low, high = np.where(seen, half, low), np.where(seen, high, half)
     share = np.where(whole, 1.0, low)
-    within: Array = middle + share[:, None] * (border - middle)
-    return within
+    rays = camera.bearing(middle + share[:, None] * (border - middle))
+    # A lens that is none, of coefficients in the billions, answers with luck: now it does, now it does not.
+    return np.where(np.isfinite(rays), rays, camera.bearing(middle[None]))
 
 
 def _is_seen(camera: PinholeCamera, pixels: Array) -> Mask:

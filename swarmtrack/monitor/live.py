@@ -96,9 +96,15 @@ class LiveFeed:
             if self._last is None:
                 self._team.look()  # unwatched, too: events have their times, and the gone their age
             if audience.is_there:
-                audience.tell(self._last or self._team.state())
+                self._tell(audience)
             due = max(due + 1.0 / STATE_HZ, loop.time())
             await asyncio.sleep(due - loop.time())
+
+    def _tell(self, audience: Audience) -> None:
+        with self._team.leaves_out("the team's state"):
+            audience.tell(self._last or self._team.state())
+            return
+        self._team.forget_untellable()  # and the next one is told
 
     async def _look_around(self) -> None:
         """While nobody of the team is there, find out who is; said on the page, and once on the terminal."""
@@ -139,5 +145,7 @@ class LiveFeed:
                 self._show(audience, key, view)
 
     def _show(self, audience: Audience, key: ViewKey, view: VideoMessage) -> None:
-        tracks = self._team.tracks_at(key[0], view.t_utc_s)
-        audience.show(key, view, boxes(view, tracks, key[1], self._team.rig(key[0])))
+        drone_id, camera = key
+        with self._team.leaves_out("a picture", drone_id):
+            tracks = self._team.tracks_at(drone_id, view.t_utc_s)
+            audience.show(key, view, boxes(view, tracks, camera, self._team.rig(drone_id)))

@@ -9,7 +9,6 @@ import numpy as np
 
 from swarmtrack.messages import Array
 from swarmtrack.monitor.drone_cameras import FAR_M, DroneCameras, distances, tracks_of
-from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage, track_cov
 from swarmtrack.wire.video import VideoMessage
@@ -67,10 +66,7 @@ def boxes(
 
 def _own(view: VideoMessage, tracks: TracksMessage, number: int) -> Iterator[_Placed]:
     """Tracks in this camera's pixels."""
-    try:
-        camera = camera_from(view.lens)
-    except DecodeError:
-        return
+    camera = camera_from(view.lens)
     shown = tracks_of(tracks, number)
     centre = camera.distort(np.array([(track.u_px, track.v_px) for track in shown]).reshape(-1, 2))
     for track, uv, J in zip(shown, centre, camera.undistort_jacobian(centre), strict=True):

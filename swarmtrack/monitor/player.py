@@ -79,6 +79,11 @@ class Playback:
         self.seek(0)
 
     @property
+    def team(self) -> MonitoredTeam:
+        """As it is at this step."""
+        return self._scene.team
+
+    @property
     def cameras(self) -> tuple[ViewKey, ...]:
         return self._scene.team.cameras
 
@@ -180,7 +185,7 @@ class RecordingPlayer:
             moved = self._play(now - before) if audience.is_there else False
             before = now
             if moved or news:
-                self._tell(audience)
+                self._show(audience)
 
     def on_watched(self) -> None:
         self._shown.clear()  # who just came has seen nothing yet
@@ -220,9 +225,27 @@ class RecordingPlayer:
             return True
         return steps > 0
 
-    def _tell(self, audience: Audience) -> None:
+    def _show(self, audience: Audience) -> None:
+        """Where the playback stands, and pictures that are new."""
         playback = self._playback
-        state = playback.state(audience.watched)
+        self._tell(audience)
+        for key, view in playback.views.items():
+            if key in audience.watched and self._shown.get(key) != view.t:
+                self._shown[key] = view.t
+                with playback.team.leaves_out("a picture", key[0]):
+                    seen = playback.seen(*key)
+                    if seen is not None:
+                        audience.show(key, seen[0], boxes(*seen, key[1], playback.rig(key[0])))
+
+    def _tell(self, audience: Audience) -> None:
+        with self._playback.team.leaves_out("the team's state"):
+            audience.tell(self._state(audience.watched))
+            return
+        self._playback.team.forget_untellable()
+
+    def _state(self, watched: frozenset[ViewKey]) -> dict[str, Any]:
+        playback = self._playback
+        state = playback.state(watched)
         state["playback"] = {
             "name": self._name,
             "t_s": round(playback.step * STEP_S, 1),
@@ -233,10 +256,4 @@ class RecordingPlayer:
             "sought_s": self._sought,
             "views": sorted(playback.views),
         }
-        audience.tell(state)
-        for key, view in playback.views.items():
-            if key in audience.watched and self._shown.get(key) != view.t:
-                self._shown[key] = view.t
-                seen = playback.seen(*key)
-                if seen is not None:
-                    audience.show(key, seen[0], boxes(*seen, key[1], playback.rig(key[0])))
+        return state

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import logging
 import math
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -30,6 +34,8 @@ from swarmtrack.wire.lens import LensMessage, camera_from
 from swarmtrack.wire.sightings import SightingsMessage, report_from
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
+
+log = logging.getLogger(__name__)
 
 START_ONE = "start one: swarmtrack sim --monitor; another team: --team"
 STARTING = "its agents are starting"
@@ -71,13 +77,27 @@ class Drone:
     view_at: float = -math.inf
     told_events: tuple[str, ...] = ()
 
+    def forget_what_it_said(self) -> None:
+        """As if it were here and had not spoken yet."""
+        self.announcement = self.unread = self.health = self.rig = None
+        self.tracks.clear()
+        self.history.clear()
+        self.views.clear()
+        self.told_events = ()
+
 
 class MonitoredTeam:
-    """Told of samples; answers with the state. Only the event loop may call."""
+    """Told of samples; answers with the state. Only the event loop may call.
+
+    Nobody vouches for what a drone says. What the wire's checks let pass and still cannot be shown is left out, counted
+    and said once (`leaves_out`): a word of one drone ends the page for nobody.
+    """
 
     def __init__(self, name: str, clock: Clock) -> None:
         self.name = name
         self.unreadable = 0
+        self._odd: Counter[str] = Counter()
+        """How often something readable could not be shown, by what it was."""
         self.starting = False
         """Whether somebody is starting drones."""
         self.hint = ""
@@ -96,11 +116,27 @@ class MonitoredTeam:
         address = keys.parse(sample.key)
         if address is None or address.team != self.name:
             return None
+        with self.leaves_out(f"a message ({address.kind.value})", address.drone_id):
+            return self._take_in(address, sample)
+        return None
+
+    @contextmanager
+    def leaves_out(self, what: str, drone_id: int | None = None) -> Iterator[None]:
+        """Around what shows the words of drones: whatever it raises is counted, and said once for each `what`."""
+        try:
+            yield
+        except Exception as error:  # whatever an odd word leads to, which nobody thought of
+            self._odd[what] += 1
+            if self._odd[what] == 1:
+                whose = "" if drone_id is None else f" of drone {drone_id}"
+                log.warning("%s%s is left out, it cannot be shown: %r", what, whose, error)
+
+    def _take_in(self, address: keys.Address, sample: Sample) -> CameraView | None:
         drone = self._drones.get(address.drone_id)
         if drone is None:
             if len(self._drones) >= MAX_DRONES or (address.kind is Kind.ALIVE and not sample.alive):
                 return None
-            drone = self._drones[address.drone_id] = Drone()
+            drone = Drone()  # listed once it is understood
         if address.kind is Kind.ALIVE:
             self._on_token(address.drone_id, drone, address.rest, sample)
             return None
@@ -171,15 +207,34 @@ class MonitoredTeam:
                 for look in self._verdict.looks
             ],
             "events": list(self._events)[-EVENTS_SHOWN:],
-            "unreadable": self.unreadable,
+            "unreadable": self.unreadable + self._odd.total(),
         }
+
+    def forget_untellable(self) -> None:
+        """Forget all words of each drone of which there is no state in JSON, and what follows from all their words."""
+        now = self._clock.now()
+        for drone_id, drone in self._drones.items():
+            with self.leaves_out("the state", drone_id):
+                json.dumps(self._drone_state(drone_id, now), allow_nan=False)
+                continue
+            drone.forget_what_it_said()
+        self._reports, self._verdict = Reports(), TeamVerdict((), ())
 
     def state_at_end(self, end: FlightEnd) -> dict[str, Any]:
         """What the page shows from now on, when a flight is over."""
         self._note(None, end.text, end.kind)
-        state = self.state()
+        state = self._state_for_good()
         light = {"kind": end.kind, "text": end.text, "also": end.also}
         return {**state, "light": light, "over": {"rows": end.rows, "again": end.again}}
+
+    def _state_for_good(self) -> dict[str, Any]:
+        """One that can be told."""
+        with self.leaves_out("the team's state"):
+            state = self.state()
+            json.dumps(state, allow_nan=False)
+            return state
+        self.forget_untellable()
+        return self.state()
 
     def last_view(self, key: ViewKey) -> VideoMessage | None:
         drone_id, camera = key
@@ -188,7 +243,12 @@ class MonitoredTeam:
 
     def look(self) -> None:
         """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
-        now = self._clock.now()
+        with self.leaves_out("who sees whom"):
+            self._look(self._clock.now())
+            return
+        self.forget_untellable()
+
+    def _look(self, now: float) -> None:
         self._find_the_gone(now)
         if now - self._judged_at >= JUDGING_S:
             self._judged_at = now
@@ -204,6 +264,7 @@ class MonitoredTeam:
         if len(rest) != 1 or not keys.is_boot(rest[0]):
             return
         if sample.alive:
+            self._drones.setdefault(drone_id, drone)
             drone.boots.add(rest[0])
             drone.heard = sample.arrived
             if drone.gone_since is not None or len(drone.boots) == 1:
@@ -215,6 +276,7 @@ class MonitoredTeam:
                 self._gone(drone_id, drone, sample.arrived)
 
     def _on_word(self, drone_id: int, drone: Drone, arrived: float) -> None:
+        self._drones.setdefault(drone_id, drone)
         drone.heard = arrived
         if drone.gone_since is not None and drone.boots:  # it was silent for a while
             drone.gone_since = None
@@ -344,7 +406,7 @@ class MonitoredTeam:
             "rays": []
             if report is None
             else [[s.drone_id, *np.round(s.direction, 3).tolist()] for s in report.sightings],
-            "link_age_s": round(max(0.0, now - drone.heard), 2) if math.isfinite(drone.heard) else None,
+            "link_age_s": round(max(0.0, now - drone.heard), 2),
             "metres": metres(tracks),
             "formation": _formation_state(drone.health),
             "troubles": troubles(drone.health),
@@ -385,19 +447,17 @@ def around_state(
 def _wedge(view: VideoMessage) -> list[float] | None:
     """Of a camera's view, from above: where its axis points north and east, and how wide it sees [rad]; None where it
     looks up or down, or nobody knows."""
-    width = _width_of(view.lens)
-    if view.quaternion_wxyz is None or width is None:
+    if view.quaternion_wxyz is None:
         return None
     north, east = from_quaternion(view.quaternion_wxyz)[:2, 2].tolist()
-    return [round(north, 4), round(east, 4), width] if math.hypot(north, east) > STEEP else None
+    if math.hypot(north, east) <= STEEP:
+        return None
+    return [round(north, 4), round(east, 4), _width_of(view.lens)]
 
 
 @lru_cache(maxsize=256)
-def _width_of(lens: LensMessage) -> float | None:
-    try:
-        return round(2.0 * half_angles(camera_from(lens))[0], 3)
-    except DecodeError:
-        return None
+def _width_of(lens: LensMessage) -> float:
+    return round(2.0 * half_angles(camera_from(lens))[0], 3)
 
 
 def troubles(health: HealthMessage | None) -> list[str]:

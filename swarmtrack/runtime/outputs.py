@@ -23,6 +23,7 @@ from swarmtrack.relative.record import relative_record
 log = logging.getLogger(__name__)
 
 WEBM = ".webm"  # VP8, which browsers play
+VIDEO_KEY = "output.video"  # of a config
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", WEBM)  # all others take MPEG-4
 
 
@@ -140,23 +141,24 @@ def video_paths(path: Path, cameras: int) -> list[Path]:
     return [path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, cameras + 1))]
 
 
-def check_outputs(jsonl: Path | None, video: Path | None, cameras: int = 1) -> None:
-    """Raise SourceError for what cannot be written, as far as one can tell without writing anything."""
+def check_outputs(
+    jsonl: Path | None, video: Path | None, cameras: int = 1, *, video_key: str = VIDEO_KEY
+) -> None:
+    """Raise SourceError for what cannot be written, as far as one can tell without writing anything. video_key: where
+    the video was asked for."""
     if video:
-        check_suffix(video)
+        check_suffix(video, video_key)
     videos = video_paths(video, cameras) if video else []
-    for name, path in (("jsonl", jsonl), *(("video", one) for one in videos)):
+    for name, path in (("output.jsonl", jsonl), *((video_key, one) for one in videos)):
         if path is None:
             continue
         there = path if path.exists() else next(p for p in path.absolute().parents if p.exists())
         if there == path and path.is_dir():
-            raise SourceError(f"output.{name}: {path} is a folder, expected a file that can be written")
+            raise SourceError(f"{name}: {path} is a folder, expected a file that can be written")
         if (there != path and not there.is_dir()) or not os.access(there, os.W_OK):
-            raise SourceError(
-                f"output.{name}: {path}: no permission to write there, expected a file that can be"
-            )
+            raise SourceError(f"{name}: {path}: no permission to write there, expected a file that can be")
 
 
-def check_suffix(path: Path) -> None:
+def check_suffix(path: Path, key: str = VIDEO_KEY) -> None:
     if path.suffix.lower() not in VIDEO_SUFFIXES:
-        raise SourceError(f"output.video: {path}: expected a name that ends in {', '.join(VIDEO_SUFFIXES)}")
+        raise SourceError(f"{key}: {path}: expected a name that ends in {', '.join(VIDEO_SUFFIXES)}")

@@ -10,6 +10,9 @@ from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.fields import Pixels, Quantity, Record, Side
 
+LEAST_FOCAL = 1e-3
+"""px: as with other bounds, so that no arithmetic overflows."""
+
 
 class LensMessage(Record, frozen=True):
     """A calibrated lens, in pixels of the calibrated image; coefficients: of the distortion, empty without one."""
@@ -48,8 +51,9 @@ def camera_from(message: LensMessage) -> PinholeCamera:
 
 
 def check_lens(where: str, message: LensMessage) -> None:
-    """Raises DecodeError."""
-    if not (message.fx > 0.0 and message.fy > 0.0):
+    """Raises DecodeError where there is no such lens."""
+    if min(message.fx, message.fy) < LEAST_FOCAL:
         raise DecodeError(
-            f"{where}: lens: focal lengths are {message.fx:g} and {message.fy:g}, expected above 0"
+            f"{where}: lens: focal lengths are {message.fx:g} and {message.fy:g}, expected {LEAST_FOCAL:g} or more"
         )
+    camera_from(message)

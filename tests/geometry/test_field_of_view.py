@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.geometry.camera import Equidistant, PinholeCamera
+from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.field_of_view import _all_but, around, half_angles, outline, outline_around
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, from_euler
@@ -40,6 +40,37 @@ def test_a_lens_that_ends_inside_the_picture_sees_to_its_own_end():
     # Of each direction the same, as far as the model reaches, and no pixel beyond is taken for seen.
     assert off.max() - off.min() < 0.5
     assert off.min() > 88.0
+
+
+@pytest.mark.parametrize(
+    ("lens", "angle"),
+    [(None, math.atan), (Equidistant((0.0, 0.0, 0.0, 0.0)), lambda focals: focals)],
+)
+def test_of_a_picture_beside_the_axis_the_view_is_from_its_near_border_to_its_far_one(lens, angle):
+    beside = PinholeCamera(640.0, 640.0, -100.5, 239.5, 640, 480, lens)
+    width, _ = half_angles(beside)
+    assert width == pytest.approx(0.5 * (angle(740 / 640) - angle(100 / 640)), abs=1e-6)
+    rays = outline(beside)
+    assert np.isfinite(rays).all()
+    assert (rays[:, 0] > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "lens", [Equidistant((0.0, 0.0, 0.0, 0.0)), RadTan((-0.3, 0.0, 0.0, 0.0))], ids=lambda lens: lens.name
+)
+def test_a_lens_that_reaches_no_part_of_its_picture_is_none(lens):
+    """319.5, and a slip of the decimal point: nothing that is seen would have a direction."""
+    with pytest.raises(
+        ValueError, match=r"cx, cy: \(3195, 239\.5\), expected them in the image of 640 x 480"
+    ):
+        PinholeCamera(193.0, 193.0, 3195.0, 239.5, 640, 480, lens)
+
+
+def test_of_a_lens_that_is_none_what_is_seen_still_has_a_border():
+    """Newton's iteration finds a pixel's ray in one company, and does not in another."""
+    none = PinholeCamera(600.0, 600.0, 320.0, 256.0, 640, 512, RadTan((-0.25, 0.125, 0.0, -8589934592.0)))
+    assert np.isfinite(half_angles(none)).all()
+    assert np.isfinite(outline(none)).all()
 
 
 def test_the_outline_goes_once_around_the_corners():

@@ -159,6 +159,22 @@ def test_of_cameras_that_a_drone_had_not_there_is_no_video(tmp_path, capsys):
     assert "--camera 3: expected 1 to 2" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--camera", "2"], "swarmtrack replay: --camera needs --video"),
+        (["--video", "x.txt"], "swarmtrack replay: --video: x.txt: expected a name that ends in .mp4"),
+        (["--video", "folder.mp4"], "swarmtrack replay: --video: folder.mp4 is a folder, expected a file"),
+    ],
+)
+def test_what_is_wrong_with_a_video_is_said_of_the_option(tmp_path, capsys, monkeypatch, words, said):
+    recorded(tmp_path)
+    (tmp_path / "folder.mp4").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert main(["replay", "rec", *words]) == 2
+    assert capsys.readouterr().err.startswith(said)
+
+
 def test_eight_pictures_fit_into_one_and_each_has_its_place():
     tiles = Tiles([(640, 480)] * 8)
     for k in range(8):

@@ -704,10 +704,16 @@ def test_cameras_that_cannot_be_are_refused(cameras: Any) -> None:
         (1, 0, "drone_id"),
         (2, "0123ABCD", "boot"),
         (3, [640, 512, 0.0, 601.0, 320.0, 256.0, None, []], "lens: focal lengths"),
+        (3, [640, 512, 600.0, 1e-300, 320.0, 256.0, None, []], "lens: focal lengths"),
         (3, [640, 512, math.nan, 601.0, 320.0, 256.0, None, []], "camera"),
         (3, [0, 512, 600.0, 601.0, 320.0, 256.0, None, []], "lens"),
         (3, [640, 512, 600.0, 601.0, 320.0, 256.0, "radtan", [0.0] * 9], "lens"),
         (3, [640, 512, 600.0, 601.0, 320.0, 256.0, "radtan", [0.0] * 3], "coefficients"),
+        (
+            3,
+            [640, 512, 200.0, 200.0, 3195.0, 256.0, "equidistant", [0.0] * 4],
+            r"lens: .*cx, cy: \(3195, 256",
+        ),
         (4, [0.0, 0.0, math.inf], "camera"),
         (4, [0.0, 0.0, 1e8], "position_m"),
         (5, [0.0, 0.0, 0.0, 0.0], "unit quaternion"),
@@ -940,6 +946,8 @@ def test_a_lens_comes_back_as_the_camera_it_was():
         ({"t_utc_s": math.nan}, "video"),
         ({"quaternion_wxyz": (1.0, 1.0, 0.0, 0.0)}, "unit quaternion"),
         ({"lens": msgspec.structs.replace(VIDEO.lens, fx=0.0)}, "focal lengths"),
+        ({"lens": msgspec.structs.replace(VIDEO.lens, coefficients=(0.1,))}, "coefficients"),
+        ({"lens": LensMessage(640, 512, 200.0, 200.0, 3195.0, 256.0, "equidistant", (0.0,) * 4)}, "cx, cy"),
     ],
 )
 def test_a_video_message_that_cannot_be_is_not_sent(changes, says):

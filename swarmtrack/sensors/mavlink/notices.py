@@ -19,9 +19,9 @@ LONGEST_TEXT = 4 * CHUNK
 LONGEST_NAME = 10  # bytes of a NAMED_VALUE_FLOAT's name
 LONGEST_CALLSIGN = 8  # bytes, and a zero after them
 NOT_USED = math.nan  # what the dialect asks for in fields that do not apply
-# cm/s: the most that both velocities of ADSB_VEHICLE can say.
 # Cameras that a message can tell apart.
 MOST_DEVICES = 6
+# cm/s: the most that both velocities of ADSB_VEHICLE can say.
 MOST_CM_S = 32767
 
 
