@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -50,9 +49,6 @@ def run(args: argparse.Namespace) -> int:
         print(f"swarmtrack echo: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        return 0
-    except BrokenPipeError:  # `swarmtrack echo … | head`: whoever read us has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     if heard == 0 or heard < (args.count or 0):
         wanted = "no message" if args.count is None else f"{heard} of {args.count} messages"
