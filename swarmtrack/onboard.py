@@ -492,16 +492,15 @@ class Onboard:
     def _track(self, detections: Detections, t: float) -> None:
         number = detections.camera
         camera, mounting, tracker = self._cameras[number]
-        newest, before = self.gyro.newest, tracker.t
+        newest = self.gyro.newest
         too_old = newest is not None and t < newest - self.gyro.history_s
-        if too_old or (before is not None and t <= before):
+        if too_old or tracker.refuses(t):
             self.counters.late_scans += 1
             return
         self.counters.scans_ahead_of_gyro += newest is not None and newest < t
         orientation = self.gyro.orientation(t)
         if self._rig.turn_variance(number, orientation) > UNMEASURED**2:
             self._identities.turn_unmeasured()
-        self._rig.predict(number, t, orientation)
         scan = make_scan(detections, t, camera, tracker)
         self.camera_clocks[number].see(detections.t, scan, camera)
         self._rig.update(number, scan, orientation)

@@ -159,7 +159,7 @@ class Rig:
         self._arrived: dict[int, _Arrived] = {}
         """By track that has yet to be detected, and will tell of a seam then."""
         self._lent: list[_Lent] = []
-        """To the camera of the scan that comes."""
+        """To the camera of the scan that comes; nobody between two scans."""
         self._said: set[tuple[int, int, str]] = set()
         self._foretold: dict[int, Foretold] = {}
         """Those among them of the camera of the scan that comes."""
@@ -190,30 +190,33 @@ class Rig:
         """rad² per axis: how little is known of the turn since that camera's last scan."""
         return rotation_between(self._orientations[camera] or orientation, orientation).variance
 
-    def predict(self, camera: int, t: float, orientation: Orientation) -> None:
+    def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
+        """Fold in a scan of a camera, orientation: when it was exposed: carry its tracks there, and take over what
+        should be in its picture. One that its tracker refuses (False, see `Tracker.update`) changes nothing."""
+        tracker = self._cameras[camera].tracker
+        if tracker.refuses(scan.t):
+            return tracker.update(scan)
+        self._predict(camera, scan.t, orientation)
+        self._orientations[camera] = orientation
+        self._newest = camera
+        tracker.update(scan)
+        if self._lent:
+            self._give_back(tracker)
+        crossed = self._learn_seams(camera, tracker) if self._foretold else frozenset()
+        if len(self._cameras) > 1:
+            self._compare_looks(camera, scan.t, orientation, crossed)
+            self._keep_in_sight(camera, scan.t)
+            self._end_unseen(scan.t)
+        return True
+
+    def _predict(self, camera: int, t: float, orientation: Orientation) -> None:
         """Carry one camera's tracks to its next exposure, and take over what should be in its picture then."""
         turn = rotation_between(self._orientations[camera] or orientation, orientation)
         self._cameras[camera].tracker.predict(t, self._own(camera, turn.matrix), turn.variance)
-        self._lent = []
         for other, _ in enumerate(self._cameras):
             if other != camera:
                 self._take_over(other, camera, t, orientation)
         self._foretold = self._arrivals_at(camera) if self._arrived else {}
-
-    def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
-        """Fold in a scan of a camera, after `predict`; False where it is refused, see `Tracker.update`."""
-        self._orientations[camera] = orientation
-        self._newest = camera
-        tracker = self._cameras[camera].tracker
-        accepted = tracker.update(scan)
-        if self._lent:
-            self._give_back(tracker, accepted=accepted)
-        crossed = self._learn_seams(camera, tracker) if self._foretold else frozenset()
-        if accepted and len(self._cameras) > 1:
-            self._compare_looks(camera, scan.t, orientation, crossed)
-            self._keep_in_sight(camera, scan.t)
-            self._end_unseen(scan.t)
-        return accepted
 
     def _end_unseen(self, t: float) -> None:
         """Who was with a camera that has died ends as one that it misses: else it would live for as long as the other
@@ -298,11 +301,11 @@ class Rig:
                 shown = self._shown_by(mean, cov, giver, taker, self._turn_to(taker, giver))
                 tracker.not_lost((since > last) & (shown.seen > 0.5))
 
-    def _give_back(self, taker: Tracker, *, accepted: bool) -> None:
+    def _give_back(self, taker: Tracker) -> None:
         """What was lent for this scan and is not in it: as it was."""
         for lent in self._lent:
             ids = taker.estimates[0]
-            gone = np.isin(lent.ids, ids[~taker.missed] if accepted else [], invert=True)
+            gone = np.isin(lent.ids, ids[~taker.missed], invert=True)
             if not gone.any():
                 continue
             back = lent.ids[gone]

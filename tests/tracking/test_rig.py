@@ -64,7 +64,6 @@ class Drone:
         pixel, inside = self.seen_by(camera, yaw)
         width = self.span * self.cameras[camera].fx / np.linalg.norm(self.targets[inside], axis=1)
         orientation = self.gyro.orientation(t)
-        self.rig.predict(camera, t, orientation)
         if missed:
             inside, width = np.zeros(len(self.targets), bool), width[:0]
         scan = Scan(
@@ -164,7 +163,6 @@ def test_one_camera_is_a_tracker_bit_for_bit():
         before = now
         alone.predict(t, turn.matrix, turn.variance)
         alone.update(Scan(t, z))
-        rig.predict(0, t, now)
         rig.update(0, Scan(t, z), now)
         for one, other in zip(alone.tracks, rig.tracks(now), strict=True):
             assert one.id == other.id
@@ -240,6 +238,42 @@ def test_who_has_left_one_picture_and_is_not_exposed_in_the_next_one_yet_is_not_
         drone.turn(0.0, 0.1)
         drone.look(0)
     assert drone.tracks() == []
+
+
+def beliefs(rig):
+    """All that a rig's cameras hold of their tracks."""
+    found = []
+    for each in rig._cameras:
+        ids, mean, cov = each.tracker.estimates
+        found += [ids.tolist(), mean.tolist(), cov.tolist(), each.tracker.t]
+    return found
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+@pytest.mark.parametrize("late_s", [0.0, 0.03, math.nan])
+def test_a_scan_that_is_refused_leaves_the_rig_as_it_was(tracker, late_s):
+    poses = [looking(-20.0), looking(20.0)]
+    drone = Drone(rig_of(tracker, *poses), poses, [[6.0, 0.2, 0.3], [8.0, 4.0, -0.4]])
+    for _ in range(12):
+        for camera in (1, 0):
+            drone.turn(0.5, 0.03)
+            drone.look(camera)
+    rig, last = drone.rig, drone.rig._cameras[1].tracker.t
+    before, late = beliefs(rig), rig.counters["late_scans"]
+    drone.turn(-0.5, 0.05)
+    now = drone.gyro.orientation(drone.t)
+    shown = [(each.id, each.camera, *each.mean) for each in rig.at(drone.t, now)]
+    # The first camera has the one that both see: a scan of the second would take it over.
+    refused = Scan(last - late_s, np.array([[10.0, 10.0]]))
+    assert not rig.update(1, refused, drone.gyro.orientation(last - 0.03))
+    assert beliefs(rig) == before
+    assert [(each.id, each.camera, *each.mean) for each in rig.at(drone.t, now)] == shown
+    assert rig.counters["late_scans"] == late + 1
+    # It is still turned from where it stands.
+    drone.look(1)
+    for track in drone.tracks():
+        pixel, _ = drone.seen_by(track.camera, drone.yaw)
+        assert np.linalg.norm(pixel - track.mean[::2], axis=1).min() < 3.0
 
 
 # --- what crossings tell of the mounting ---
