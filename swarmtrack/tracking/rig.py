@@ -45,7 +45,8 @@ from swarmtrack.tracking.seams import (
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
 MOST_BACK = 0.3
-# s that a track must have been with a camera, to tell how the next one is turned against it.
+# s that a track must have been with a camera, to tell how the next one is turned against it; and that a camera must not
+# have detected it for, to have lost it to another one.
 SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
@@ -99,6 +100,13 @@ class _Arrived:
     since: float
     angle: Array
     scans: int = 0
+
+
+class _Home(NamedTuple):
+    """The camera that a track is with, and when that last detected it, s."""
+
+    camera: int
+    t: float
 
 
 class _TrackLook(NamedTuple):
@@ -165,7 +173,11 @@ class Rig:
         """Those among them of the camera of the scan that comes."""
         self._looks: dict[int, list[_TrackLook]] = {}
         """By track: its last detections that were not compared yet, in the order of exposure."""
+        self._homes: dict[int, _Home] = {}
+        """By track."""
         self.handed_over = 0
+        """Tracks that have left one camera and are with another. Where pictures overlap, both have them, and go on
+        having them."""
 
     @property
     def t(self) -> float | None:
@@ -205,6 +217,7 @@ class Rig:
         crossed = self._learn_seams(camera, tracker) if self._foretold else frozenset()
         if len(self._cameras) > 1:
             self._compare_looks(camera, scan.t, orientation, crossed)
+            self._count_moves(camera, scan.t)
             self._keep_in_sight(camera, scan.t)
             self._end_unseen(scan.t)
         return True
@@ -217,6 +230,20 @@ class Rig:
             if other != camera:
                 self._take_over(other, camera, t, orientation)
         self._foretold = self._arrivals_at(camera) if self._arrived else {}
+
+    def _count_moves(self, camera: int, t: float) -> None:
+        """Who is detected by a camera, and by the one before no longer, has moved."""
+        tracker = self._cameras[camera].tracker
+        for track_id in tracker.estimates[0][~tracker.missed].tolist():
+            home = self._homes.get(track_id)
+            if home is None or home.camera == camera:
+                self._homes[track_id] = _Home(camera, t)
+            elif t - home.t > SETTLED_S:
+                self.handed_over += 1
+                self._homes[track_id] = _Home(camera, t)
+        if len(self._homes) > MOST_REMEMBERED:
+            held = {id for each in self._cameras for id in each.tracker.estimates[0].tolist()}
+            self._homes = {id: home for id, home in self._homes.items() if id in held}
 
     def _end_unseen(self, t: float) -> None:
         """Who was with a camera that has died ends as one that it misses: else it would live for as long as the other
@@ -312,7 +339,6 @@ class Rig:
             assert taker.t is not None
             taker.release(np.isin(ids, back), taker.t, np.eye(3), 0.0)
             self._cameras[lent.giver].tracker.adopt(lent.as_it_was.select(gone))
-            self.handed_over -= len(back)
             for track_id in back.tolist():
                 self._foretold.pop(track_id, None)
                 _restore(self._arrived, track_id, lent.arrived)
@@ -479,7 +505,6 @@ class Rig:
         arriving = arriving.moved(by, cov)
         self._note_arrivals(arriving, giver, taker, t)
         other.tracker.adopt(arriving)
-        self.handed_over += len(pixel)
 
     def _as_known(
         self, known: SeamDisagreement, pixel: Array, by: Array, giver: int, taker: int

@@ -95,7 +95,7 @@ def test_a_track_that_crosses_the_seam_is_the_same_track_and_where_its_target_is
             pixel, _ = drone.seen_by(track.camera, drone.yaw)
             assert np.linalg.norm(pixel - track.mean[::2], axis=1).min() < 3.0
     assert len(drone.tracks()) == len(known) == 2
-    assert drone.rig.handed_over >= 4
+    assert drone.rig.handed_over >= 2
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
@@ -109,6 +109,27 @@ def test_where_two_pictures_overlap_a_target_has_one_track(tracker):
         drone.look(1)
         assert len(drone.tracks()) <= 2
     assert len(drone.tracks()) == 2
+    # Both are seen by both all the time: nobody has gone over.
+    assert drone.rig.handed_over == 0
+
+
+def test_who_goes_over_from_one_camera_to_the_next_is_counted_once_although_both_see_it_on_the_way():
+    poses = [looking(-30.0), looking(30.0)]
+    drone = Drone(rig_of("mbm", *poses), poses, [[6.0, -0.9, 0.3]])
+    counts = []
+    # Into the first picture alone, into the second alone, and back.
+    for rate in (0.0, 0.5, -0.5, -0.5, 0.5, 0.5):
+        for _ in range(30):
+            for camera in (0, 1):
+                drone.turn(rate, 0.025)
+                drone.look(camera)
+        for _ in range(20):
+            for camera in (0, 1):
+                drone.turn(0.0, 0.025)
+                drone.look(camera)
+        counts.append(drone.rig.handed_over)
+    assert [drone.seen_by(camera, drone.yaw)[1].any() for camera in (0, 1)] == [True, False]
+    assert counts == [0, 0, 0, 1, 1, 2]
 
 
 def test_a_target_is_followed_all_around_by_four_cameras_of_different_lenses():
@@ -146,7 +167,7 @@ def test_a_camera_that_is_80_ms_late_takes_tracks_over_and_gives_them_back():
                 drone.look(1, late=0.08, rate=rate)
     (track,) = drone.tracks()
     assert track.id == 1
-    assert drone.rig.handed_over >= 2
+    assert drone.rig.handed_over >= 1
 
 
 def test_one_camera_is_a_tracker_bit_for_bit():
@@ -215,8 +236,8 @@ def test_before_a_track_goes_over_it_is_asked_where_the_other_camera_sees_it():
         for camera in (0, 1):
             drone.turn(0.0, 0.03)
             drone.look(camera)
-    (track,) = drone.tracks()
-    assert (track.camera, drone.rig.handed_over) == (0, 0)
+            assert {track.camera for track in drone.tracks()} <= {0}
+    assert len(drone.tracks()) == 1
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
