@@ -64,6 +64,7 @@ from swarmtrack.motion.gyro import GyroHistory, Orientation
 from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
+from swarmtrack.motion.picture_turn import MountingNews, PictureTurns
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
@@ -103,6 +104,7 @@ Output = (
     | FrameNews
     | RangeNews
     | SeamNews
+    | MountingNews
 )
 
 
@@ -167,6 +169,7 @@ class Onboard:
         self._heading_bulletin = HeadingBulletin()
         self._mounting = mounting
         self._rig = Rig([each.on_a_rig() for each in cameras])
+        self._picture_turns = PictureTurns(self._rig.from_first)
         self._ego = ego
         self._identities = Identities(
             drone_id,
@@ -276,7 +279,7 @@ class Onboard:
             return TrackList(now, now, ())
         if now - self._rig.t > self.gyro.history_s + MAX_SILENCE:
             return TrackList(now, self._rig.t, ())
-        labelled = self._identities.label(self.carried(now))
+        labelled = self._labelled(self.carried(now))
         return TrackList(now, self._rig.t, self._placed(labelled, now))
 
     def carried(self, t: float) -> tuple[Track, ...]:
@@ -503,19 +506,21 @@ class Onboard:
             self._identities.turn_unmeasured()
         scan = make_scan(detections, t, camera, tracker)
         self.camera_clocks[number].see(detections.t, scan, camera)
+        self._watch_mounting(number, scan, orientation)
+        is_known = number not in self._picture_turns.wrong
         self._rig.update(number, scan, orientation)
         self._events += self._rig.take_news()
         self._orientation = orientation
         before_it = self._pictures.get(number)
-        if before_it is None or not _is_same(before_it, detections):
+        if is_known and (before_it is None or not _is_same(before_it, detections)):
             self._changed_t[number] = t
         self._pictures[number] = detections
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._rig.tracks(orientation)
-        observer = self._ego.at(t)
+        observer = self._ego.at(t) if is_known else None
         if observer is not None:
-            self._identities.observe(tracks, observer, number)
+            self._identities.observe(self._placeable(tracks), observer, number)
             self._events += self._identities.take_astray()
             for track_id in self._identities.take_vouched():
                 self._rig.vouch(track_id)
@@ -524,10 +529,35 @@ class Onboard:
             own = self._as_sure_as_it_is(observer)
             self._view = OwnView.of(own, mounting.body_from_camera, seen)
             self._consensus.remember(self._view)
-        labelled = self._identities.label(tracks)
+        labelled = self._labelled(tracks)
         if observer is not None:
             labelled = self._in_metres(labelled, scan, observer, number)
         self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled), number))
+
+    def _watch_mounting(self, number: int, scan: Scan, orientation: Orientation) -> None:
+        """Does a camera sit as it was told? One that does not shows nobody where it seems to."""
+        news = self._picture_turns.see(number, scan, self._cameras[number].camera, orientation)
+        if news is not None:
+            self._rig.set_apart(self._picture_turns.wrong)
+            # It may have been of this camera.
+            self._view = None
+            self._events.append(news)
+
+    def _placeable(self, tracks: tuple[Track, ...]) -> tuple[Track, ...]:
+        """Those that are where they seem to be."""
+        wrong = self._picture_turns.wrong
+        return tuple(track for track in tracks if track.camera not in wrong) if wrong else tracks
+
+    def _labelled(self, tracks: tuple[Track, ...]) -> tuple[IdentifiedTrack, ...]:
+        """The same tracks, and who they are; nobody knows of those that are not where they seem to be."""
+        wrong = self._picture_turns.wrong
+        labelled = self._identities.label(tracks)
+        if not wrong:
+            return labelled
+        return tuple(
+            IdentifiedTrack(entry.track, None, 0.0) if entry.track.camera in wrong else entry
+            for entry in labelled
+        )
 
     def _in_metres(
         self, tracks: tuple[IdentifiedTrack, ...], scan: Scan, observer: TeamPose, number: int

@@ -173,6 +173,8 @@ class Rig:
         """Those among them of the camera of the scan that comes."""
         self._looks: dict[int, list[_TrackLook]] = {}
         """By track: its last detections that were not compared yet, in the order of exposure."""
+        self._apart: frozenset[int] = frozenset()
+        """Cameras that neither give nor take tracks."""
         self._homes: dict[int, _Home] = {}
         """By track."""
         self.handed_over = 0
@@ -194,6 +196,11 @@ class Rig:
         return total if len(self._cameras) == 1 else {**total, "tracks_handed_over": self.handed_over}
 
     @property
+    def from_first(self) -> list[Array]:
+        """Of each camera, its axes (3, 3) from the first one's, as told."""
+        return self._from_first
+
+    @property
     def found_turns(self) -> dict[tuple[int, int], FoundTurn]:
         """By pairs of cameras between which tracks have gone: how the second is turned beside what was told."""
         return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings or seam.compared}
@@ -201,6 +208,13 @@ class Rig:
     def turn_variance(self, camera: int, orientation: Orientation) -> float:
         """rad² per axis: how little is known of the turn since that camera's last scan."""
         return rotation_between(self._orientations[camera] or orientation, orientation).variance
+
+    def set_apart(self, cameras: frozenset[int]) -> None:
+        """From now on these cameras' pictures are each a world of its own: nobody goes over to them, or from them. For
+        those that do not sit as they were told."""
+        self._apart = cameras
+        self._arrived = {id: way for id, way in self._arrived.items() if not {way.giver, way.taker} & cameras}
+        self._looks.clear()
 
     def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
         """Fold in a scan of a camera, orientation: when it was exposed: carry its tracks there, and take over what
@@ -324,6 +338,8 @@ class Rig:
         _, mean, cov = tracker.estimates
         for taker, other in enumerate(self._cameras):
             last = other.tracker.t
+            if self._apart & {giver, taker}:
+                continue
             if taker != giver and last is not None and t - last < MOST_BACK and (since > last).any():
                 shown = self._shown_by(mean, cov, giver, taker, self._turn_to(taker, giver))
                 tracker.not_lost((since > last) & (shown.seen > 0.5))
@@ -387,6 +403,8 @@ class Rig:
         """What there is to say of seams; each is returned once."""
         news = []
         for (first, second), seam in self._seams.items():
+            if self._apart & {first, second}:
+                continue
             said = None if seam.fits else LOST_SIGHT
             said = TURNED if said is None and seam.is_turned else said
             if said is not None and (first, second, said) not in self._said:
@@ -419,6 +437,8 @@ class Rig:
         for giver, each in enumerate(self._cameras):
             then, since = self._orientations[giver], each.tracker.t
             if then is None or since is None or since - t > MOST_BACK:
+                continue
+            if giver != camera and self._apart & {giver, camera}:
                 continue
             turn = rotation_between(then, orientation)
             part = ExpectedTracks.of(each.tracker.at(t, self._own(giver, turn.matrix), turn.variance))
@@ -476,7 +496,7 @@ class Rig:
         """What the giver knows and the taker should see, or is nearer to while neither sees it."""
         one, other = self._cameras[giver], self._cameras[taker]
         then, since = self._orientations[giver], one.tracker.t
-        if then is None or since is None or since - t > MOST_BACK:
+        if then is None or since is None or since - t > MOST_BACK or self._apart & {giver, taker}:
             return
         turn = rotation_between(then, orientation)
         own, seam = self._own(giver, turn.matrix), self._turn_to(taker, giver)

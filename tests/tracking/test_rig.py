@@ -297,6 +297,28 @@ def test_a_scan_that_is_refused_leaves_the_rig_as_it_was(tracker, late_s):
         assert np.linalg.norm(pixel - track.mean[::2], axis=1).min() < 3.0
 
 
+def test_a_camera_that_is_set_apart_neither_gives_nor_takes_tracks():
+    poses = [looking(-40.0), looking(40.0)]
+    drone = Drone(rig_of("mbm", *poses), poses, [[6.0, -1.0, 0.3]])
+    drone.rig.set_apart(frozenset({1}))
+    for rate in (0.0, -0.6):
+        for _ in range(20):
+            for camera in (0, 1):
+                drone.turn(rate, 0.03)
+                drone.look(camera)
+    assert [drone.seen_by(camera, drone.yaw)[1].any() for camera in (0, 1)] == [False, True]
+    (track,) = drone.tracks()
+    assert track.camera == 1
+    assert track.id != 1
+    drone.rig.set_apart(frozenset())
+    for _ in range(20):
+        for camera in (0, 1):
+            drone.turn(0.6, 0.03)
+            drone.look(camera)
+    (back,) = drone.tracks()
+    assert (back.id, back.camera) == (track.id, 0)
+
+
 # --- what crossings tell of the mounting ---
 
 
