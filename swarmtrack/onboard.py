@@ -22,6 +22,7 @@ from typing import NamedTuple, assert_never
 import numpy as np
 
 from swarmtrack.formation.setpoint import NO_SWAY, OwnFlight, OwnSway
+from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
@@ -60,7 +61,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
-from swarmtrack.motion.gyro import GyroHistory, Orientation
+from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
 from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
@@ -90,6 +91,8 @@ MOST_CODES, SWAY_S = 32, 0.05
 # m/s per axis: nobody whose name is not known is taken to be calmer. Who has hovered for long and then comes straight
 # on grows in the image, and no more; a filter that knows it to be calm takes that for an error of its boxes.
 STRANGERS_SPEED = 1.0
+# rad: two pixels or so. A camera that has turned by more shows nobody at the very same place.
+STUCK_TURN = 5e-3
 # rad: of a turn between two scans that is known no better, tracks may have taken up each other's detections.
 UNMEASURED = 0.35
 
@@ -116,11 +119,20 @@ class Counters:
     """Older than the last scan, or than the gyro history."""
     scans_ahead_of_gyro: int = 0
     """Tracked on the gyro's last rate, because it was silent for longer than `MAX_WAIT`."""
+    stuck_scans: int = 0
+    """The same picture again, although the drone has turned."""
     scans: int = 0
     detections: int = 0
     announcements_refused: int = 0
     identities_overruled: int = 0
     """Given up because other observers see that drone elsewhere."""
+
+
+class _Picture(NamedTuple):
+    """What a camera detected, and how the first camera was turned then."""
+
+    detections: Detections
+    orientation: Orientation
 
 
 class OnboardCamera(NamedTuple):
@@ -195,8 +207,8 @@ class Onboard:
         self._clashing: frozenset[str] = frozenset()
         # Of the first camera, at the last scan.
         self._orientation: Orientation | None = None
-        self._pictures: dict[int, Detections] = {}
-        """By camera, its last."""
+        self._pictures: dict[int, _Picture] = {}
+        """By camera, its last that was another than the one before."""
         self._changed_t = [-math.inf] * len(cameras)
         """By camera, exposure of its last scan that was not the one before to the last bit: no camera that lives shows
         that."""
@@ -502,6 +514,9 @@ class Onboard:
             return
         self.counters.scans_ahead_of_gyro += newest is not None and newest < t
         orientation = self.gyro.orientation(t)
+        if self._is_stuck(detections, orientation):
+            self.counters.stuck_scans += 1
+            return
         if self._rig.turn_variance(number, orientation) > UNMEASURED**2:
             self._identities.turn_unmeasured()
         scan = make_scan(detections, t, camera, tracker)
@@ -511,10 +526,11 @@ class Onboard:
         self._rig.update(number, scan, orientation)
         self._events += self._rig.take_news()
         self._orientation = orientation
-        before_it = self._pictures.get(number)
-        if is_known and (before_it is None or not _is_same(before_it, detections)):
-            self._changed_t[number] = t
-        self._pictures[number] = detections
+        before = self._pictures.get(number)
+        if before is None or not _is_same(before.detections, detections):
+            self._pictures[number] = _Picture(detections, orientation)
+            if is_known:
+                self._changed_t[number] = t
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._rig.tracks(orientation)
@@ -533,6 +549,14 @@ class Onboard:
         if observer is not None:
             labelled = self._in_metres(labelled, scan, observer, number)
         self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled), number))
+
+    def _is_stuck(self, detections: Detections, orientation: Orientation) -> bool:
+        """Whether a camera shows what it did although it has turned since: then this is no picture of now."""
+        before = self._pictures.get(detections.camera)
+        if before is None or not _is_same(before.detections, detections):
+            return False
+        turned = rotation.log(rotation_between(before.orientation, orientation).matrix)
+        return bool(np.linalg.norm(turned) > STUCK_TURN)
 
     def _watch_mounting(self, number: int, scan: Scan, orientation: Orientation) -> None:
         """Does a camera sit as it was told? One that does not shows nobody where it seems to."""

@@ -59,6 +59,10 @@ class Flight:
         self.t = self.yaw = 0.0
         self.silent: set[int] = set()
         """Cameras that have died."""
+        self.stuck: set[int] = set()
+        """Cameras that show what they showed last."""
+        self.shown: dict[int, tuple] = {}
+        """By camera, what it showed last."""
         self.late: dict[int, float] = {}
         """By camera: s by which its scans were exposed before those that come with them."""
         self.rate = 0.0
@@ -117,7 +121,9 @@ class Flight:
         width = SPAN * CAMERA.fx / np.linalg.norm(np.array(list(PLACES.values())) - HERE, axis=1)[inside]
         n = len(z)
         size = np.column_stack([1.14 * width, 0.5 * width])
-        self.drone.tell(Detections(self.t - late, self.number, z, size, np.full(n, 0.9), camera=camera))
+        if camera not in self.stuck:
+            self.shown[camera] = z, size, np.full(n, 0.9)
+        self.drone.tell(Detections(self.t - late, self.number, *self.shown[camera], camera=camera))
 
     def entries(self, since=0.0):
         """Each track of each report, its name, and who is nearest to it in its own camera's picture."""
@@ -305,6 +311,35 @@ def test_what_a_camera_showed_that_has_died_ends_within_a_second_while_the_other
     flight.silent.clear()
     flight.fly(0.0, 3.0)
     assert {entry.identity for entry in flight.drone.tracks(flight.t).tracks} == {2, 3}
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_a_camera_that_is_stuck_does_not_hold_back_what_another_one_sees_too(tracker):
+    flight = Flight((-20.0, 20.0), tracker=tracker)
+    flight.fly(0.0, 3.0)
+    # Drone 2 is in both pictures.
+    assert all(flight.seen_by(camera, np.eye(3))[1][0] for camera in (0, 1))
+    (before,) = [e.track.id for e in flight.drone.tracks(flight.t).tracks if e.identity == 2]
+    flight.stuck.add(1)
+    began = flight.t
+    for rate in (0.3, -0.3, 0.3, -0.3):
+        flight.fly(rate, 1.0)
+    of_it = [
+        (entry, away)
+        for report, entry, nearest, away in flight.entries(since=began + 0.2)
+        if entry.track.id == before
+    ]
+    assert {entry.track.camera for entry, _ in of_it} == {0}
+    assert max(away for _, away in of_it) < 6.0
+    assert {entry.identity for entry, _ in of_it} == {2}
+    # Nobody is where the stuck camera shows them.
+    assert {entry.track.camera for entry in flight.drone.tracks(flight.t).tracks} == {0}
+    assert flight.drone.counters.stuck_scans > 20
+    flight.stuck.clear()
+    began = flight.t
+    flight.fly(0.0, 1.0)
+    again = [entry for _, entry, _, _ in flight.entries(since=began)]
+    assert {(entry.identity, entry.track.camera) for entry in again} == {(2, 0), (2, 1)}
 
 
 def test_how_long_ago_a_camera_showed_anything_new_is_told_of_each():
