@@ -297,6 +297,17 @@ def test_a_scan_that_is_refused_leaves_the_rig_as_it_was(tracker, late_s):
         assert np.linalg.norm(pixel - track.mean[::2], axis=1).min() < 3.0
 
 
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_who_goes_over_has_survived_the_time_until_then(tracker):
+    first, _ = create_trackers(tracker, cameras=[CAMERA, CAMERA], **AGENT_PARAMETERS, p_survival=0.5)
+    for k in range(12):
+        first.update(Scan(0.1 * k, np.array([[200.0, 150.0]])))
+    (before,) = first.tracks
+    leaving = first.release(np.array([True]), first.t + 0.2, np.eye(3), 0.0)
+    assert leaving.table.existence[0] == pytest.approx(before.probability * 0.5**0.2)
+    assert first.tracks == ()
+
+
 def test_a_camera_that_is_set_apart_neither_gives_nor_takes_tracks():
     poses = [looking(-40.0), looking(40.0)]
     drone = Drone(rig_of("mbm", *poses), poses, [[6.0, -1.0, 0.3]])
