@@ -117,8 +117,8 @@ class Population:
         return stay
 
     def release(self, rows: NDArray[np.bool_], dt: float) -> TrackTable:
-        """These rows (n,), which go to another table, dt seconds later, or earlier: what of that time they have survived
-        already, they will survive once more."""
+        """These rows (n,), which go to another table, dt seconds later, or earlier: what they have survived of that
+        time they will survive once more."""
         leaving = self.table.select(rows)
         self.table.keep(~rows)
         there = lifecycle.survive(leaving.existence, dt, self._parameters.p_survival)

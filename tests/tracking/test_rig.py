@@ -1,5 +1,6 @@
 """Several cameras of one drone: tracks that go over from one to the next (tracking/rig.py, tracking/seams.py)."""
 
+import copy
 import math
 
 import numpy as np
@@ -306,6 +307,22 @@ def test_who_goes_over_has_survived_the_time_until_then(tracker):
     leaving = first.release(np.array([True]), first.t + 0.2, np.eye(3), 0.0)
     assert leaving.table.existence[0] == pytest.approx(before.probability * 0.5**0.2)
     assert first.tracks == ()
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_a_passage_that_is_carried_on_leaves_the_one_it_came_from_as_it_was(tracker):
+    first, _ = create_trackers(tracker, cameras=[CAMERA, OTHER], **AGENT_PARAMETERS)
+    for k in range(12):
+        first.update(Scan(0.1 * k, np.array([[200.0, 150.0]])))
+    passage = first.release(np.array([True]), first.t, np.eye(3), 0.0)
+    kept = copy.deepcopy(passage)
+    passage.in_pixels_of(OTHER, CAMERA)
+    passage.moved(np.ones((1, 2)), np.eye(2)[None])
+    passage.turned_into(OTHER, CAMERA, rotation.exp([0.0, 0.1, 0.0]))
+    for column in ("mean", "cov", "size"):
+        np.testing.assert_array_equal(getattr(passage.table, column), getattr(kept.table, column))
+    for now, before in zip(passage.motion or (), kept.motion or (), strict=True):
+        np.testing.assert_array_equal(now, before)
 
 
 def test_a_camera_that_is_set_apart_neither_gives_nor_takes_tracks():
