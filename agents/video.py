@@ -51,7 +51,9 @@ video = {video}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="the video")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help="the video; of several cameras, one at a time"
+    )
     parser.add_argument(
         "--fov",
         type=_angle,

@@ -192,7 +192,6 @@ def fly(row: Row, tracker: str, seed: int) -> Flown:
         due[camera] += 1.0 / FPS
         scene.fly_to(t)
         orientation = scene.gyro.orientation(t)
-        rig.predict(camera, t, orientation)
         rig.update(camera, scene.scan(camera, t), orientation)
         seen.append((t, on_drones(rig.tracks(orientation), scene, t)))
         shown = [scene.pixels(each, t)[1] for each in (0, 1)]

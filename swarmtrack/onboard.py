@@ -22,6 +22,7 @@ from typing import NamedTuple, assert_never
 import numpy as np
 
 from swarmtrack.formation.setpoint import NO_SWAY, OwnFlight, OwnSway
+from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
@@ -60,10 +61,11 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
-from swarmtrack.motion.gyro import GyroHistory, Orientation
+from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
 from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
+from swarmtrack.motion.picture_turn import MountingNews, PictureTurns
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
@@ -89,6 +91,8 @@ MOST_CODES, SWAY_S = 32, 0.05
 # m/s per axis: nobody whose name is not known is taken to be calmer. Who has hovered for long and then comes straight
 # on grows in the image, and no more; a filter that knows it to be calm takes that for an error of its boxes.
 STRANGERS_SPEED = 1.0
+# rad: two pixels or so. A camera that has turned by more shows nobody at the very same place.
+STUCK_TURN = 5e-3
 # rad: of a turn between two scans that is known no better, tracks may have taken up each other's detections.
 UNMEASURED = 0.35
 
@@ -103,6 +107,7 @@ Output = (
     | FrameNews
     | RangeNews
     | SeamNews
+    | MountingNews
 )
 
 
@@ -114,11 +119,20 @@ class Counters:
     """Older than the last scan, or than the gyro history."""
     scans_ahead_of_gyro: int = 0
     """Tracked on the gyro's last rate, because it was silent for longer than `MAX_WAIT`."""
+    stuck_scans: int = 0
+    """The same picture again, although the drone has turned."""
     scans: int = 0
     detections: int = 0
     announcements_refused: int = 0
     identities_overruled: int = 0
     """Given up because other observers see that drone elsewhere."""
+
+
+class _Picture(NamedTuple):
+    """What a camera detected, and how the first camera was turned then."""
+
+    detections: Detections
+    orientation: Orientation
 
 
 class OnboardCamera(NamedTuple):
@@ -167,6 +181,7 @@ class Onboard:
         self._heading_bulletin = HeadingBulletin()
         self._mounting = mounting
         self._rig = Rig([each.on_a_rig() for each in cameras])
+        self._picture_turns = PictureTurns(self._rig.from_first)
         self._ego = ego
         self._identities = Identities(
             drone_id,
@@ -192,8 +207,8 @@ class Onboard:
         self._clashing: frozenset[str] = frozenset()
         # Of the first camera, at the last scan.
         self._orientation: Orientation | None = None
-        self._pictures: dict[int, Detections] = {}
-        """By camera, its last."""
+        self._pictures: dict[int, _Picture] = {}
+        """By camera, its last that was another than the one before."""
         self._changed_t = [-math.inf] * len(cameras)
         """By camera, exposure of its last scan that was not the one before to the last bit: no camera that lives shows
         that."""
@@ -276,7 +291,7 @@ class Onboard:
             return TrackList(now, now, ())
         if now - self._rig.t > self.gyro.history_s + MAX_SILENCE:
             return TrackList(now, self._rig.t, ())
-        labelled = self._identities.label(self.carried(now))
+        labelled = self._labelled(self.carried(now))
         return TrackList(now, self._rig.t, self._placed(labelled, now))
 
     def carried(self, t: float) -> tuple[Track, ...]:
@@ -492,31 +507,36 @@ class Onboard:
     def _track(self, detections: Detections, t: float) -> None:
         number = detections.camera
         camera, mounting, tracker = self._cameras[number]
-        newest, before = self.gyro.newest, tracker.t
+        newest = self.gyro.newest
         too_old = newest is not None and t < newest - self.gyro.history_s
-        if too_old or (before is not None and t <= before):
+        if too_old or tracker.refuses(t):
             self.counters.late_scans += 1
             return
         self.counters.scans_ahead_of_gyro += newest is not None and newest < t
         orientation = self.gyro.orientation(t)
+        if self._is_stuck(detections, orientation):
+            self.counters.stuck_scans += 1
+            return
         if self._rig.turn_variance(number, orientation) > UNMEASURED**2:
             self._identities.turn_unmeasured()
-        self._rig.predict(number, t, orientation)
         scan = make_scan(detections, t, camera, tracker)
         self.camera_clocks[number].see(detections.t, scan, camera)
+        self._watch_mounting(number, scan, orientation)
+        is_known = number not in self._picture_turns.wrong
         self._rig.update(number, scan, orientation)
         self._events += self._rig.take_news()
         self._orientation = orientation
-        before_it = self._pictures.get(number)
-        if before_it is None or not _is_same(before_it, detections):
-            self._changed_t[number] = t
-        self._pictures[number] = detections
+        before = self._pictures.get(number)
+        if before is None or not _is_same(before.detections, detections):
+            self._pictures[number] = _Picture(detections, orientation)
+            if is_known:
+                self._changed_t[number] = t
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._rig.tracks(orientation)
-        observer = self._ego.at(t)
+        observer = self._ego.at(t) if is_known else None
         if observer is not None:
-            self._identities.observe(tracks, observer, number)
+            self._identities.observe(self._placeable(tracks), observer, number)
             self._events += self._identities.take_astray()
             for track_id in self._identities.take_vouched():
                 self._rig.vouch(track_id)
@@ -525,10 +545,43 @@ class Onboard:
             own = self._as_sure_as_it_is(observer)
             self._view = OwnView.of(own, mounting.body_from_camera, seen)
             self._consensus.remember(self._view)
-        labelled = self._identities.label(tracks)
+        labelled = self._labelled(tracks)
         if observer is not None:
             labelled = self._in_metres(labelled, scan, observer, number)
         self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled), number))
+
+    def _is_stuck(self, detections: Detections, orientation: Orientation) -> bool:
+        """Whether a camera shows what it did although it has turned since: then this is no picture of now."""
+        before = self._pictures.get(detections.camera)
+        if before is None or not _is_same(before.detections, detections):
+            return False
+        turned = rotation.log(rotation_between(before.orientation, orientation).matrix)
+        return bool(np.linalg.norm(turned) > STUCK_TURN)
+
+    def _watch_mounting(self, number: int, scan: Scan, orientation: Orientation) -> None:
+        """Does a camera sit as it was told? One that does not shows nobody where it seems to."""
+        news = self._picture_turns.see(number, scan, self._cameras[number].camera, orientation)
+        if news is not None:
+            self._rig.set_apart(self._picture_turns.wrong)
+            # It may have been of this camera.
+            self._view = None
+            self._events.append(news)
+
+    def _placeable(self, tracks: tuple[Track, ...]) -> tuple[Track, ...]:
+        """Those that are where they seem to be."""
+        wrong = self._picture_turns.wrong
+        return tuple(track for track in tracks if track.camera not in wrong) if wrong else tracks
+
+    def _labelled(self, tracks: tuple[Track, ...]) -> tuple[IdentifiedTrack, ...]:
+        """The same tracks, and who they are; nobody knows of those that are not where they seem to be."""
+        wrong = self._picture_turns.wrong
+        labelled = self._identities.label(tracks)
+        if not wrong:
+            return labelled
+        return tuple(
+            IdentifiedTrack(entry.track, None, 0.0) if entry.track.camera in wrong else entry
+            for entry in labelled
+        )
 
     def _in_metres(
         self, tracks: tuple[IdentifiedTrack, ...], scan: Scan, observer: TeamPose, number: int

@@ -34,17 +34,22 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Scan
+from swarmtrack.motion.bearing_filters import (
+    AGILITIES,
+    ESTABLISHED,
+    BearingFilters,
+    bearings_of,
+    is_lapse,
+    likelihoods,
+)
 from swarmtrack.motion.gyro import GyroHistory, Orientation, Orientations
 
 REACH = 0.15  # s about the start value that are searched
 STEP = 0.01  # s: a rotation of 5 Hz still is a parabola about its minimum
 HALF = 2  # steps to either side over which slopes are taken: fewer let the gyro's noise in
-AGILITIES = 430.0**2 * np.array([1e-4, 1e-3, 1e-2, 1e-1])  # rad²/s³ by rad² of a bearing's variance
-SPEED_SIGMA = 0.2  # rad/s of a target that is new
 FADES = 60.0  # s in which evidence loses all but 1/e of its weight
 BLOCK = 2.0  # s: about a manoeuvre
 MIN_COMPONENTS = 8.0  # of a block's innovations: with fewer its scale is anything
@@ -52,16 +57,8 @@ FORGETS = 3.0 * FADES  # s after which a block has no weight worth the work
 # s by which a block may err beyond its noise: from less than any estimate's own σ to as much as is searched. Each is as
 # likely as the next before the flight.
 TAUS: Array = np.geomspace(6e-5, 64e-3, 11)
-GATE = 16.0  # squared innovations over their variance, at whichever offset suits best
 LIKELY = 30.0  # log-likelihood below the best, down to which an offset's gates stay open
-ESTABLISHED = 3  # detections in a row, until then clutter is as likely
-SCALE_STEP = 0.05  # of the gate's own scale, for each innovation
 TINY = 1e-300  # instead of a division by zero
-LEAST_SCALE = 1e-9  # of the variances: a simulation without noise is no reason to divide by zero
-MAX_LAPSE = 0.5  # s without a detection: the target is followed anew
-MAX_TURN_VARIANCE = 3e-3**2  # rad²: a gap in the gyro's samples, and nothing is known across it
-MAX_TARGETS = 8
-MAX_DETECTIONS = 24  # of a scan that are looked at
 # s: by then the gyro has passed whatever may be asked of it, early stamps included
 WAITS = 0.05 + 2.0 * REACH
 MAX_WAITING = 64  # scans; more wait only where the stamps jump
@@ -136,13 +133,7 @@ class CameraClock:
         """What a scan with that stamp measured."""
         if self._evidence is None:
             return
-        bearings = camera.bearing_undistorted(scan.z)
-        variance = camera.chart.solid_angle(scan.z)
-        if scan.R is not None:
-            with np.errstate(invalid="ignore"):
-                variance = variance * np.sqrt(np.linalg.det(scan.R))
-        sound = np.isfinite(variance) & (variance > 0.0)
-        self._evidence.see(stamp, bearings[sound], variance[sound])
+        self._evidence.see(stamp, *bearings_of(scan, camera))
 
 
 class _Bearings(NamedTuple):
@@ -160,12 +151,11 @@ class TimeOffset:
         self.start_s = start_s
         self._waiting: deque[_Bearings] = deque(maxlen=MAX_WAITING)
         self._last: tuple[float, Orientation] | None = None
-        self._targets = _Targets()
+        self._targets = BearingFilters(len(_GRID))
         self._block: _Block | None = None
         self._blocks: deque[_Block] = deque()
         self._agility = len(AGILITIES) // 2  # the likeliest
         self._likely = np.ones(len(_GRID), dtype=bool)
-        self._gate_scale = 1.0
         self._judged = -math.inf
         self._now = -math.inf
         self.estimate: OffsetEstimate | None = None
@@ -175,8 +165,7 @@ class TimeOffset:
         """A scan stamped t saw bearings (m, 3), unit vectors, of variance (m,) rad² per axis."""
         if self._waiting and t <= self._waiting[-1].t:
             return
-        m = MAX_DETECTIONS
-        self._waiting.append(_Bearings(t, bearings[:m], variance[:m]))
+        self._waiting.append(_Bearings(t, bearings, variance))
 
     def advance(self, gyro: GyroHistory, t: float) -> None:
         """Take what is old enough at the stamp t. It depends on t alone, not on who arrived first."""
@@ -192,7 +181,11 @@ class TimeOffset:
         if not blocks:
             return None
         weight = np.exp([(block.end - self._now) / FADES for block in blocks])
-        likelihood, scale = _likelihoods(blocks)
+        likelihood, scale = likelihoods(
+            np.array([block.cost for block in blocks]),
+            np.array([block.log_det for block in blocks]),
+            np.array([block.components for block in blocks]),
+        )
         surprise = -weight @ np.logaddexp.reduce(likelihood, axis=1)
         k = int(surprise.argmin())
         agility = softmax(likelihood[:, :, k], axis=1)
@@ -222,8 +215,8 @@ class TimeOffset:
             self._last = None
             return
         orientation = gyro.orientation(at_stamps)
-        if self._last is None or self._lost(orientation, scan.t):
-            self._targets = _Targets()
+        if self._last is None or is_lapse(self._last, (scan.t, orientation)):
+            self._targets.restart()
             self._block = None
         self._last = (scan.t, orientation)
         self._now = scan.t
@@ -234,37 +227,14 @@ class TimeOffset:
                 self._blocks.popleft()
         self._learn(scan, orientations)
 
-    def _lost(self, orientation: Orientation, t: float) -> bool:
-        assert self._last is not None
-        then, before = self._last
-        return t - then > MAX_LAPSE or abs(orientation.variance - before.variance) > MAX_TURN_VARIANCE
-
     def _learn(self, scan: _Bearings, orientations: Orientations) -> None:
         of_axes = orientations.matrices.transpose(2, 1, 0).reshape(3, -1)
         turned = (scan.bearings @ of_axes).reshape(-1, 3, len(_GRID))
-        targets = self._targets
-        targets.predict(scan.t)
-        near = self._near(turned, scan.variance)
-        sure = near & (near.sum(axis=1, keepdims=True) == 1) & (near.sum(axis=0) == 1)
-        rows, columns = np.nonzero(sure)
-        slots = targets.slots[rows]
-        y, S = targets.innovations(slots, turned[columns], scan.variance[columns])
-        known = targets.hits[slots] >= ESTABLISHED
-        targets.correct(slots, y, S)
-        targets.leave_out(near.sum(axis=1) == 0)
-        new = ~near.any(axis=0)
-        targets.begin(turned[new], scan.variance[new])
-        if known.any():
-            self._add(y[known], S[known], scan.variance[columns][known], orientations.noise)
-
-    def _near(self, turned: Array, variance: Array) -> NDArray[np.bool_]:
-        """Which of the detections (m, 3, g) lie in which target's gate, (n, m)."""
-        q, g, targets = self._agility, self._likely, self._targets
-        prior = targets.mean[targets.slots, q, 0][..., g]
-        e = turned[None, :, :, g] - prior[:, None]
-        S = targets.cov[targets.slots, q, 0][:, None] + variance
-        inside: NDArray[np.bool_] = (e * e).sum(axis=2).min(axis=2) < GATE * self._gate_scale * S
-        return inside
+        y, S, variance = self._targets.follow(
+            scan.t, turned, scan.variance, agility=self._agility, likely=self._likely, least_hits=ESTABLISHED
+        )
+        if len(y):
+            self._add(y, S, variance, orientations.noise)
 
     def _add(self, y: Array, S: Array, variance: Array, gyro_noise: float) -> None:
         """Learn from innovations y (n, q, 3, g) of variance S (n, q), of bearings of the given variance (n,)."""
@@ -278,10 +248,7 @@ class TimeOffset:
         block.information[:, _INNER] += ((slopes * slopes).sum(axis=2) / S[:, :, None]).sum(axis=0)
         # White noise, summed over the span; the innovations' filter raises it by no more than S over the variance.
         block.noise += float((2.0 * gyro_noise / _SPAN / variance).sum())
-        # Steps towards the median find it even from where most fall outside the gate.
-        least = d[:, self._agility].min(axis=1)
-        above = float(np.sign(least - 2.0 * math.log(2.0) * self._gate_scale).sum())
-        self._gate_scale *= math.exp(SCALE_STEP * above)
+        self._targets.learn_gate(d[:, self._agility].min(axis=1))
 
 
 class _Block:
@@ -298,15 +265,6 @@ class _Block:
         # into them, s⁻².
         self.information = np.zeros(models)
         self.noise = 0.0
-
-
-def _likelihoods(blocks: list[_Block]) -> tuple[Array, Array]:
-    """Of each block, agility and offset (b, q, g): log-likelihood with the scale of all variances that suits best, and
-    that scale."""
-    n = np.array([block.components for block in blocks])[:, None, None]
-    scale = np.maximum(np.array([block.cost for block in blocks]) / n, LEAST_SCALE)
-    log_det = np.array([block.log_det for block in blocks])[:, :, None]
-    return -0.5 * (n * np.log(scale) + log_det), scale
 
 
 def _parabolas(blocks: list[_Block], weight: Array, k: int) -> tuple[Array, Array]:
@@ -340,63 +298,6 @@ def _agreed(curvature: Array, slope: Array, weight: Array) -> tuple[float, float
     odds = softmax(0.5 * (np.log(precision) @ weight - np.log(total) - misfit))
     offset = float(odds @ mean)
     return offset, float(odds @ (1.0 / total + (mean - offset) ** 2))
-
-
-class _Targets:
-    """The filters: each target's bearing in a frame that does not turn, and its speed, as of each offset.
-
-    mean (slot, q, 2, 3, g) rad, rad/s; cov (slot, q, 3): variance of the bearing, covariance, variance of the speed;
-    hits (slot,): detections so far, 0 where a slot is free; slots (n,): those that are not.
-    """
-
-    def __init__(self) -> None:
-        self.mean = np.zeros((MAX_TARGETS, len(AGILITIES), 2, 3, len(_GRID)))
-        self.cov = np.zeros((MAX_TARGETS, len(AGILITIES), 3))
-        self.hits = np.zeros(MAX_TARGETS, dtype=int)
-        self.slots = np.flatnonzero(self.hits)
-        self._psd = np.zeros((MAX_TARGETS, len(AGILITIES)))
-        self._seen = np.zeros(MAX_TARGETS)
-        self._t = 0.0
-
-    def predict(self, t: float) -> None:
-        """Carry all on to t; who was not seen for too long is gone."""
-        dt, self._t = t - self._t, t
-        self.hits[t - self._seen > MAX_LAPSE] = 0
-        slots = self.slots = np.flatnonzero(self.hits)
-        self.mean[slots, :, 0] += dt * self.mean[slots, :, 1]
-        p, c, v = self.cov[slots].transpose(2, 0, 1)
-        psd = self._psd[slots]
-        p, c = p + dt * (2.0 * c + dt * v) + psd * dt**3 / 3.0, c + dt * v + psd * dt**2 / 2.0
-        self.cov[slots] = np.array([p, c, v + psd * dt]).transpose(1, 2, 0)
-
-    def innovations(self, slots: NDArray[np.intp], turned: Array, variance: Array) -> tuple[Array, Array]:
-        """y (n, q, 3, g) of the bearings turned (n, 3, g), and their variance S (n, q)."""
-        return turned[:, None] - self.mean[slots, :, 0], self.cov[slots, :, 0] + variance[:, None]
-
-    def correct(self, slots: NDArray[np.intp], y: Array, S: Array) -> None:
-        p, c, v = self.cov[slots].transpose(2, 0, 1)
-        self.mean[slots, :, 0] += (p / S)[:, :, None, None] * y
-        self.mean[slots, :, 1] += (c / S)[:, :, None, None] * y
-        self.cov[slots] = np.array([p - p * p / S, c - p * c / S, v - c * c / S]).transpose(1, 2, 0)
-        self.hits[slots] += 1
-        self._seen[slots] = self._t
-
-    def leave_out(self, missing: NDArray[np.bool_]) -> None:
-        """missing (n,): which of the targets have no detection in their gate; one that is new must have."""
-        missed = self.slots[missing]
-        self.hits[missed[self.hits[missed] < ESTABLISHED]] = 0
-
-    def begin(self, turned: Array, variance: Array) -> None:
-        """New targets at bearings turned (n, 3, g), as many as there is room for."""
-        slots = np.flatnonzero(self.hits == 0)[: len(turned)]
-        turned, variance = turned[: len(slots)], variance[: len(slots)]
-        self.mean[slots, :, 0] = turned[:, None]
-        self.mean[slots, :, 1] = 0.0
-        self.cov[slots] = np.array([1.0, 0.0, 0.0]) * variance[:, None, None]
-        self.cov[slots, :, 2] = SPEED_SIGMA**2
-        self._psd[slots] = AGILITIES * variance[:, None]
-        self.hits[slots] = 1
-        self._seen[slots] = self._t
 
 
 def softmax(log_odds: Array, axis: int = -1) -> Array:

@@ -148,14 +148,22 @@ class Frames:
         return off, float(miss @ np.linalg.solve(cov, miss))
 
     def _sight(self, said: SightingReport) -> FrameSight | None:
-        """What we saw of the teammate when it said where it is."""
-        look = min(self._looks, key=lambda look: abs(look.t - said.t), default=None)
-        if look is None or not abs(look.t - said.t) < SIMULTANEOUS_S:
-            return None
-        row = next((i for i, key in enumerate(look.keys) if key[0] == said.observer), None)
-        if row is None or not math.isfinite(float(look.ray[row, 0])):
-            return None
+        """What we saw of the teammate when it said where it is, with the camera that showed it then."""
+        near = [look for look in self._looks if abs(look.t - said.t) < SIMULTANEOUS_S]
+        for look in sorted(near, key=lambda look: abs(look.t - said.t)):
+            row = _row_of(said.observer, look)
+            if row is not None:
+                return self._seen(said, look, row)
+        return None
+
+    def _seen(self, said: SightingReport, look: TeamLook, row: int) -> FrameSight:
         back = next((seen.direction for seen in said.sightings if seen.drone_id == self._drone_id), None)
         log_range = math.log(self._p.width_m / look.width[row]) if look.width[row] > 0.0 else math.nan
         gain = float(look.gain[row])
         return FrameSight(said.t, look.camera, said.position, look.ray[row], log_range, back, gain)
+
+
+def _row_of(drone_id: int, look: TeamLook) -> int | None:
+    """Of a teammate in a look; None where another camera saw it, or nobody."""
+    row = next((i for i, key in enumerate(look.keys) if key[0] == drone_id), None)
+    return row if row is not None and math.isfinite(float(look.ray[row, 0])) else None

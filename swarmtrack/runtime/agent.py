@@ -26,6 +26,7 @@ from swarmtrack.messages import (
     PoseWanted,
     ScanReport,
 )
+from swarmtrack.motion.picture_turn import MountingNews
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.assembly import Parts
@@ -37,7 +38,7 @@ from swarmtrack.runtime.live_video import LiveVideo
 from swarmtrack.runtime.outputs import JsonLines, as_seen, video_paths
 from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
-from swarmtrack.runtime.seam_words import describe_seam
+from swarmtrack.runtime.seam_words import describe_mounting, describe_seam
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
 from swarmtrack.runtime.turns import FairTurns, NewestFrames, in_order
@@ -323,9 +324,14 @@ class Agent:
                 case DoubtNews():
                     self._team.on_doubt(event)
                 case SeamNews():
-                    line = describe_seam(event)
-                    self.health.events.append(line)
-                    log.warning("%s", line)
+                    self._warn(describe_seam(event))
+                case MountingNews():
+                    self._warn(describe_mounting(event))
+
+    def _warn(self, line: str) -> None:
+        """In the log, and for whoever reads the health."""
+        self.health.events.append(line)
+        log.warning("%s", line)
 
     def _on_scan(self, report: ScanReport) -> None:
         """To whoever writes or shows it; and the publisher wakes."""

@@ -1,10 +1,11 @@
-"""What crossings from one camera to another say of how the cameras sit, as a sentence."""
+"""What the flight says of how the cameras sit, as a sentence."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from swarmtrack.geometry import rotation
+from swarmtrack.motion.picture_turn import MountingNews
 from swarmtrack.tracking.seams import SeamNews
 
 
@@ -24,3 +25,15 @@ def describe_seam(news: SeamNews) -> str:
         f"cameras {first} and {second} are turned by {turned:.1f}° against what is written, by teammates that {by}. "
         f"If camera {first} is right, rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit camera {second}"
     )
+
+
+def describe_mounting(news: MountingNews) -> str:
+    """Cameras are counted from 1, as people do."""
+    camera = f"camera {news.camera + 1}"
+    if news.fits:
+        return f"{camera} turns with the gyro again, as it is written: who it shows gets a name again"
+    if news.like is not None:
+        it_is = f"as camera {news.like + 1} should: are their cables swapped?"
+    else:
+        it_is = "against the gyro: is it upside down, or its picture mirrored, or body_from_camera wrong?"
+    return f"the picture of {camera} turns {it_is} Who it shows has no name meanwhile"

@@ -175,6 +175,11 @@ class Tracker:
         self._filter.predict(dt, rotation, rotation_variance)
         self._t = t
 
+    def refuses(self, t: float) -> bool:
+        """Whether `update` would refuse a scan of time t."""
+        behind = self._t is not None and t < self._t
+        return behind or t == self._last_scan or not math.isfinite(t)
+
     def _note_turn(self, dt: float, rotation: Array | None) -> None:
         """Whether the camera goes on turning as it did."""
         if dt <= 0.0:
@@ -186,8 +191,7 @@ class Tracker:
 
     def update(self, scan: Scan) -> bool:
         """Fold in a scan. One that is older than the last, or the same again, is refused (False) and counted."""
-        behind = self._t is not None and scan.t < self._t
-        if behind or scan.t == self._last_scan or not math.isfinite(scan.t):
+        if self.refuses(scan.t):
             self._late_scans += 1
             return False
         if scan.t != self._t:

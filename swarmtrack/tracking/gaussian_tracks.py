@@ -42,7 +42,7 @@ class GaussianTracks:
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
     ) -> Passage:
-        leaving = self._population.release(rows)
+        leaving = self._population.release(rows, dt)
         leaving.mean, leaving.cov = self._motion.handed_over(
             leaving.mean, leaving.cov, dt, rotation, rotation_variance
         )

@@ -260,7 +260,7 @@ class Mbm:
             rotation_variance=self._learned(rotation_variance),
             turn=self._turn,
         )
-        leaving = self._population.release(rows)
+        leaving = self._population.release(rows, dt)
         leaving.mean, leaving.cov = manoeuvre.merged(motion)
         self._keep_rows(~rows)
         return Passage(leaving, motion)

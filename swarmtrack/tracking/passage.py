@@ -7,6 +7,7 @@ in pixels. Only between an ordinary and a wide lens, whose undistorted pixels ar
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,12 +36,16 @@ class Passage(NamedTuple):
         axes from those of the camera before."""
         turn = turn_into(before)
         table = self.table
-        size = camera.box_per_radian, before.box_per_radian(table.mean[:, POSITION])
-        table.mean, F = turn(table.mean, rotation, camera)
-        table.cov = F @ table.cov @ F.swapaxes(1, 2)
-        table.size = table.size * size[0](table.mean[:, POSITION]) / size[1]
+        per_radian = before.box_per_radian(table.mean[:, POSITION])
+        mean, F = turn(table.mean, rotation, camera)
+        table = replace(
+            table,
+            mean=mean,
+            cov=F @ table.cov @ F.swapaxes(1, 2),
+            size=table.size * camera.box_per_radian(mean[:, POSITION]) / per_radian,
+        )
         if self.motion is None:
-            return self
+            return Passage(table, None)
         mean, cov, mode = self.motion
         return Passage(table, ModeMixture(*turned(mean, cov, rotation, camera, turn), mode))
 
@@ -49,13 +54,16 @@ class Passage(NamedTuple):
         scale = np.array([camera.fx / before.fx, camera.fy / before.fy])
         shift = np.array([camera.cx, camera.cy]) - scale * (before.cx, before.cy)
         by_axis = np.repeat(scale, 2)
-        table = self.table
-        table.mean = table.mean * by_axis
-        table.mean[:, POSITION] += shift
-        table.cov = table.cov * (by_axis[:, None] * by_axis)
-        table.size = table.size * scale
+        placed = self.table.mean * by_axis
+        placed[:, POSITION] += shift
+        table = replace(
+            self.table,
+            mean=placed,
+            cov=self.table.cov * (by_axis[:, None] * by_axis),
+            size=self.table.size * scale,
+        )
         if self.motion is None:
-            return self
+            return Passage(table, None)
         mean, cov, mode = self.motion
         by_axis = np.concatenate([by_axis, scale])
         mean = mean * by_axis
@@ -64,10 +72,13 @@ class Passage(NamedTuple):
 
     def moved(self, by: Array, cov: Array) -> Passage:
         """The same tracks by (n, 2) px beside where they were, and as much less certain; cov (n, 2, 2) px²."""
-        table = self.table
-        table.mean[:, POSITION] += by
-        table.cov[:, POSITION, POSITION] += cov
-        if self.motion is not None:
-            self.motion.mean[..., PLACE] += by[:, None]
-            self.motion.cov[..., PLACE, PLACE] += cov[:, None]
-        return self
+        mean, spread = self.table.mean.copy(), self.table.cov.copy()
+        mean[:, POSITION] += by
+        spread[:, POSITION, POSITION] += cov
+        table = replace(self.table, mean=mean, cov=spread)
+        if self.motion is None:
+            return Passage(table, None)
+        means, covs = self.motion.mean.copy(), self.motion.cov.copy()
+        means[..., PLACE] += by[:, None]
+        covs[..., PLACE, PLACE] += cov[:, None]
+        return Passage(table, ModeMixture(means, covs, self.motion.mode))

@@ -116,10 +116,13 @@ class Population:
         table.keep(stay)
         return stay
 
-    def release(self, rows: NDArray[np.bool_]) -> TrackTable:
-        """These rows (n,), which go to another table."""
+    def release(self, rows: NDArray[np.bool_], dt: float) -> TrackTable:
+        """These rows (n,), which go to another table, dt seconds later, or earlier: what they have survived of that
+        time they will survive once more."""
         leaving = self.table.select(rows)
         self.table.keep(~rows)
+        there = lifecycle.survive(leaving.existence, dt, self._parameters.p_survival)
+        leaving.existence = np.minimum(there, lifecycle.MAX_EXISTENCE)
         return leaving
 
     def shadowed(self, t: float, measured: Measurements, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -45,7 +45,8 @@ from swarmtrack.tracking.seams import (
 
 # s: a scan that was exposed longer before a track's last one does not take it over.
 MOST_BACK = 0.3
-# s that a track must have been with a camera, to tell how the next one is turned against it.
+# s that a track must have been with a camera, to tell how the next one is turned against it; and that a camera must not
+# have detected it for, to have lost it to another one.
 SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
@@ -99,6 +100,13 @@ class _Arrived:
     since: float
     angle: Array
     scans: int = 0
+
+
+class _Home(NamedTuple):
+    """The camera that a track is with, and when that last detected it, s."""
+
+    camera: int
+    t: float
 
 
 class _TrackLook(NamedTuple):
@@ -159,13 +167,19 @@ class Rig:
         self._arrived: dict[int, _Arrived] = {}
         """By track that has yet to be detected, and will tell of a seam then."""
         self._lent: list[_Lent] = []
-        """To the camera of the scan that comes."""
+        """To the camera of the scan that comes; nobody between two scans."""
         self._said: set[tuple[int, int, str]] = set()
         self._foretold: dict[int, Foretold] = {}
         """Those among them of the camera of the scan that comes."""
         self._looks: dict[int, list[_TrackLook]] = {}
         """By track: its last detections that were not compared yet, in the order of exposure."""
+        self._apart: frozenset[int] = frozenset()
+        """Cameras that neither give nor take tracks."""
+        self._homes: dict[int, _Home] = {}
+        """By track."""
         self.handed_over = 0
+        """Tracks that have left one camera and are with another. Where pictures overlap, both have them, and go on
+        having them."""
 
     @property
     def t(self) -> float | None:
@@ -182,6 +196,11 @@ class Rig:
         return total if len(self._cameras) == 1 else {**total, "tracks_handed_over": self.handed_over}
 
     @property
+    def from_first(self) -> list[Array]:
+        """Of each camera, its axes (3, 3) from the first one's, as told."""
+        return self._from_first
+
+    @property
     def found_turns(self) -> dict[tuple[int, int], FoundTurn]:
         """By pairs of cameras between which tracks have gone: how the second is turned beside what was told."""
         return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings or seam.compared}
@@ -190,30 +209,55 @@ class Rig:
         """rad² per axis: how little is known of the turn since that camera's last scan."""
         return rotation_between(self._orientations[camera] or orientation, orientation).variance
 
-    def predict(self, camera: int, t: float, orientation: Orientation) -> None:
+    def set_apart(self, cameras: frozenset[int]) -> None:
+        """From now on these cameras' pictures are each a world of its own: nobody goes over to them, or from them. For
+        those that do not sit as they were told."""
+        self._apart = cameras
+        self._arrived = {id: way for id, way in self._arrived.items() if not {way.giver, way.taker} & cameras}
+        self._looks.clear()
+
+    def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
+        """Fold in a scan of a camera, orientation: when it was exposed: carry its tracks there, and take over what
+        should be in its picture. One that its tracker refuses (False, see `Tracker.update`) changes nothing."""
+        tracker = self._cameras[camera].tracker
+        if tracker.refuses(scan.t):
+            return tracker.update(scan)
+        self._predict(camera, scan.t, orientation)
+        self._orientations[camera] = orientation
+        self._newest = camera
+        tracker.update(scan)
+        if self._lent:
+            self._give_back(tracker)
+        crossed = self._learn_seams(camera, tracker) if self._foretold else frozenset()
+        if len(self._cameras) > 1:
+            self._compare_looks(camera, scan.t, orientation, crossed)
+            self._count_moves(camera, scan.t)
+            self._keep_in_sight(camera, scan.t)
+            self._end_unseen(scan.t)
+        return True
+
+    def _predict(self, camera: int, t: float, orientation: Orientation) -> None:
         """Carry one camera's tracks to its next exposure, and take over what should be in its picture then."""
         turn = rotation_between(self._orientations[camera] or orientation, orientation)
         self._cameras[camera].tracker.predict(t, self._own(camera, turn.matrix), turn.variance)
-        self._lent = []
         for other, _ in enumerate(self._cameras):
             if other != camera:
                 self._take_over(other, camera, t, orientation)
         self._foretold = self._arrivals_at(camera) if self._arrived else {}
 
-    def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
-        """Fold in a scan of a camera, after `predict`; False where it is refused, see `Tracker.update`."""
-        self._orientations[camera] = orientation
-        self._newest = camera
+    def _count_moves(self, camera: int, t: float) -> None:
+        """Who is detected by a camera, and by the one before no longer, has moved."""
         tracker = self._cameras[camera].tracker
-        accepted = tracker.update(scan)
-        if self._lent:
-            self._give_back(tracker, accepted=accepted)
-        crossed = self._learn_seams(camera, tracker) if self._foretold else frozenset()
-        if accepted and len(self._cameras) > 1:
-            self._compare_looks(camera, scan.t, orientation, crossed)
-            self._keep_in_sight(camera, scan.t)
-            self._end_unseen(scan.t)
-        return accepted
+        for track_id in tracker.estimates[0][~tracker.missed].tolist():
+            home = self._homes.get(track_id)
+            if home is None or home.camera == camera:
+                self._homes[track_id] = _Home(camera, t)
+            elif t - home.t > SETTLED_S:
+                self.handed_over += 1
+                self._homes[track_id] = _Home(camera, t)
+        if len(self._homes) > MOST_REMEMBERED:
+            held = {id for each in self._cameras for id in each.tracker.estimates[0].tolist()}
+            self._homes = {id: home for id, home in self._homes.items() if id in held}
 
     def _end_unseen(self, t: float) -> None:
         """Who was with a camera that has died ends as one that it misses: else it would live for as long as the other
@@ -294,22 +338,23 @@ class Rig:
         _, mean, cov = tracker.estimates
         for taker, other in enumerate(self._cameras):
             last = other.tracker.t
+            if self._apart & {giver, taker}:
+                continue
             if taker != giver and last is not None and t - last < MOST_BACK and (since > last).any():
                 shown = self._shown_by(mean, cov, giver, taker, self._turn_to(taker, giver))
                 tracker.not_lost((since > last) & (shown.seen > 0.5))
 
-    def _give_back(self, taker: Tracker, *, accepted: bool) -> None:
+    def _give_back(self, taker: Tracker) -> None:
         """What was lent for this scan and is not in it: as it was."""
         for lent in self._lent:
             ids = taker.estimates[0]
-            gone = np.isin(lent.ids, ids[~taker.missed] if accepted else [], invert=True)
+            gone = np.isin(lent.ids, ids[~taker.missed], invert=True)
             if not gone.any():
                 continue
             back = lent.ids[gone]
             assert taker.t is not None
             taker.release(np.isin(ids, back), taker.t, np.eye(3), 0.0)
             self._cameras[lent.giver].tracker.adopt(lent.as_it_was.select(gone))
-            self.handed_over -= len(back)
             for track_id in back.tolist():
                 self._foretold.pop(track_id, None)
                 _restore(self._arrived, track_id, lent.arrived)
@@ -358,6 +403,8 @@ class Rig:
         """What there is to say of seams; each is returned once."""
         news = []
         for (first, second), seam in self._seams.items():
+            if self._apart & {first, second}:
+                continue
             said = None if seam.fits else LOST_SIGHT
             said = TURNED if said is None and seam.is_turned else said
             if said is not None and (first, second, said) not in self._said:
@@ -390,6 +437,8 @@ class Rig:
         for giver, each in enumerate(self._cameras):
             then, since = self._orientations[giver], each.tracker.t
             if then is None or since is None or since - t > MOST_BACK:
+                continue
+            if giver != camera and self._apart & {giver, camera}:
                 continue
             turn = rotation_between(then, orientation)
             part = ExpectedTracks.of(each.tracker.at(t, self._own(giver, turn.matrix), turn.variance))
@@ -447,7 +496,7 @@ class Rig:
         """What the giver knows and the taker should see, or is nearer to while neither sees it."""
         one, other = self._cameras[giver], self._cameras[taker]
         then, since = self._orientations[giver], one.tracker.t
-        if then is None or since is None or since - t > MOST_BACK:
+        if then is None or since is None or since - t > MOST_BACK or self._apart & {giver, taker}:
             return
         turn = rotation_between(then, orientation)
         own, seam = self._own(giver, turn.matrix), self._turn_to(taker, giver)
@@ -476,7 +525,6 @@ class Rig:
         arriving = arriving.moved(by, cov)
         self._note_arrivals(arriving, giver, taker, t)
         other.tracker.adopt(arriving)
-        self.handed_over += len(pixel)
 
     def _as_known(
         self, known: SeamDisagreement, pixel: Array, by: Array, giver: int, taker: int

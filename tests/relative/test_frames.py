@@ -23,8 +23,9 @@ def announcement(shift, turn, boot="0000000a"):
     return Announcement(2, boot, 0, 0.0, 0.0, said, np.eye(3), 0.01 * np.eye(3))
 
 
-def flown(shift, turn, seconds=20.0, *, still=False, boot="0000000a", seed=1):
-    """Frames of drone 1, told of a teammate whose own frame is ours, turned and shifted; and all news."""
+def flown(shift, turn, seconds=20.0, *, still=False, boot="0000000a", seed=1, beside=False):
+    """Frames of drone 1, told of a teammate whose own frame is ours, turned and shifted; and all news. beside: another
+    camera, which does not show it, exposes whenever it says where it is."""
     rng = np.random.default_rng(seed)
     shift = np.asarray(shift, float)
     frames = Frames(1, RelativeParameters(airframe_span_m=0.5))
@@ -43,6 +44,9 @@ def flown(shift, turn, seconds=20.0, *, still=False, boot="0000000a", seed=1):
                 np.array([width]), np.ones(1),
             )
         )  # fmt: skip
+        if beside:
+            nobody = np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0), np.empty(0)
+            frames.see(TeamLook(t + 0.03, np.zeros(3), np.zeros(3), (), *nobody))
         if k % 5 == 0:
             said = back @ (place - shift) + 0.03 * rng.normal(size=3)
             found = frames.hear(SightingReport(2, boot, k, t + 0.03, 0.01, said, 0.1, (1,), ()))
@@ -66,6 +70,13 @@ def test_a_start_that_is_1_4_m_and_8_degrees_off_is_said_to_be_once():
     off = where - START
     assert np.linalg.norm(off) < 0.3
     assert off @ np.linalg.solve(cov, off) < 16.0
+
+
+def test_it_is_looked_for_with_the_camera_that_shows_it_whichever_exposed_last():
+    alone, news = flown((3.0, 0.0, 0.0), 0.3)
+    beside, same = flown((3.0, 0.0, 0.0), 0.3, beside=True)
+    assert same == news != []
+    np.testing.assert_array_equal(beside.transform(2).rotation, alone.transform(2).rotation)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,11 +1,12 @@
-"""What crossings say of the mounting of cameras, in words (runtime/seam_words.py)."""
+"""What the flight says of the mounting of cameras, in words (runtime/seam_words.py)."""
 
 import math
 
 import numpy as np
 
 from swarmtrack.geometry import rotation
-from swarmtrack.runtime.seam_words import describe_seam
+from swarmtrack.motion.picture_turn import MountingNews
+from swarmtrack.runtime.seam_words import describe_mounting, describe_seam
 from swarmtrack.tracking.seams import FoundTurn, SeamNews
 
 
@@ -31,3 +32,12 @@ def test_cameras_that_do_not_fit_together_make_one_think_of_the_cables():
     assert said.startswith("cameras 2 and 4 do not fit together")
     assert "cables swapped" in said
     assert "upside down" in said
+
+
+def test_a_camera_whose_picture_turns_the_wrong_way_is_said_with_what_may_be_wrong():
+    said = describe_mounting(MountingNews(9.0, 1, fits=False, like=None))
+    assert said.startswith("the picture of camera 2 turns against the gyro: is it upside down")
+    assert said.endswith("Who it shows has no name meanwhile")
+    swapped = describe_mounting(MountingNews(9.0, 1, fits=False, like=0))
+    assert "turns as camera 1 should: are their cables swapped?" in swapped
+    assert "again" in describe_mounting(MountingNews(9.0, 1, fits=True, like=None))

@@ -203,7 +203,6 @@ def test_a_track_goes_over_between_an_ordinary_and_a_wide_lens_that_looks_back(n
         there = Pose(rotation.from_euler(0.0, 0.0, yaw), np.zeros(3)) @ poses[number]
         found = seen(there.inverse().transform(target[None]), chance, cameras[number], t=t)
         orientation = gyro.orientation(t)
-        rig.predict(number, t, orientation)
         rig.update(number, make_scan(found, t, cameras[number], trackers[number]), orientation)
         for track in rig.at(t, orientation):
             if track.status == "confirmed":

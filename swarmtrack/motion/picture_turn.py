@@ -1,0 +1,202 @@
+"""Whether a camera sits as it was told, by how its picture moves while the drone turns.
+
+Theory of operation. Turned by the gyro into a frame that does not turn, the bearings of a target change smoothly if the
+camera sits as it was told (`bearing_filters.py`). Of one that hangs upside down they seem to move twice as fast as the
+drone turns. So the same filters follow them for the mounting that was told and for others, and what tells these apart
+is how surprised each one's are. A target that keeps a constant speed, as one does that the drone turns after, speaks
+for nobody; where the turn begins, ends or changes, the wrong mounting makes all targets jump.
+
+The only teammate in a picture may speed up in step with the drone's own turn, as one does that stands nearer than
+what the drone circles. So only what happens while the drone turns fast, or faster and faster, counts: hardly any
+teammate's direction changes like that. Evidence is kept in blocks of a second, each with the scale of its own
+innovations and its agility summed over, so that one jump in it counts for as much as its logarithm. Another mounting is
+said once it leads clearly, and in more than one block.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.messages import Array, Scan
+from swarmtrack.motion.bearing_filters import (
+    AGILITIES,
+    BearingFilters,
+    bearings_of,
+    is_lapse,
+    likelihoods,
+)
+from swarmtrack.motion.gyro import Orientation, rotation_between
+
+# Camera axes of one that is rolled about its optical axis by half a turn.
+UPSIDE_DOWN: Array = np.diag([-1.0, -1.0, 1.0])
+START = Orientation((1.0, 0.0, 0.0, 0.0), 0.0)
+# s of evidence with one scale; and the least innovations' components, of which there is one.
+BLOCK_S, LEAST_COMPONENTS = 1.0, 8.0
+JUDGED_EVERY_S = 0.3
+# s in which evidence loses all but 1/e of its weight, and after which it is forgotten.
+FADES_S, FORGETS_S = 60.0, 180.0
+# rad/s and rad/s² of the own turn, either of which must be exceeded: the direction of a teammate 4 m away changes so
+# when that flies past at 1.6 m/s, or brakes with 2 m/s².
+FAST, FASTER = 0.4, 0.5
+# Share of these from which on, and s for which after it, targets are followed: nothing is to be learned in a hover.
+STIRS, STIRS_S = 0.3, 0.5
+# s between two scans that are looked at: drones turn slowly.
+APART_S = 0.05
+# Log-likelihood by which another mounting leads when it is said, in so many blocks by so much; and by which the told
+# one leads the first of the others when nothing more is to be learned in this flight.
+SURE, BLOCKS, TELLING, SETTLED = 30.0, 2, 8.0, 50.0
+# The second detection of a target counts: how far it has come, nobody has had a chance to learn.
+LEAST_HITS = 1
+_AGILITY = len(AGILITIES) // 2
+
+
+@dataclass(slots=True)
+class _Second:
+    """Sums over innovations, up to `end` [s]: see `likelihoods`."""
+
+    end: float
+    """When it ends, if it has enough of them."""
+    cost: Array
+    log_det: Array = field(default_factory=lambda: np.zeros(len(AGILITIES)))
+    components: float = 0.0
+
+
+class MountingNews(NamedTuple):
+    """At t [s]: a camera's picture turns as if it hung upside down, or as that of another camera should (`like`); or,
+    where it `fits`, as it was told after all."""
+
+    t: float
+    camera: int
+    fits: bool
+    like: int | None
+
+
+class PictureTurns:
+    """All cameras of a drone."""
+
+    def __init__(self, from_first: Sequence[Array]) -> None:
+        """from_first: of each camera, its axes (3, 3) from the first one's, as told."""
+        cameras = range(len(from_first))
+        self._others = [[j for j in cameras if j != k] for k in cameras]
+        self._turns = [
+            PictureTurn(told, [UPSIDE_DOWN @ told, *(from_first[j] for j in self._others[k])])
+            for k, told in enumerate(from_first)
+        ]
+        self.wrong: frozenset[int] = frozenset()
+        """The cameras that sit otherwise than was told: nothing that they show is where it seems to be."""
+
+    def see(
+        self, number: int, scan: Scan, camera: PinholeCamera, orientation: Orientation
+    ) -> MountingNews | None:
+        """A scan of a camera, and the first one's orientation at its exposure: what is new of that camera."""
+        turn = self._turns[number]
+        before = turn.found
+        turn.see(scan, camera, orientation)
+        if turn.found == before:
+            return None
+        fits = turn.found is None
+        self.wrong = self.wrong - {number} if fits else self.wrong | {number}
+        like = self._others[number][turn.found - 1] if turn.found else None
+        return MountingNews(scan.t, number, fits, like)
+
+
+class PictureTurn:
+    """Evidence of one camera's mounting."""
+
+    def __init__(self, told: Array, others: Sequence[Array]) -> None:
+        """camera_from_first (3, 3): its axes from the first camera's, in whose axes the gyro counts, as told and as it
+        may be as well, upside down at first."""
+        self._mountings = np.array([told, *others])
+        g = len(self._mountings)
+        self._filters = BearingFilters(g)
+        self._all = np.ones(g, dtype=bool)
+        self._last: tuple[float, Orientation] | None = None
+        self._rate = np.zeros(3)
+        """rad/s: how the camera turned up to the last scan."""
+        self._blocks: deque[_Second] = deque()
+        self._judged = self._stirs_until = -math.inf
+        self._settled = False
+        self.found: int | None = None
+        """Which of the others it is instead; None while the told one will do."""
+
+    def see(self, scan: Scan, camera: PinholeCamera, orientation: Orientation) -> None:
+        """A scan, and the first camera's orientation at its exposure."""
+        if self._settled:
+            return
+        t = scan.t
+        if self._last is not None and 0.0 <= t - self._last[0] < APART_S:
+            return
+        turns = self._how_fast(t, orientation)
+        if turns > STIRS:
+            self._stirs_until = t + STIRS_S
+        elif t > self._stirs_until:
+            return
+        bearings, variance = bearings_of(scan, camera)
+        axes = self._mountings @ rotation_between(START, orientation).matrix
+        turned = (bearings @ axes.transpose(1, 2, 0).reshape(3, -1)).reshape(-1, 3, len(axes))
+        y, S, _ = self._filters.follow(
+            t, turned, variance, agility=_AGILITY, likely=self._all, least_hits=LEAST_HITS
+        )
+        if not len(y):
+            return
+        d = (y * y).sum(axis=2) / S[:, :, None]
+        self._filters.learn_gate(d[:, _AGILITY].min(axis=1))
+        if turns > 1.0:
+            block = self._block_of(t)
+            block.cost += d.sum(axis=0)
+            block.log_det += 2.0 * np.log(S).sum(axis=0)
+            block.components += 2.0 * len(y)
+            if t > self._judged + JUDGED_EVERY_S:
+                self._judged = t
+                self._judge(t)
+
+    def _how_fast(self, t: float, orientation: Orientation) -> float:
+        """How fast, or faster and faster, the camera has turned since the last scan: above 1 as hardly any teammate's
+        direction changes."""
+        now, last = (t, orientation), self._last
+        self._last = now
+        if last is None or is_lapse(last, now):
+            self._filters.restart()
+            self._rate = np.zeros(3)
+            return 0.0
+        dt, before = t - last[0], self._rate
+        self._rate = rotation.log(rotation_between(last[1], orientation).matrix) / dt
+        faster = np.linalg.norm(self._rate - before) / dt
+        return float(max(np.linalg.norm(self._rate) / FAST, faster / FASTER))
+
+    def _block_of(self, t: float) -> _Second:
+        newest = self._blocks[-1] if self._blocks else None
+        if newest is None or (t > newest.end and newest.components >= LEAST_COMPONENTS):
+            newest = _Second(t + BLOCK_S, np.zeros((len(AGILITIES), len(self._mountings))))
+            self._blocks.append(newest)
+        return newest
+
+    def _judge(self, now: float) -> None:
+        while self._blocks and self._blocks[0].end < now - FORGETS_S:
+            self._blocks.popleft()
+        blocks = [block for block in self._blocks if block.components >= LEAST_COMPONENTS]
+        if not blocks:
+            return
+        likelihood, _ = likelihoods(
+            np.array([block.cost for block in blocks]),
+            np.array([block.log_det for block in blocks]),
+            np.array([block.components for block in blocks]),
+        )
+        of_mounting = np.logaddexp.reduce(likelihood, axis=1)
+        leads = of_mounting[:, 1:] - of_mounting[:, :1]
+        lead = np.exp([(block.end - now) / FADES_S for block in blocks]) @ leads
+        best = int(lead.argmax())
+        if lead[best] > SURE and (leads[:, best] > TELLING).sum() >= BLOCKS:
+            self.found = best
+        elif self.found is not None and lead[self.found] <= 0.0:
+            self.found = None
+        # Whether cables are swapped a drone that only yaws may never tell; if they are, it is likely by now.
+        self._settled = bool(lead[0] < -SETTLED and (lead < TELLING).all())
