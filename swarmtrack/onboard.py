@@ -210,6 +210,9 @@ class Onboard:
                 self._settle()
             case EgoPose():
                 self._ego.append(event)
+                if self._doubted:
+                    # Where its place goes on from it is not, it seems: what is left is its autopilot's word.
+                    self._ego.believe_leaps()
                 attitude = event.world_from_body @ self._mounting.body_from_camera.rotation
                 self._bias.see(event.t, attitude, event.attitude_sigma)
                 self._watch_heading(event)
@@ -349,6 +352,7 @@ class Onboard:
             gyro_age=math.inf if gyro is None else now - gyro,
             scan_ages=tuple(now - changed for changed in self._changed_t),
             heading_step_age=now - self._heading_stepped_at,
+            leap_age=now - self._ego.leapt_at,
             clash=bool(self._clashing),
             doubted=self._doubted,
             sways=self._own_sway(now),

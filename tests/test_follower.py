@@ -12,6 +12,7 @@ from swarmtrack.formation.setpoint import NO_SWAY, Setpoint, Why
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Detections, EgoPose, IdClash, ImuSample, PeerDeparted
 from swarmtrack.motion.ego import EgoHistory
@@ -96,6 +97,20 @@ def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
     assert own.scan_ages == (math.inf,)
     assert not own.clash
     assert not own.doubted
+
+
+@pytest.mark.parametrize("doubts", [False, True])
+def test_whose_own_place_leaps_goes_on_from_where_it_was_unless_it_doubts_that(doubts, monkeypatch):
+    drone = onboard()
+    t = hover(drone, velocity=(1.0, 0.0, 0.0))
+    monkeypatch.setattr(Identities, "self_doubt", property(lambda self: doubts))
+    drone.tell(Detections(t - 0.1, 1, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
+    for k in range(1, 11):
+        drone.tell(EgoPose(t + 0.02 * k, np.array([t + 0.02 * k, 10.0, 0.0]), np.eye(3)))
+    own = drone.own_flight(t + 0.2)
+    assert own.position == pytest.approx((t + 0.2, 10.0 if doubts else 0.0, 0.0), abs=0.05)
+    assert own.velocity == pytest.approx((1.0, 0.0, 0.0), abs=0.05)
+    assert own.leap_age == pytest.approx(0.18)
 
 
 def test_the_same_picture_again_and_again_is_none():

@@ -68,7 +68,7 @@ class Stories:
 
     def _own(self, *, odd: bool) -> OwnFlight:
         rng = self._rng
-        ages = np.abs(self._numbers(4, 0.1, odd=odd)).tolist()
+        ages = np.abs(self._numbers(5, 0.1, odd=odd)).tolist()
         flags = (rng.random(3) < 0.02).tolist()
         return OwnFlight(
             self._triple(10.0, odd=odd),
@@ -79,6 +79,7 @@ class Stories:
             gyro_age=ages[1],
             scan_ages=(ages[2],),
             heading_step_age=100.0 * ages[3],
+            leap_age=100.0 * ages[4],
             clash=flags[0],
             doubted=flags[1],
             clock_known=not flags[2],

@@ -41,8 +41,8 @@ from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, TrackStat
 OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
 # m: of a place that is known worse the fence means nothing.
 VAGUEST_PLACE_M = 1.0
-# s: so long after its heading stepped a drone does not fly by it.
-HEADING_SETTLES_S = 3.0
+# s: so long after its heading stepped, or its place leapt, a drone does not fly by it.
+SETTLES_S = 3.0
 # s: with this time constant the last command fades, and s: then it is over. Who brakes harder tilts its camera away
 # from what it has just lost.
 FADE_S, FADED_S = 1.0, 2.0
@@ -74,6 +74,7 @@ HOLDS = {
     Why.CLASH: "another process speaks as this drone",
     Why.DOUBT: "own start or heading seems wrong",
     Why.HEADING: "heading has stepped",
+    Why.LEAP: "own place has leapt",
     Why.CLOCK: "autopilot's clock is unknown",
     Why.BROKEN: "no number came of it",
 }
@@ -403,7 +404,8 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
         (not own.gyro_age <= OLDEST_GYRO_S, Why.GYRO),
         (not own.clock_known, Why.CLOCK),
         (own.clash, Why.CLASH),
-        (not own.heading_step_age >= HEADING_SETTLES_S, Why.HEADING),
+        (not own.heading_step_age >= SETTLES_S, Why.HEADING),
+        (not own.leap_age >= SETTLES_S, Why.LEAP),
         (own.doubted, Why.DOUBT),
         (not any(_is_new(own.scan_ages[camera]) for camera in cameras), Why.CAMERA),
     )
