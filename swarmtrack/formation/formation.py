@@ -35,7 +35,7 @@ from swarmtrack.formation.law import SeenReference, added, displacement, saturat
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.references import ReferenceWatch
 from swarmtrack.formation.setpoint import FASTEST_M_S, NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
-from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, TrackStatus
+from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
 # s: of a pose, of the gyro, of a scan: older than this they tell nothing of now.
 OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
@@ -134,7 +134,7 @@ class Formation:
         if not own.is_possible:
             self._forget()
             return self._brake(t, dt, Why.OWN_POSE)
-        states = {track: state for track, state in relative_states.items() if _is_usable(state)}
+        states = _usable(relative_states)
         trusted = self._trusted(states, own, tracks, t)
         why = _forbidden(own, self._cameras(own))
         if self._lasts(why, t):
@@ -417,17 +417,26 @@ def _is_new(scan_age: float) -> bool:
     return scan_age <= OLDEST_SCAN_S
 
 
-def _is_usable(state: RelativeState) -> bool:
-    """Whether a state is one that a drone could have."""
-    place, speed, cov = state.position, state.velocity, state.cov
-    far, fast, wide = (float(np.vdot(of, of)) for of in (place, speed, cov))
+def _usable(states: Mapping[int, RelativeState]) -> dict[int, RelativeState]:
+    """Those that a drone could have."""
+    if not states:
+        return {}
+    told = states.values()
+    place, speed = np.array([state.position for state in told]), np.array([state.velocity for state in told])
+    cov = np.array([state.cov for state in told])
+    with np.errstate(over="ignore", invalid="ignore"):
+        far, fast, wide = (
+            (place * place).sum(axis=1),
+            (speed * speed).sum(axis=1),
+            (cov * cov).sum(axis=(1, 2)),
+        )
     # NaN fails every comparison.
-    return 1e-4 < far < FARTHEST_M**2 and fast < FASTEST_M_S**2 and wide < math.inf and _has_variances(cov)
+    usable = (far > 1e-4) & (far < FARTHEST_M**2) & (fast < FASTEST_M_S**2) & (wide < math.inf)
+    usable &= (cov.diagonal(axis1=1, axis2=2) >= 0.0).all(axis=1)
+    return {
+        track: state for (track, state), is_one in zip(states.items(), usable.tolist(), strict=True) if is_one
+    }
 
 
 def _are_numbers(values: Sequence[float]) -> bool:
     return all(map(math.isfinite, values))
-
-
-def _has_variances(cov: Array) -> bool:
-    return bool((cov.diagonal() >= 0.0).all())
