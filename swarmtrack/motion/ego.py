@@ -324,11 +324,11 @@ class EgoHistory:
         return position, cov
 
     def _leap(self, t: float, position: Array) -> Array | None:
-        """(3,) m: by how much a place in the team frame is elsewhere than the drone can have flown since the last; None
-        where it is not, or where nobody knows how fast that flew."""
-        if not self._poses or (self.absolute and self.heading.is_on_ground):
+        """(3,) m: by how much a place in the team frame is elsewhere than the drone can have flown since the last that
+        its autopilot knew; None where it is not, or where nobody knows how fast that flew."""
+        last = self._placed
+        if last is None or (self.absolute and self.heading.is_on_ground):
             return None
-        last = self._poses[-1]
         dt = t - last.t
         if not 0.0 < dt <= SPEED_OVER or not has_leapt(last.position, position, dt):
             return None

@@ -83,6 +83,16 @@ def test_after_a_gap_a_drone_is_where_its_autopilot_says():
     assert ego.at(2.4).position == pytest.approx(np.array([3.6, 0.0, 0.0]) + LEAP)
 
 
+def test_a_place_that_comes_back_after_the_autopilot_knew_none_is_no_leap():
+    ego = EgoHistory(absolute=True)
+    fly(ego, 1.0)
+    for k in range(50, 150):
+        ego.append(EgoPose(t=k / HZ, position=None, world_from_body=np.eye(3)))
+    fly(ego, 0.5, begin=3.0)
+    assert ego.place_leaps == 0
+    assert ego.at(3.4).position == pytest.approx([5.1, 0.0, 0.0])
+
+
 @pytest.mark.parametrize(("airborne_since", "leaps"), [(None, 0), (0.0, 1)])
 def test_by_gps_a_drone_is_where_it_is_found_to_be_as_long_as_it_stands(airborne_since, leaps):
     ego = EgoHistory(absolute=True)
