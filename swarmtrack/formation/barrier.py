@@ -134,5 +134,14 @@ def leash(position: Velocity, place: Velocity, velocity: Velocity, most: float) 
     return [HalfSpace(outward, max(GAMMA * (most - away) + _dot(outward, velocity), 0.0))]
 
 
+def layer(down: float, least: float, most: float, *, speed: float, gain: float) -> list[HalfSpace]:
+    """Half-spaces that keep a drone that is at `down` [m] between two heights [m, down] that move [m/s, down]. gain
+    [1/s]: how fast the distance left may be used up. They drag nobody along, either."""
+    return [
+        HalfSpace((0.0, 0.0, 1.0), max(gain * (most - down) + speed, 0.0)),
+        HalfSpace((0.0, 0.0, -1.0), max(gain * (down - least) - speed, 0.0)),
+    ]
+
+
 def _dot(a: Velocity, b: Velocity) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -9,7 +9,8 @@ Theory of operation. A command has five parts, in this order:
    through other drones' heights meets them where nobody looks.
 4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from
    everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down. Whoever is
-   kept clear of, nothing leads beyond the fence, nor farther than `MOST_ASIDE_M` from the slot (`Berth`).
+   kept clear of, nothing leads beyond the fence, nor farther than `MOST_ASIDE_M` from the slot (`Berth`), nor out of
+   the own height: who flies beside is out of sight, and kept apart by heights alone.
 5. The nose turns to the references, and to where they were last expected.
 """
 
@@ -27,6 +28,7 @@ from swarmtrack.formation.barrier import (
     binding,
     fence,
     keep_clear,
+    layer,
     leash,
     nearest_velocity,
     sidestep,
@@ -311,16 +313,26 @@ class Formation:
             pull=limits.climb,
         )
         near, aside = self._in_the_way(wanted, states, own, tracks)
-        north, east, down = nearest_velocity(added(velocity, aside), spaces + near)
+        height = self._layer(own, here) if near else []
+        north, east, down = nearest_velocity(added(velocity, aside), spaces + near + height)
         if near and self._berth is not None:
             berth = self._berth
-            held = leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
+            held = height + leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
             # What nobody is led beyond: where the barrier wants it otherwise, these have the last word.
             north, east, down = nearest_velocity((north, east, down), spaces + held)
         most_down, most_up = (min(space.bound, limits.climb) for space in spaces[:2])
         down = min(max(down, -most_up), most_down)
         bent = saturated((north, east, down), limits.speed)
         return bent, binding(velocity, spaces + near)
+
+    def _layer(self, own: OwnFlight, engaged: Velocity) -> list[HalfSpace]:
+        """Out of its slot's height nobody is led by whom it keeps clear of; nor, until the drone is there, off the way
+        to it from where it was engaged."""
+        sways = own.sways if self._at_height else NO_SWAY
+        slot = self.parameters.down + sways.down
+        begun = slot if self._at_height else engaged[2]
+        least, most = min(slot, begun) - AT_HEIGHT_M, max(slot, begun) + AT_HEIGHT_M
+        return layer(own.position[2], least, most, speed=sways.speed, gain=HEIGHT_GAIN)
 
     def _in_the_way(
         self,
