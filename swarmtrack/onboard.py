@@ -525,7 +525,8 @@ class Onboard:
             for track_id in self._identities.take_vouched():
                 self._rig.vouch(track_id)
             self._watch_doubt(t)
-            seen = self._identities.sightings(observer.t)
+            # A picture that is the one before tells nobody where anybody is now.
+            seen = self._identities.sightings(observer.t) if self._changed_t[number] == t else []
             own = self._as_sure_as_it_is(observer)
             self._view = OwnView.of(own, mounting.body_from_camera, seen)
             self._consensus.remember(self._view)

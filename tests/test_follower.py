@@ -1,6 +1,7 @@
 """A follower is what its Onboard perceives, the law, and the axes of its autopilot."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,6 +129,25 @@ def test_the_same_picture_again_and_again_is_none():
     assert [looks(k) for k in (3, 4, 5)] == pytest.approx([t - 0.2] * 3)
     # By a thousandth of a pixel: a camera that lives.
     assert looks(6, shift=1e-3) == pytest.approx(t - 0.6)
+
+
+def test_whose_camera_is_stuck_tells_the_team_nobody_that_it_shows(monkeypatch):
+    pictures = []
+    tell = Onboard.tell
+
+    def told(self, event):
+        if isinstance(event, Detections):
+            pictures.append(event)
+        tell(self, event)
+
+    monkeypatch.setattr(Onboard, "tell", told)
+    drone = Hovering(announced=True).onboard
+    assert len(drone.sighting_report("0000000a", 1).sightings) == IN_VIEW
+    last = pictures[-1]
+    drone.tell(replace(last, t=last.t + 0.01, sequence=last.sequence + 1))
+    report = drone.sighting_report("0000000a", 2)
+    assert report.t == pytest.approx(last.t + 0.01)
+    assert report.sightings == ()
 
 
 def test_to_see_nobody_again_and_again_is_no_stuck_camera():
