@@ -225,6 +225,9 @@ class Onboard:
                 self._settle()
             case EgoPose():
                 self._ego.append(event)
+                if self._doubted:
+                    # Where its place goes on from it is not, it seems: what is left is its autopilot's word.
+                    self._ego.believe_leaps()
                 attitude = event.world_from_body @ self._mounting.body_from_camera.rotation
                 self._bias.see(event.t, attitude, event.attitude_sigma)
                 self._watch_heading(event)
@@ -364,6 +367,7 @@ class Onboard:
             gyro_age=math.inf if gyro is None else now - gyro,
             scan_ages=tuple(now - changed for changed in self._changed_t),
             heading_step_age=now - self._heading_stepped_at,
+            leap_age=now - self._ego.leapt_at,
             clash=bool(self._clashing),
             doubted=self._doubted,
             sways=self._own_sway(now),
@@ -541,7 +545,8 @@ class Onboard:
             for track_id in self._identities.take_vouched():
                 self._rig.vouch(track_id)
             self._watch_doubt(t)
-            seen = self._identities.sightings(observer.t)
+            # A picture that is the one before tells nobody where anybody is now.
+            seen = self._identities.sightings(observer.t) if self._changed_t[number] == t else []
             own = self._as_sure_as_it_is(observer)
             self._view = OwnView.of(own, mounting.body_from_camera, seen)
             self._consensus.remember(self._view)

@@ -1,6 +1,7 @@
 """A follower is what its Onboard perceives, the law, and the axes of its autopilot."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from swarmtrack.formation.setpoint import NO_SWAY, Setpoint, Why
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Detections, EgoPose, IdClash, ImuSample, PeerDeparted
 from swarmtrack.motion.ego import EgoHistory
@@ -98,6 +100,20 @@ def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
     assert not own.doubted
 
 
+@pytest.mark.parametrize("doubts", [False, True])
+def test_whose_own_place_leaps_goes_on_from_where_it_was_unless_it_doubts_that(doubts, monkeypatch):
+    drone = onboard()
+    t = hover(drone, velocity=(1.0, 0.0, 0.0))
+    monkeypatch.setattr(Identities, "self_doubt", property(lambda self: doubts))
+    drone.tell(Detections(t - 0.1, 1, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
+    for k in range(1, 11):
+        drone.tell(EgoPose(t + 0.02 * k, np.array([t + 0.02 * k, 10.0, 0.0]), np.eye(3)))
+    own = drone.own_flight(t + 0.2)
+    assert own.position == pytest.approx((t + 0.2, 10.0 if doubts else 0.0, 0.0), abs=0.05)
+    assert own.velocity == pytest.approx((1.0, 0.0, 0.0), abs=0.05)
+    assert own.leap_age == pytest.approx(0.18)
+
+
 def test_the_same_picture_again_and_again_is_none():
     drone = onboard()
     t = hover(drone)
@@ -113,6 +129,25 @@ def test_the_same_picture_again_and_again_is_none():
     assert [looks(k) for k in (3, 4, 5)] == pytest.approx([t - 0.2] * 3)
     # By a thousandth of a pixel: a camera that lives.
     assert looks(6, shift=1e-3) == pytest.approx(t - 0.6)
+
+
+def test_whose_camera_is_stuck_tells_the_team_nobody_that_it_shows(monkeypatch):
+    pictures = []
+    tell = Onboard.tell
+
+    def told(self, event):
+        if isinstance(event, Detections):
+            pictures.append(event)
+        tell(self, event)
+
+    monkeypatch.setattr(Onboard, "tell", told)
+    drone = Hovering(announced=True).onboard
+    assert len(drone.sighting_report("0000000a", 1).sightings) == IN_VIEW
+    last = pictures[-1]
+    drone.tell(replace(last, t=last.t + 0.01, sequence=last.sequence + 1))
+    report = drone.sighting_report("0000000a", 2)
+    assert report.t == pytest.approx(last.t + 0.01)
+    assert report.sightings == ()
 
 
 def test_to_see_nobody_again_and_again_is_no_stuck_camera():

@@ -392,8 +392,8 @@ def test_a_heading_that_is_found_after_boot_does_not_turn_the_team_frame():
     ego = drone.ego_pose(0.06)
     assert rotation.to_euler(ego.world_from_body)[2] == pytest.approx(0.5)
     assert ego.position == pytest.approx([1.0, 2.0, 0.0])
-    drone.tell(EgoPose(0.08, np.array([0.0, 1.0, 0.0]), rotation.from_euler(0.0, 0.0, 1.5)))
-    assert drone.ego_pose(0.08).position == pytest.approx([1.0 + np.sin(1.0), 2.0 + np.cos(1.0), 0.0])
+    drone.tell(EgoPose(1.08, np.array([0.0, 1.0, 0.0]), rotation.from_euler(0.0, 0.0, 1.5)))
+    assert drone.ego_pose(1.08).position == pytest.approx([1.0 + np.sin(1.0), 2.0 + np.cos(1.0), 0.0])
 
 
 def test_pixels_of_an_earlier_frame_are_those_of_the_same_directions_however_the_camera_turned():

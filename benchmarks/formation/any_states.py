@@ -8,13 +8,14 @@ here it gets past.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
 from swarmtrack.formation.setpoint import OwnFlight, Setpoint, Velocity
-from swarmtrack.messages import Array, IdentifiedTrack, Identity, RelativeState, Track, TrackStatus
+from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, Track, TrackStatus
 
 Story = tuple[dict[int, RelativeState], OwnFlight, list[IdentifiedTrack], float]
 
@@ -26,6 +27,9 @@ HEIGHT_M = 6.0
 ODD_SHARE, ODD_STORIES = 0.05, 0.5
 # Rounding, of m/s and rad/s.
 SLACK = 1e-9
+STATUSES = tuple(TrackStatus)
+# px: where tracks are in the image tells a formation nothing.
+SEEN_AT, SEEN_COV, SEEN_SIZE = np.zeros(4), np.eye(4), np.full(2, 20.0)
 
 
 class Stories:
@@ -54,10 +58,11 @@ class Stories:
         rng = self._rng
         odd = rng.random() < ODD_STORIES
         self._t += float(rng.choice([0.1, 0.1, 0.1, 0.1, 0.0, -5.0, 30.0, 1e-9]))
-        n = int(rng.integers(MOST_TRACKS + 1))
-        drones = rng.integers(0, 5, n).tolist()
-        states = {k: self._state(drones[k], odd=odd) for k in range(n) if rng.random() < 0.9}
-        return states, self._own(odd=odd), [self._track(k, drones[k]) for k in range(n)], self._t
+        drones = rng.integers(0, 5, int(rng.integers(MOST_TRACKS + 1))).tolist()
+        states = enumerate(self._states(drones, odd=odd))
+        is_told = (rng.random(len(drones)) < 0.9).tolist()
+        known = {k: state for k, state in states if is_told[k]}
+        return known, self._own(odd=odd), self._tracks(drones), self._t
 
     def _numbers(self, n: int, scale: float, *, odd: bool) -> Array:
         values = scale * self._rng.standard_normal(n)
@@ -68,7 +73,7 @@ class Stories:
 
     def _own(self, *, odd: bool) -> OwnFlight:
         rng = self._rng
-        ages = np.abs(self._numbers(4, 0.1, odd=odd)).tolist()
+        ages = np.abs(self._numbers(5, 0.1, odd=odd)).tolist()
         flags = (rng.random(3) < 0.02).tolist()
         return OwnFlight(
             self._triple(10.0, odd=odd),
@@ -79,6 +84,7 @@ class Stories:
             gyro_age=ages[1],
             scan_ages=(ages[2],),
             heading_step_age=100.0 * ages[3],
+            leap_age=100.0 * ages[4],
             clash=flags[0],
             doubted=flags[1],
             clock_known=not flags[2],
@@ -88,37 +94,48 @@ class Stories:
         north, east, down = self._numbers(3, scale, odd=odd).tolist()
         return north, east, down
 
-    def _state(self, drone_id: int, *, odd: bool) -> RelativeState:
-        rng = self._rng
-        root = self._numbers(36, 0.3, odd=odd).reshape(6, 6)
+    def _states(self, drones: Sequence[int], *, odd: bool) -> list[RelativeState]:
+        rng, n = self._rng, len(drones)
+        numbers = self._numbers(43 * n, 1.0, odd=odd).reshape(n, 43)
+        far, kinds = rng.choice([0.01, 1.0, 5.0, 50.0], n), rng.random(n)
+        roots = 0.3 * numbers[:, 6:42].reshape(n, 6, 6)
         with np.errstate(all="ignore"):
-            cov = root @ root.T if rng.random() < 0.8 else root
-            if rng.random() < 0.1:
-                cov = np.outer(root[0], root[0])
-        born = object.__new__(RelativeState)
-        values = {
-            "drone_id": drone_id,
-            "t": self._t,
-            "position": self._numbers(3, float(rng.choice([0.01, 1.0, 5.0, 50.0])), odd=odd),
-            "velocity": self._numbers(3, 1.0, odd=odd),
-            "cov": cov,
-            "range_sigma_log": float(abs(self._numbers(1, 0.2, odd=odd)[0])),
-            "sources": (),
-        }
-        for name, value in values.items():
-            object.__setattr__(born, name, value)
-        return born
+            full, line = roots @ roots.swapaxes(1, 2), roots[:, 0, :, None] * roots[:, 0, None, :]
+        cov = np.where(kinds[:, None, None] < 0.1, line, full)
+        # No covariance at all.
+        cov = np.where(kinds[:, None, None] > 0.8, roots, cov)
+        return [
+            _born(
+                drone_id=drone,
+                t=self._t,
+                position=far[k] * numbers[k, :3],
+                velocity=numbers[k, 3:6],
+                cov=cov[k],
+                range_sigma_log=0.2 * abs(float(numbers[k, 42])),
+                sources=(),
+            )
+            for k, drone in enumerate(drones)
+        ]
 
-    def _track(self, track_id: int, drone_id: int) -> IdentifiedTrack:
-        rng = self._rng
-        status = rng.choice(list(TrackStatus), p=[0.1, 0.8, 0.1])
-        identity: Identity = drone_id or None
-        coasting = None if rng.random() < 0.7 else self._t - float(rng.uniform(0.0, 3.0))
-        probability = float(rng.choice([0.2, 0.95, 0.999, 1.0]))
-        seen = Track(
-            track_id, self._t, np.zeros(4), np.eye(4), TrackStatus(status), 1.0, np.full(2, 20.0), coasting
-        )
-        return IdentifiedTrack(seen, identity, probability if identity else 0.0)
+    def _tracks(self, drones: Sequence[int]) -> list[IdentifiedTrack]:
+        rng, n = self._rng, len(drones)
+        statuses = rng.choice(len(STATUSES), n, p=[0.1, 0.8, 0.1]).tolist()
+        unseen = np.where(rng.random(n) < 0.7, np.nan, rng.uniform(0.0, 3.0, n)).tolist()
+        probabilities = rng.choice([0.2, 0.95, 0.999, 1.0], n).tolist()
+        tracks = []
+        for k, drone in enumerate(drones):
+            coasting = None if math.isnan(unseen[k]) else self._t - unseen[k]
+            seen = Track(k, self._t, SEEN_AT, SEEN_COV, STATUSES[statuses[k]], 1.0, SEEN_SIZE, coasting)
+            tracks.append(IdentifiedTrack(seen, drone or None, probabilities[k] if drone else 0.0))
+        return tracks
+
+
+def _born(**values: Any) -> RelativeState:
+    """One that was never checked."""
+    state: RelativeState = object.__new__(RelativeState)
+    for name, value in values.items():
+        object.__setattr__(state, name, value)
+    return state
 
 
 def wrong_with(setpoint: Setpoint, limits: FlightLimits) -> str:

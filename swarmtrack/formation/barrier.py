@@ -78,15 +78,20 @@ def sidestep(place: Velocity, motion: Velocity) -> Velocity:
 def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace], sweeps: int = SWEEPS) -> Velocity:
     """The velocity nearest to `wanted` within all half-spaces; a compromise where they have nothing in common."""
     north, east, down = wanted
-    pushed = [0.0] * len(spaces)
+    rows = [(*space.normal, space.bound) for space in spaces]
+    pushed = [0.0] * len(rows)
     for _ in range(sweeps):
         most = 0.0
-        for k, ((x, y, z), bound, _) in enumerate(spaces):
-            step = max(x * north + y * east + z * down - bound, -pushed[k])
+        for k, (x, y, z, bound) in enumerate(rows):
+            # Spelled out: this loop is most of what a command costs.
+            step = x * north + y * east + z * down - bound
+            if step < -pushed[k]:  # noqa: PLR1730
+                step = -pushed[k]
             if step:
                 pushed[k] += step
                 north, east, down = north - step * x, east - step * y, down - step * z
-                most = max(most, abs(step))
+                if not abs(step) <= most:
+                    most = abs(step)
         if most < SETTLED:
             break
     return north, east, down
@@ -127,6 +132,15 @@ def leash(position: Velocity, place: Velocity, velocity: Velocity, most: float) 
         return []
     outward = (north / away, east / away, 0.0)
     return [HalfSpace(outward, max(GAMMA * (most - away) + _dot(outward, velocity), 0.0))]
+
+
+def layer(down: float, least: float, most: float, *, speed: float, gain: float) -> list[HalfSpace]:
+    """Half-spaces that keep a drone that is at `down` [m] between two heights [m, down] that move [m/s, down]. gain
+    [1/s]: how fast the distance left may be used up. They drag nobody along, either."""
+    return [
+        HalfSpace((0.0, 0.0, 1.0), max(gain * (most - down) + speed, 0.0)),
+        HalfSpace((0.0, 0.0, -1.0), max(gain * (down - least) - speed, 0.0)),
+    ]
 
 
 def _dot(a: Velocity, b: Velocity) -> float:

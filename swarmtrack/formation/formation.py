@@ -9,7 +9,8 @@ Theory of operation. A command has five parts, in this order:
    through other drones' heights meets them where nobody looks.
 4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from
    everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down. Whoever is
-   kept clear of, nothing leads beyond the fence, nor farther than `MOST_ASIDE_M` from the slot (`Berth`).
+   kept clear of, nothing leads beyond the fence, nor farther than `MOST_ASIDE_M` from the slot (`Berth`), nor out of
+   the own height: who flies beside is out of sight, and kept apart by heights alone.
 5. The nose turns to the references, and to where they were last expected.
 """
 
@@ -27,6 +28,7 @@ from swarmtrack.formation.barrier import (
     binding,
     fence,
     keep_clear,
+    layer,
     leash,
     nearest_velocity,
     sidestep,
@@ -35,14 +37,14 @@ from swarmtrack.formation.law import SeenReference, added, displacement, saturat
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.references import ReferenceWatch
 from swarmtrack.formation.setpoint import FASTEST_M_S, NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
-from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, TrackStatus
+from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
 # s: of a pose, of the gyro, of a scan: older than this they tell nothing of now.
 OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
 # m: of a place that is known worse the fence means nothing.
 VAGUEST_PLACE_M = 1.0
-# s: so long after its heading stepped a drone does not fly by it.
-HEADING_SETTLES_S = 3.0
+# s: so long after its heading stepped, or its place leapt, a drone does not fly by it.
+SETTLES_S = 3.0
 # s: with this time constant the last command fades, and s: then it is over. Who brakes harder tilts its camera away
 # from what it has just lost.
 FADE_S, FADED_S = 1.0, 2.0
@@ -74,6 +76,7 @@ HOLDS = {
     Why.CLASH: "another process speaks as this drone",
     Why.DOUBT: "own start or heading seems wrong",
     Why.HEADING: "heading has stepped",
+    Why.LEAP: "own place has leapt",
     Why.CLOCK: "autopilot's clock is unknown",
     Why.BROKEN: "no number came of it",
 }
@@ -133,7 +136,7 @@ class Formation:
         if not own.is_possible:
             self._forget()
             return self._brake(t, dt, Why.OWN_POSE)
-        states = {track: state for track, state in relative_states.items() if _is_usable(state)}
+        states = _usable(relative_states)
         trusted = self._trusted(states, own, tracks, t)
         why = _forbidden(own, self._cameras(own))
         if self._lasts(why, t):
@@ -310,16 +313,26 @@ class Formation:
             pull=limits.climb,
         )
         near, aside = self._in_the_way(wanted, states, own, tracks)
-        north, east, down = nearest_velocity(added(velocity, aside), spaces + near)
+        height = self._layer(own, here) if near else []
+        north, east, down = nearest_velocity(added(velocity, aside), spaces + near + height)
         if near and self._berth is not None:
             berth = self._berth
-            held = leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
+            held = height + leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
             # What nobody is led beyond: where the barrier wants it otherwise, these have the last word.
             north, east, down = nearest_velocity((north, east, down), spaces + held)
         most_down, most_up = (min(space.bound, limits.climb) for space in spaces[:2])
         down = min(max(down, -most_up), most_down)
         bent = saturated((north, east, down), limits.speed)
         return bent, binding(velocity, spaces + near)
+
+    def _layer(self, own: OwnFlight, engaged: Velocity) -> list[HalfSpace]:
+        """Out of its slot's height nobody is led by whom it keeps clear of; nor, until the drone is there, off the way
+        to it from where it was engaged."""
+        sways = own.sways if self._at_height else NO_SWAY
+        slot = self.parameters.down + sways.down
+        begun = slot if self._at_height else engaged[2]
+        least, most = min(slot, begun) - AT_HEIGHT_M, max(slot, begun) + AT_HEIGHT_M
+        return layer(own.position[2], least, most, speed=sways.speed, gain=HEIGHT_GAIN)
 
     def _in_the_way(
         self,
@@ -403,7 +416,8 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
         (not own.gyro_age <= OLDEST_GYRO_S, Why.GYRO),
         (not own.clock_known, Why.CLOCK),
         (own.clash, Why.CLASH),
-        (not own.heading_step_age >= HEADING_SETTLES_S, Why.HEADING),
+        (not own.heading_step_age >= SETTLES_S, Why.HEADING),
+        (not own.leap_age >= SETTLES_S, Why.LEAP),
         (own.doubted, Why.DOUBT),
         (not any(_is_new(own.scan_ages[camera]) for camera in cameras), Why.CAMERA),
     )
@@ -415,17 +429,26 @@ def _is_new(scan_age: float) -> bool:
     return scan_age <= OLDEST_SCAN_S
 
 
-def _is_usable(state: RelativeState) -> bool:
-    """Whether a state is one that a drone could have."""
-    place, speed, cov = state.position, state.velocity, state.cov
-    far, fast, wide = (float(np.vdot(of, of)) for of in (place, speed, cov))
+def _usable(states: Mapping[int, RelativeState]) -> dict[int, RelativeState]:
+    """Those that a drone could have."""
+    if not states:
+        return {}
+    told = states.values()
+    place, speed = np.array([state.position for state in told]), np.array([state.velocity for state in told])
+    cov = np.array([state.cov for state in told])
+    with np.errstate(over="ignore", invalid="ignore"):
+        far, fast, wide = (
+            (place * place).sum(axis=1),
+            (speed * speed).sum(axis=1),
+            (cov * cov).sum(axis=(1, 2)),
+        )
     # NaN fails every comparison.
-    return 1e-4 < far < FARTHEST_M**2 and fast < FASTEST_M_S**2 and wide < math.inf and _has_variances(cov)
+    usable = (far > 1e-4) & (far < FARTHEST_M**2) & (fast < FASTEST_M_S**2) & (wide < math.inf)
+    usable &= (cov.diagonal(axis1=1, axis2=2) >= 0.0).all(axis=1)
+    return {
+        track: state for (track, state), is_one in zip(states.items(), usable.tolist(), strict=True) if is_one
+    }
 
 
 def _are_numbers(values: Sequence[float]) -> bool:
     return all(map(math.isfinite, values))
-
-
-def _has_variances(cov: Array) -> bool:
-    return bool((cov.diagonal() >= 0.0).all())

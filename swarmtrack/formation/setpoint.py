@@ -27,6 +27,7 @@ class Why(enum.StrEnum):
     CLASH = "clash"
     DOUBT = "doubt"
     HEADING = "heading"
+    LEAP = "leap"  # the own place has leapt
     CLOCK = "clock"
     NOT_ENGAGED = "not_engaged"
     BROKEN = "broken"  # what came of it was no number
@@ -53,7 +54,8 @@ class OwnFlight:
 
     position [m] and velocity [m/s] in the team frame; position_sigma [m], of its worst axis; heading [rad]: where its
     camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, by camera of the
-    exposure of its newest scan that showed anything new, and since the heading last stepped; inf where there was none.
+    exposure of its newest scan that showed anything new, since the heading last stepped and since the place last leapt;
+    inf where there was none.
     clash: another process speaks as this drone; doubted: what it sees tells that its own start or heading is wrong;
     clock_known: the autopilot's clock is mapped. sways: as its code has it.
     """
@@ -66,6 +68,7 @@ class OwnFlight:
     gyro_age: float = 0.0
     scan_ages: tuple[float, ...] = (0.0,)
     heading_step_age: float = math.inf
+    leap_age: float = math.inf
     clash: bool = False
     doubted: bool = False
     clock_known: bool = True

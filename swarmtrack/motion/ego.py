@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, insort
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, EgoPose, FlightState, MotionReport
 from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
+from swarmtrack.motion.leap import has_leapt
 
 SPEED_OVER = 0.3  # s: of poses, that tell a velocity
 POSITION_JITTER = 0.02  # m: of an autopilot's position, from one pose to the next
@@ -61,6 +62,10 @@ class TeamPose:
         """Of the tilt, per axis [rad]."""
         return math.sqrt(float(self.attitude_cov[0, 0]))
 
+    def moved(self, by: Array) -> TeamPose:
+        """The same, and elsewhere by (3,) m."""
+        return replace(self, position=self.position + by)
+
 
 class EgoHistory:
     """Ego poses of the autopilot, moved into the team frame by where the drone was told it starts.
@@ -74,6 +79,11 @@ class EgoHistory:
     Heading and place are continuous in the team frame: when the estimator's heading jumps (it aligns itself seconds
     after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
     origin, goes on from where the drone was last.
+
+    So does one whose place leaps, as a receiver's does that loses its satellites: nobody flew that way, and a velocity
+    that spans it is none. Whether the place was right before the leap or is so since, the leap does not tell. `leapt`
+    is what was taken off; whoever finds that the drone is not where it goes on from calls `believe_leaps`. By GPS a
+    drone that stands on the ground is where its autopilot says: there places leap to where they are better known.
 
     heading: how well the autopilot knows its heading.
     """
@@ -94,7 +104,11 @@ class EgoHistory:
         self.heading = HeadingKnowledge(heading or HeadingSigma())
         self.out_of_order = 0
         self.without_position = 0
-        self.heading_jumps = 0
+        self.heading_jumps = self.place_leaps = 0
+        self.leapt_at = -math.inf
+        """When the place last leapt, s."""
+        self.leapt = np.zeros(3)
+        """(3,) m, team frame: by so much the drone is elsewhere if its autopilot's leaps were right."""
         self._turn: Array | None = None
         self._turn_sigma = 0.0
         self._jumped_at = -math.inf
@@ -113,6 +127,7 @@ class EgoHistory:
             "poses_out_of_order": self.out_of_order,
             "poses_without_place": self.without_position,
             "heading_jumps": self.heading_jumps,
+            "place_leaps": self.place_leaps,
         }
 
     @property
@@ -155,8 +170,23 @@ class EgoHistory:
         """The autopilot has rebooted: its frame may begin anywhere, the drone goes on from where it was."""
         if self._poses:
             self.heading.restart(self._poses[-1].t)
-        if not self.absolute:
+        if self.absolute:
+            self.believe_leaps()
+        else:
             self._shift = None
+
+    def believe_leaps(self) -> None:
+        """The drone is where its autopilot says, whatever was taken off, and so it was over the last seconds."""
+        by, self.leapt = self.leapt, np.zeros(3)
+        if not by.any():
+            return
+        self._poses = [pose.moved(by) for pose in self._poses]
+        if self._placed is not None:
+            self._placed = self._placed.moved(by)
+        if self._shift is not None:
+            self._shift = self._shift + by
+        if self._first_place is not None:
+            self._first_place = self._first_place + by
 
     def step_heading(self, t: float, step: float) -> None:
         """By t the estimator's heading has stepped by so much [rad], and the drone has not: where the team frame was
@@ -279,6 +309,11 @@ class EgoHistory:
         if self._shift is None:
             self._shift = self.origin if last is None else last - self._turn @ pose.position
         position = self._turn @ pose.position + self._shift
+        leap = self._leap(pose.t, position)
+        if leap is not None:
+            self._shift, position = self._shift - leap, position - leap
+            self.leapt, self.leapt_at = self.leapt + leap, pose.t
+            self.place_leaps += 1
         vertical = pose.position_sigma if pose.vertical_sigma is None else pose.vertical_sigma
         cov = np.diag(np.square([pose.position_sigma, pose.position_sigma, vertical]))
         if start is not None:
@@ -287,6 +322,21 @@ class EgoHistory:
             across = np.array([-east, north, 0.0])
             cov += np.outer(across, across)
         return position, cov
+
+    def _leap(self, t: float, position: Array) -> Array | None:
+        """(3,) m: by how much a place in the team frame is elsewhere than the drone can have flown since the last that
+        its autopilot knew; None where it is not, or where nobody knows how fast that flew."""
+        last = self._placed
+        if last is None or (self.absolute and self.heading.is_on_ground):
+            return None
+        dt = t - last.t
+        if not 0.0 < dt <= SPEED_OVER or not has_leapt(last.position, position, dt):
+            return None
+        line = self._line(last.t - SPEED_OVER, last.t)
+        if line is None:
+            return None
+        expected = last.position + dt * line[2]
+        return position - expected if has_leapt(expected, position, dt) else None
 
     def _connect_heading(self, pose: EgoPose) -> Array:
         """team_from_local (3, 3), made with the first pose and turned along with a heading that jumps."""

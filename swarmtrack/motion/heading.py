@@ -87,6 +87,11 @@ class HeadingKnowledge:
         """The autopilot has rebooted at t [s]: what was aligned is forgotten."""
         self._rebooted_at = t
 
+    @property
+    def is_on_ground(self) -> bool:
+        """Whether its autopilot says that the drone does not fly."""
+        return self._is_told and self._since is None
+
     def is_aligned(self, t: float) -> bool:
         """Whether the heading of t is as good as in flight."""
         if self._since is None:

@@ -6,7 +6,8 @@ import math
 
 from swarmtrack.messages import Array
 
-# m/s, and m: a place that moves farther from one look to the next has leapt.
+# m/s, and m: a place that moves farther from one look to the next has leapt; where the velocity is known, one that is
+# farther from where that leads.
 FASTEST_M_S, LEAPT_M = 8.0, 0.5
 
 

@@ -128,9 +128,11 @@ def test_a_clock_that_is_hours_off_costs_the_time_on_the_way_and_no_more(victim)
     assert CLOCK_OFF_S == 7200.0
 
 
-def test_a_glitch_is_a_leap_of_the_own_place_and_back():
+def test_a_glitch_is_a_leap_of_the_own_place_and_back_and_its_drone_holds():
     flight = Told(Fault.GLITCH, 2)
-    flight.run()
+    whys = {round(sample.t, 1): sample.whys[0] for sample in flight.run()}
+    assert whys[4.8] is not Why.LEAP
+    assert {whys[t] for t in (5.3, 5.8, 6.3, 7.8)} == {Why.LEAP}
     poses = [event for _, event in flight.heard[2] if isinstance(event, EgoPose)]
     leaps = [
         (b.t, np.linalg.norm(b.position - a.position))

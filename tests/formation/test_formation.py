@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.formation_states import HEIGHT, SLOTS, Flying, in_slot, leader_from, parameters, state, track
-from swarmtrack.formation.formation import FADED_S, HOLDS, MOST_ASIDE_M, Formation
+from swarmtrack.formation.formation import AT_HEIGHT_M, FADED_S, HOLDS, MOST_ASIDE_M, Formation
 from swarmtrack.formation.references import ENTRY_S, UNSEEN_S
 from swarmtrack.formation.setpoint import STILL, OwnSway, Why
 from swarmtrack.messages import TrackStatus
@@ -189,6 +189,7 @@ def test_a_name_that_leaps_to_another_place_is_not_flown_after(flying):
         ({"clash": True}, Why.CLASH),
         ({"doubted": True}, Why.DOUBT),
         ({"heading_step_age": 0.5}, Why.HEADING),
+        ({"leap_age": 0.5}, Why.LEAP),
         ({"clock_known": False}, Why.CLOCK),
     ],
 )
@@ -290,20 +291,23 @@ def test_after_a_leader_that_flies_off_a_drone_stays_within_its_fence():
 
 
 class Chased:
-    """A drone that does at once what it is told, and somebody without a name that stays 2 m in the south of it and
-    comes at `speed`, wherever it goes: nobody can get away from that. `off` is how far it is from where it began."""
+    """A drone that does at once what it is told, and somebody without a name that stays 2 m in the south of it, and
+    `below` m, and comes at `speed`, wherever it goes: nobody can get away from that. `off` and `up` are how far it is
+    from where it began, level and in height."""
 
-    def __init__(self, speed=2.0, leader=None, **limits):
+    def __init__(self, speed=2.0, leader=None, below=0.0, **limits):
         self.flying = Flying(Formation(parameters(limits=limits)))
-        self.here, self.velocity, self.off = np.zeros(3), np.zeros(3), []
-        self.speed, self.leader = speed, leader
+        self.here, self.velocity, self.off, self.up = np.zeros(3), np.zeros(3), [], []
+        self.leader = leader
+        self.away = np.array([-2.0, 0.0, below])
+        self.comes = -speed * self.away / np.linalg.norm(self.away)
 
     def fly(self, seconds, chased=True):
         for _ in range(round(10.0 * seconds)):
             own = in_slot(off=self.here, velocity=tuple(self.velocity.tolist()))
             seen, tracks = {}, []
             if chased:
-                seen[11] = state((-2.0, 0.0, 0.0), (self.speed, 0.0, 0.0) - self.velocity, drone_id=0)
+                seen[11] = state(self.away, self.comes - self.velocity, drone_id=0)
                 tracks.append(track(None, 11))
             if self.leader is not None:
                 seen[10] = leader_from(
@@ -313,7 +317,25 @@ class Chased:
             self.velocity = np.array(self.flying.tell(own, seen, tracks).velocity)
             self.here = self.here + 0.1 * self.velocity
             self.off.append(float(np.linalg.norm(self.here[:2])))
+            self.up.append(-float(self.here[2]))
         return self
+
+
+@pytest.mark.parametrize("below", [1.5, -1.5])
+def test_nobody_is_chased_through_the_heights_of_others(below):
+    chased = Chased(below=below, fence_radius=100.0).fly(40.0)
+    assert max(chased.off) > MOST_ASIDE_M - 0.5
+    assert max(map(abs, chased.up)) <= AT_HEIGHT_M + 1e-6
+
+
+def test_who_is_kept_clear_of_from_below_is_so_by_flying_level(flying):
+    near = state((1.0, 0.0, 0.6), drone_id=0)
+    setpoint = flying.tell(in_slot(off=(0.0, 0.0, -AT_HEIGHT_M)), {12: near}, [track(None, 12)])
+    north, _, down = setpoint.velocity
+    assert down == pytest.approx(0.0, abs=1e-3)
+    assert setpoint.clear_of == (12,)
+    # As fast along the ray as if it could climb.
+    assert (1.0 * north + 0.6 * down) / math.hypot(1.0, 0.6) < -0.1
 
 
 def test_nobody_is_chased_beyond_the_fence():
