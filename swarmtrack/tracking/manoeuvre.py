@@ -1,9 +1,10 @@
-"""Targets that mostly keep their velocity and sometimes manoeuvre: an interacting mix of two motion models.
+"""Targets that mostly keep their velocity and sometimes manoeuvre: an interacting mix of M = 2 motion models or more.
 
 Calm: constant velocity, next to no noise. Agile: Singer's model, an acceleration that is correlated in time with
 variance σ² = acceleration_psd / (2 τ) and lasts about τ seconds. Whoever sees a target decides between them by how
 well each predicted what was measured: the interacting multiple model filter, Blom & Bar-Shalom (1988); Bar-Shalom, Li
-& Kirubarajan (2001), section 11.6.6.
+& Kirubarajan (2001), section 11.6.6. Where nobody knows how hard targets manoeuvre in this image, there is an agile
+model for each of some levels.
 
 State [u, vu, v, vv, au, av]: that of motion_model.py and the target's own acceleration, px/s². In the calm model the
 acceleration moves nothing: it is what the target would start to manoeuvre with, N(0, σ²).
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +29,7 @@ CALM, AGILE = 0, 1
 KINEMATIC = slice(0, 4)
 ACCELERATION = slice(4, 6)
 PLACE = slice(0, 4, 2)  # u, v
+VELOCITY = slice(1, 4, 2)
 # Which of the nine entries of an axis' matrix over position, velocity and acceleration each of all 36 is; 9 between the
 # axes.
 ENTRY = np.full((6, 6), 9)
@@ -38,6 +41,17 @@ LEAST_MODE = 1e-12  # a mode's probability never underflows: nothing would bring
 SHORT = 0.5  # share of an acceleration's time, up to which the process noise is integrated: its closed form cancels
 # Gauss-Legendre nodes and weights on 0…1: with five, exact to 2e-12 for such steps.
 NODES, WEIGHTS = (0.5 * np.array(np.polynomial.legendre.leggauss(5)) + [[0.5], [0.0]]).tolist()
+
+
+class Level(NamedTuple):
+    """How hard targets manoeuvre, as far as a camera sees: near ones more than far ones. scale: factor on the density
+    of their acceleration and the variance of their speed; share: of all manoeuvres."""
+
+    scale: float
+    share: float
+
+
+AS_TOLD = (Level(1.0, 1.0),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +68,8 @@ class Manoeuvres:
     """s: how long a target stays calm, on average."""
     agile_s: float
     """s: how long it manoeuvres, on average."""
+    levels: tuple[Level, ...] = AS_TOLD
+    """How hard manoeuvres are, the gentlest first."""
 
     @property
     def acceleration_variance(self) -> float:
@@ -61,10 +77,25 @@ class Manoeuvres:
         return self.agile_psd / (2.0 * self.lasting_s)
 
     @property
+    def scales(self) -> Array:
+        """(M - 1,) of the levels."""
+        return np.array([level.scale for level in self.levels])
+
+    @property
+    def variances(self) -> Array:
+        """(M,) px²/s⁴, of the acceleration in each mode; in the calm one that of the gentlest manoeuvre."""
+        return self.acceleration_variance * self.scales[[0, *range(len(self.levels))]]
+
+    @property
+    def psd(self) -> Array:
+        """(M,) px²/s³, of each mode."""
+        return np.array([self.calm_psd, *(self.agile_psd * self.scales)])
+
+    @property
     def usual(self) -> Array:
-        """(2,) shares of the time spent calm and agile."""
+        """(M,) shares of the time spent calm and at each level of agility."""
         total = self.calm_s + self.agile_s
-        return np.array([self.calm_s / total, self.agile_s / total])
+        return np.array([self.calm_s, *(level.share * self.agile_s for level in self.levels)]) / total
 
     def calmed(self, scale: float) -> Manoeuvres:
         """The calm model's noise times a scale. How hard drones can manoeuvre, a calm one does not tell."""
@@ -72,7 +103,7 @@ class Manoeuvres:
 
 
 class ModeMixture(NamedTuple):
-    """n targets, each with a Gaussian for each of two modes: mean (n, 2, 6), cov (n, 2, 6, 6), mode (n, 2) their
+    """n targets, each with a Gaussian for each of M modes: mean (n, M, 6), cov (n, M, 6, 6), mode (n, M) their
     probabilities."""
 
     mean: Array
@@ -88,7 +119,7 @@ class ModeMixture(NamedTuple):
 
 class ModeInnovations(NamedTuple):
     """Of k updates: calm (k, 2), those of the calm mode, whitened; share (k,): of R in their covariance;
-    weight (k,): that the target was calm; nis (k,): the squared Mahalanobis distances in both modes, weighed by how
+    weight (k,): that the target was calm; nis (k,): the squared Mahalanobis distances in all modes, weighed by how
     likely each is after the update. If the mixture is right its mean is 2, as exactly as with a single Gaussian."""
 
     calm: Array
@@ -113,13 +144,17 @@ def joined(first: ModeMixture, second: ModeMixture) -> ModeMixture:
 
 
 def begun(mean: Array, cov: Array, manoeuvres: Manoeuvres) -> ModeMixture:
-    """Targets known by mean (n, 4) and cov (n, 4, 4) alone: in either mode as often as usual."""
-    n = len(mean)
-    means, covs = np.zeros((n, 2, 6)), np.zeros((n, 2, 6, 6))
+    """Targets known by mean (n, 4) and cov (n, 4, 4) alone: in each mode as often as usual, the slower the gentler."""
+    n, usual, scales = len(mean), manoeuvres.usual, manoeuvres.scales
+    means, covs = np.zeros((n, len(usual), 6)), np.zeros((n, len(usual), 6, 6))
     means[:, :, KINEMATIC] = mean[:, None]
     covs[:, :, KINEMATIC, KINEMATIC] = cov[:, None]
-    covs[:, :, [4, 5], [4, 5]] = manoeuvres.acceleration_variance
-    return ModeMixture(means, covs, np.tile(manoeuvres.usual, (n, 1)))
+    # A calm target is of any level.
+    slower = np.sqrt([usual[AGILE:] @ scales / usual[AGILE:].sum(), *scales])[:, None]
+    covs[:, :, VELOCITY] *= slower[:, :, None]
+    covs[:, :, :, VELOCITY] *= slower[:, None]
+    covs[:, :, [4, 5], [4, 5]] = manoeuvres.variances[:, None]
+    return ModeMixture(means, covs, np.tile(usual, (n, 1)))
 
 
 def merged(mixture: ModeMixture) -> tuple[Array, Array]:
@@ -128,19 +163,18 @@ def merged(mixture: ModeMixture) -> tuple[Array, Array]:
 
 
 def _one_gaussian(mode: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
-    """Of mode (n, 2), mean (n, 2, d) and cov (n, 2, d, d): the mean (n, d) and covariance (n, d, d) of the mix."""
-    calm, agile = mode[:, CALM, None], mode[:, AGILE, None]
-    apart = mean[:, AGILE] - mean[:, CALM]
-    spread = (calm * agile)[:, :, None] * (apart[:, :, None] * apart[:, None, :])
-    return (
-        mean[:, CALM] + agile * apart,
-        calm[:, :, None] * cov[:, CALM] + agile[:, :, None] * cov[:, AGILE] + spread,
-    )
+    """Of mode (n, M), mean (n, M, d) and cov (n, M, d, d): the mean (n, d) and covariance (n, d, d) of the mix."""
+    centre = (mode[:, None] @ mean)[:, 0]
+    apart = mean - centre[:, None]
+    weighed = mode[:, :, None] * apart
+    d = mean.shape[2]
+    within = (mode[:, None] @ cov.reshape(*mode.shape, d * d)).reshape(-1, d, d)
+    return centre, within + weighed.swapaxes(1, 2) @ apart
 
 
 def mean_acceleration(mixture: ModeMixture) -> Array:
     """(n, 2) px/s²: nobody accelerates while calm."""
-    return mixture.mode[:, AGILE, None] * mixture.mean[:, AGILE, ACCELERATION]
+    return (mixture.mode[:, None, AGILE:] @ mixture.mean[:, AGILE:, ACCELERATION])[:, 0]
 
 
 def predict(
@@ -192,7 +226,7 @@ def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, ModeI
     log_likelihood = -0.5 * (distance + np.log(determinant))
     fitted = mixture.mode * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     mode = fitted / fitted.sum(axis=1, keepdims=True)
-    mode = LEAST_MODE + (1.0 - 2.0 * LEAST_MODE) * mode
+    mode = LEAST_MODE + (1.0 - mode.shape[1] * LEAST_MODE) * mode
     of_R = 0.5 * (R[:, 0].diagonal(axis1=1, axis2=2) / S[:, CALM].diagonal(axis1=1, axis2=2)).sum(axis=1)
     fit = ModeInnovations(
         whitened(y[:, CALM], S[:, CALM]), of_R, mode[:, CALM], (mode * distance).sum(axis=1)
@@ -209,41 +243,44 @@ def _squared_length(y: Array, S: Array, determinant: Array) -> Array:
 
 def _interact(mixture: ModeMixture, dt: float, manoeuvres: Manoeuvres) -> ModeMixture:
     """The modes' change within dt: what each begins with is a mix of what both ended with."""
-    change = _mode_changes(dt, manoeuvres)  # (2, 2), from row to column
-    mode = mixture.mode @ change
-    # (n, 2, 2): share of the column's in the row's new one
+    change = _mode_changes(dt, manoeuvres)  # (M, M), from row to column
+    mode, M = mixture.mode @ change, len(change)
+    # (n, M, M): share of the column's in the row's new one
     share = change.T * mixture.mode[:, None] / mode[:, :, None]
-    apart = mixture.mean[:, AGILE] - mixture.mean[:, CALM]
-    spread = apart[:, :, None] * apart[:, None, :]
-    cov = (share @ mixture.cov.reshape(-1, 2, 36)).reshape(-1, 2, 6, 6)
-    cov += share.prod(axis=2)[:, :, None, None] * spread[:, None]
+    cov = (share @ mixture.cov.reshape(-1, M, 36)).reshape(-1, M, 6, 6)
+    for i, j in combinations(range(M), 2):
+        apart = mixture.mean[:, j] - mixture.mean[:, i]
+        spread = apart[:, :, None] * apart[:, None, :]
+        cov += (share[:, :, i] * share[:, :, j])[:, :, None, None] * spread[:, None]
+    if len(manoeuvres.levels) > 1:  # who begins a harder manoeuvre does so with its acceleration
+        variance = manoeuvres.variances
+        gained = (share * np.maximum(variance[:, None] - variance, 0.0)).sum(axis=2)
+        cov[:, :, [4, 5], [4, 5]] += gained[:, :, None]
     return ModeMixture(share @ mixture.mean, cov, mode)
 
 
 def _mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
-    """(2, 2) probability of being in the column's mode dt after the row's: a Markov chain in continuous time, so that
-    two short steps are one long one."""
-    calm, agile = manoeuvres.usual.tolist()
+    """(M, M) probability of being in the column's mode dt after the row's: a Markov chain in continuous time, so that
+    two short steps are one long one. Who leaves a mode draws the next as often as usual."""
+    usual = manoeuvres.usual
     forgotten = -math.expm1(-dt * (1.0 / manoeuvres.calm_s + 1.0 / manoeuvres.agile_s))
-    return np.array(
-        [[1.0 - agile * forgotten, agile * forgotten], [calm * forgotten, 1.0 - calm * forgotten]]
-    )
+    return np.asarray((1.0 - forgotten) * np.eye(len(usual)) + forgotten * usual)
 
 
 def _transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
-    """F (2, 6, 6) and Q (2, 6, 6) of both modes over dt. Singer (1970); Bar-Shalom et al. (2001), section 8.2.3."""
+    """F (M, 6, 6) and Q (M, 6, 6) of all modes over dt. Singer (1970); Bar-Shalom et al. (2001), section 8.2.3."""
     rate, variance, q = 1.0 / manoeuvres.lasting_s, manoeuvres.acceleration_variance, manoeuvres.calm_psd
     p, v, a = _reach(dt, rate)
     pp, pv, pa, vv, va, aa = _singer_noise(dt, rate, variance)
-    across = q * dt**2 / 2.0
-    # One flat list, of F for the calm mode and the agile one and then of Q: nested ones take twice as long.
-    axes = [
-        1.0, dt, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-        1.0, dt, p, 0.0, 1.0, v, 0.0, 0.0, a, 0.0,
-        q * dt**3 / 3.0, across, 0.0, across, q * dt, 0.0, 0.0, 0.0, variance, 0.0,
-        pp, pv, pa, pv, vv, va, pa, va, aa, 0.0,
-    ]  # fmt: skip
-    F, Q = np.array(axes).reshape(2, 2, 10).take(ENTRY, axis=2)
+    agile, across = (pp, pv, pa, pv, vv, va, pa, va, aa, 0.0), q * dt**2 / 2.0
+    gentlest = manoeuvres.levels[0].scale * variance
+    # One flat list, of F for all modes and then of Q: nested ones take twice as long.
+    axes = [1.0, dt, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    axes += [1.0, dt, p, 0.0, 1.0, v, 0.0, 0.0, a, 0.0] * len(manoeuvres.levels)
+    axes += [q * dt**3 / 3.0, across, 0.0, across, q * dt, 0.0, 0.0, 0.0, gentlest, 0.0]
+    for level in manoeuvres.levels:
+        axes += [level.scale * entry for entry in agile]
+    F, Q = np.array(axes).reshape(2, -1, 10).take(ENTRY, axis=2)
     return F, Q
 
 
@@ -286,7 +323,7 @@ def acceleration_reach(dt: float, manoeuvres: Manoeuvres) -> tuple[float, float]
 def turned(
     mean: Array, cov: Array, rotation: Array, camera: PinholeCamera, turn: Turn
 ) -> tuple[Array, Array]:
-    """Both modes with the camera; the acceleration turns as the velocity does."""
+    """All modes with the camera; the acceleration turns as the velocity does."""
     kinematic, F4 = turn(mean[..., KINEMATIC].reshape(-1, 4), rotation, camera)
     J = F4[:, 1::2, 1::2]
     F = np.zeros((len(F4), 6, 6))
@@ -296,4 +333,4 @@ def turned(
     found[:, KINEMATIC] = kinematic
     found[:, ACCELERATION] = (J @ mean[..., ACCELERATION].reshape(-1, 2, 1))[..., 0]
     cov = F @ cov.reshape(-1, 6, 6) @ np.ascontiguousarray(F.swapaxes(1, 2))
-    return found.reshape(-1, 2, 6), cov.reshape(-1, 2, 6, 6)
+    return found.reshape(mean.shape), cov.reshape(*mean.shape, 6)

@@ -15,7 +15,7 @@ multi-Bernoulli filters" (IEEE T-AES 51(3), 2015) and García-Fernández et al. 
 It is no full Poisson multi-Bernoulli mixture (PMBM): the intensity of targets that were never detected is not carried
 on from scan to scan, births have a constant rate.
 
-Each leaf moves by an interacting mix of a calm and an agile model (manoeuvre.py).
+Each leaf moves by an interacting mix of a calm model and one or two agile ones (manoeuvre.py).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
-from swarmtrack.tracking.manoeuvre import PLACE, Manoeuvres, ModeInnovations, ModeMixture
+from swarmtrack.tracking.manoeuvre import AS_TOLD, PLACE, Level, Manoeuvres, ModeInnovations, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, propagate
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
@@ -48,6 +48,7 @@ Indices = NDArray[np.intp]
 LARGEST_LOG_RATIO = 300.0  # of a tentative track's claim: nothing is as certain, and doubles end at 709
 LEAST_AVAILABLE = 1e-3  # a detection that the confirmed tracks take more surely than that is nobody else's
 SAME = 0.25  # standard deviations within which two leaves of a track say the same
+OFTEN_GENTLE = 0.9  # share of manoeuvres, where nobody knows how hard they are
 OUTLIERS = 0.05  # share of detections that are off by more than their noise
 ORDINARY_FLOW = (
     1.0  # px: by which the gyro's noise moves a target from scan to scan; beyond it something was wrong
@@ -78,6 +79,9 @@ class MbmParameters(CommonParameters):
     """Factor on `acceleration_psd` while a target keeps its velocity."""
     agile_share: float = 15.0
     """Factor on `acceleration_psd` while it manoeuvres."""
+    gentle_share: float = 0.06
+    """With `learn_noise = "both"`, nine manoeuvres in ten are gentle: their `acceleration_psd` is that of hard ones
+    times this, and so is the variance of their targets' speed at birth. 1: all are hard."""
     lasting_s: float = 2.0
     """How long an acceleration lasts, s."""
     calm_s: float = 4.0
@@ -94,7 +98,7 @@ class MbmParameters(CommonParameters):
             raise ValueError(
                 f"tracker.hypotheses: found {self.hypotheses!r}, expected a whole number from 1 on"
             )
-        for name in ("least_weight", "calm_share"):
+        for name in ("least_weight", "calm_share", "gentle_share"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(
                     f"tracker.{name}: found {getattr(self, name)!r}, expected a number in 0…1, not 0"
@@ -112,6 +116,12 @@ class MbmParameters(CommonParameters):
         return self.interacting
 
     @property
+    def _levels(self) -> tuple[Level, ...]:
+        if self.learn_noise != "both" or self.gentle_share == 1.0:
+            return AS_TOLD
+        return Level(self.gentle_share, OFTEN_GENTLE), Level(1.0, 1.0 - OFTEN_GENTLE)
+
+    @property
     def manoeuvres(self) -> Manoeuvres:
         if not self.interacting:
             return Manoeuvres(
@@ -124,6 +134,7 @@ class MbmParameters(CommonParameters):
         return Manoeuvres(
             agile_psd=self.agile_share * self.acceleration_psd,
             calm_psd=self.calm_share * self.acceleration_psd,
+            levels=self._levels,
             lasting_s=self.lasting_s,
             calm_s=self.calm_s,
             agile_s=self.agile_s,
@@ -193,7 +204,8 @@ class Mbm:
         self._ordinary = (ORDINARY_FLOW / sensor.camera.fx) ** 2
         self._depth = -math.log(parameters.least_weight)
         self._population = Population(sensor, parameters, ids)
-        self._leaves = Leaves(np.empty(0, np.intp), manoeuvre.NOBODY, np.empty(0), np.empty((0, 2)))
+        nobody = manoeuvre.begun(np.empty((0, 4)), np.empty((0, 4, 4)), self._manoeuvres)
+        self._leaves = Leaves(np.empty(0, np.intp), nobody, np.empty(0), np.empty((0, 2)))
         self._best: Indices = np.empty(0, np.intp)  # of each track, its leaf in the best hypothesis
         self._clusters: list[Cluster] = []
         self.counters = {"hypotheses_cut": 0}
@@ -230,7 +242,7 @@ class Mbm:
         self, dt: float, rotation: Array | None, rotation_variance: float
     ) -> tuple[Array, Array]:
         published, scale = self._published(), self._sensor.noise.motion
-        psd = np.array([scale * self._manoeuvres.calm_psd, self._manoeuvres.agile_psd])
+        psd = self._manoeuvres.calmed(scale).psd
         position, velocity = manoeuvre.acceleration_reach(dt, self._manoeuvres)
         # Such that constant velocity brings it where the acceleration does.
         reach = np.array([position - dt * velocity, velocity])
@@ -311,19 +323,19 @@ class Mbm:
         return Weighed(visibility, shift, merged, ratio, gain, missed)
 
     def _log_ratio(self, boxes: Array, measured: Measurements, shift: Array | None = None) -> Array:
-        """(…, L, m) by both modes, … that of measured.R; boxes (L, m): see `SensorModel.box_likelihoods`; shift (n, 2,
+        """(…, L, m) by all modes, … that of measured.R; boxes (L, m): see `SensorModel.box_likelihoods`; shift (n, 2,
         2) px² of each track's detections."""
         mean, cov, mode = self._leaves.motion
         if shift is not None:
             cov = cov.copy()
             cov[:, :, PLACE, PLACE] += shift[self._leaves.owner][:, None]
         by_mode = self._sensor.likelihoods(
-            mean.reshape(-1, 6), cov.reshape(-1, 6, 6), boxes.repeat(2, axis=0), measured
+            mean.reshape(-1, 6), cov.reshape(-1, 6, 6), boxes.repeat(mode.shape[1], axis=0), measured
         ).log_ratio
         by_mode = (
             by_mode.reshape(*by_mode.shape[:-2], *mode.shape, len(measured.z)) + np.log(mode)[:, :, None]
         )
-        return np.asarray(np.logaddexp(by_mode[..., manoeuvre.CALM, :], by_mode[..., manoeuvre.AGILE, :]))
+        return np.asarray(np.logaddexp.reduce(by_mode, axis=-2))
 
     def _with_outliers(self, boxes: Array, measured: Measurements) -> Array:
         """The log-ratios (L, m) where some detections scatter as was told, and not as little as was measured.
@@ -528,6 +540,10 @@ class Mbm:
         seen = published.column >= 0
         self._population.learn_likeness(t, seen, measured.likeness.take(published.column[seen]))
         self._population.judge(t, seen, weighed.visibility)
+        made = _made(seen, disputed)
+        if self._parameters.learn_noise == "both":  # else what was told of survival and clutter is known
+            self._population.credit(t, made)
+        self._population.excuse(t, made, weighed.visibility)
         if (free > 0.5).any():
             free[self._population.shadowed(t, measured, seen)] = 0.0
             self._population.give_birth(t, measured.select(free > 0.5))
@@ -642,9 +658,12 @@ class Mbm:
         new = np.arange(len(self._best), len(table))
         if not len(new):
             return
+        if motion is None:
+            motion = manoeuvre.begun(table.mean[new], table.cov[new], self._manoeuvres)
+            table.mean[new], table.cov[new] = manoeuvre.merged(motion)
         born = Leaves(
             new,
-            motion or manoeuvre.begun(table.mean[new], table.cov[new], self._manoeuvres),
+            motion,
             table.existence[new],
             table.size[new],
         )
@@ -693,6 +712,14 @@ def _distinct(associations: list[Association], count: int, m: int) -> tuple[Asso
     row = told.cumsum().reshape(told.shape) - 1
     leaf, column = told.nonzero()
     return Association(leaf, column - 1), [row[leaf, column + 1] for leaf, column in associations]
+
+
+def _made(seen: NDArray[np.bool_], disputed: list[tuple[Cluster, Indices]]) -> Array:
+    """(n,) how surely each track made a detection: by all hypotheses where it is in dispute, else whether it did."""
+    made = seen.astype(float)
+    for cluster, column in disputed:
+        made[cluster.tracks] = cluster.weight @ (column >= 0)
+    return made
 
 
 def _without_doubles(cluster: Cluster, leaves: Leaves) -> Cluster:

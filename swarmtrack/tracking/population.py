@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,12 @@ LEAST_LOOK = 1e-6  # what a look at once counts: a track that was told, and is s
 MANY_LOOKS = 30.0  # over which the likeness is a mean
 # Log odds by which a mean is better or worse than it should be, for one look: one sigma of those of a real drone.
 LUCK = 0.5
+# A tenth of a chance that a track made no detection is full doubt. Clutter is seldom better than that: it keeps nobody.
+CERTAINTY = 10.0
+MOST_EXCUSED = (
+    2.0 / 3.0
+)  # of the time since the last scan: who is hidden coasts for three times as long at most
+NOWHERE = 1e-9  # a probability of being in view that is as good as none
 FADED = 0.05  # share of its existence at birth, below which a tentative track ends
 
 
@@ -42,6 +50,7 @@ class Population:
         self._reach = lifecycle.Reach(sensor.camera)
         self._gate = gate_threshold(parameters.gate_probability)
         self._ids = ids
+        self._excused_at = math.inf  # s: time of the last `excuse`
 
     def initiate(self, t: float, points: Array) -> list[int]:
         """Confirmed tracks at known places (n, 2) px. Returns their ids."""
@@ -101,6 +110,33 @@ class Population:
         table.last_seen = np.where(seen, np.maximum(table.last_seen, confident), table.last_seen)
         table.missed_since = np.where(seen, np.nan, np.fmin(table.missed_since, t))
         table.lost = ~seen & ((table.existence < lifecycle.LOST_BELOW) | (visibility.in_view < 0.5))
+
+    def credit(self, t: float, made: Array) -> None:
+        """After `judge`, for trackers that put off who made what: a confirmed track that very likely made a detection
+        lives on, although the published story, or too few detections of late, leave it in doubt. made (n,): how surely
+        each made a detection of the scan at t."""
+        table = self.table
+        doubt = CERTAINTY * (1.0 - made)
+        credited = table.confirmed & (doubt < 1.0)
+        last = t - DOUBT * self._parameters.max_coast_s * doubt
+        table.last_seen = np.where(credited, np.maximum(table.last_seen, last), table.last_seen)
+
+    def excuse(self, t: float, made: Array, visibility: Visibility) -> None:
+        """After `judge`: of confirmed tracks that another hides, the time counts less in which nobody could have seen
+        them. made: as in `credit`."""
+        dt, self._excused_at = max(t - self._excused_at, 0.0), t
+        if visibility.overlap.any():
+            table = self.table
+            last = np.minimum(table.last_seen + self._excused(made, visibility) * dt, t)
+            table.last_seen = np.where(table.confirmed, last, table.last_seen)
+
+    def _excused(self, made: Array, visibility: Visibility) -> Array:
+        """(n,) how surely a miss was because another, which was seen, hid the track, and not the detector's."""
+        p_detection, overlap = self._parameters.p_detection, visibility.overlap
+        clear = visibility.p_detection / (p_detection * np.maximum(visibility.in_view, NOWHERE))
+        seen = overlap @ made / np.maximum(overlap.sum(axis=1), NOWHERE)  # of those that may hide it
+        hidden = within((1.0 - clear) * seen, 0.0, 1.0)
+        return np.minimum(hidden / (1.0 - p_detection * (1.0 - hidden)), MOST_EXCUSED)
 
     def drop(self, t: float) -> NDArray[np.bool_] | None:
         """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that

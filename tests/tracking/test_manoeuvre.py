@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from swarmtrack.tracking import gaussian, manoeuvre
 from swarmtrack.tracking.manoeuvre import (
     AGILE,
     CALM,
+    Level,
     Manoeuvres,
     ModeMixture,
     begun,
@@ -308,6 +310,49 @@ def test_begun_is_in_either_mode_as_often_as_usual_and_known_as_told():
     assert merged(mixture)[1] == pytest.approx(cov)
     assert mixture.cov[0, :, [4, 5], [4, 5]] == pytest.approx(np.full((2, 2), 2250.0))
     assert manoeuvre.mean_acceleration(mixture) == pytest.approx(np.zeros((1, 2)))
+
+
+LEVELS = replace(SWAYING, levels=(Level(0.04, 0.75), Level(1.0, 0.25)))
+
+
+def test_of_two_levels_the_gentle_is_slower_and_the_calm_are_of_either():
+    mixture = begun(np.zeros((1, 4)), np.diag([4.0, 100.0, 4.0, 100.0])[None], LEVELS)
+    assert mixture.mode[0] == pytest.approx([2 / 3, 1 / 4, 1 / 12])
+    assert mixture.cov[0, :, 1, 1] == pytest.approx([100.0 * (0.75 * 0.04 + 0.25), 4.0, 100.0])
+    assert mixture.cov[0, :, 0, 0] == pytest.approx(np.full(3, 4.0))
+    assert mixture.cov[0, :, 4, 4] == pytest.approx([90.0, 90.0, 2250.0])
+
+
+def test_two_levels_alike_are_one():
+    """However one splits them, and whatever came before: same Gaussian, same innovations."""
+    alike = replace(SWAYING, levels=(Level(1.0, 0.75), Level(1.0, 0.25)))
+    one, two = (begun(np.zeros((1, 4)), KNOWN[None], m) for m in (SWAYING, alike))
+    R = np.eye(2)[None]
+    for k in range(1, 8):
+        z = np.array([[0.3 * k**2, -1.0 * k]])
+        one, fit = update(
+            predict(one, 0.1, SWAYING, camera=CAMERA, rotation=rotation.exp([0, 0.01, 0])), z, R
+        )
+        two, same = update(predict(two, 0.1, alike, camera=CAMERA, rotation=rotation.exp([0, 0.01, 0])), z, R)
+        assert_same(merged(two), merged(one), rel=1e-9)
+        assert two.mode[0, AGILE:].sum() == pytest.approx(one.mode[0, AGILE])
+        assert manoeuvre.mean_acceleration(two) == pytest.approx(manoeuvre.mean_acceleration(one))
+        assert same.nis == pytest.approx(fit.nis)
+
+
+def test_who_begins_a_hard_manoeuvre_has_a_hard_acceleration_at_once():
+    gentle = begun(np.zeros((1, 4)), KNOWN[None], LEVELS)._replace(mode=np.array([[0.5, 0.5, 1e-12]]))
+    after = predict(gentle, 1e-3, LEVELS, camera=CAMERA)
+    assert after.cov[0, :, 4, 4] == pytest.approx([90.0, 90.0, 2250.0], rel=1e-2)
+
+
+def test_levels_manoeuvre_as_hard_as_they_say():
+    """Each by itself moves as the only level of a target that is told its density."""
+    _, Q = manoeuvre._transitions(0.3, LEVELS)
+    for mode, scale in ((1, 0.04), (2, 1.0)):
+        _, alone = manoeuvre._transitions(0.3, replace(SWAYING, agile_psd=scale * SWAYING.agile_psd))
+        assert_same(Q[mode], alone[AGILE])
+    assert LEVELS.psd == pytest.approx([SWAYING.calm_psd, 0.04 * SWAYING.agile_psd, SWAYING.agile_psd])
 
 
 def test_nobody_flows_through():

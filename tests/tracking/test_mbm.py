@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from swarmtrack.benchmarks.trackers.play import play
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
@@ -532,3 +533,104 @@ def test_calm_flight_of_points_is_learned_in_clutter_too_where_every_track_may_h
     # Told: 0.1 of 10 000 px²/s³ for calm flight; flown: next to nothing.
     assert learned is not None
     assert learned.motion < 0.4
+
+
+# Who coasts for how long
+
+
+def hidden_for(seconds, hz=10.0):
+    """Two points that may be one detection: seen apart, then for so long as one, then apart again. The tracks'
+    numbers before, and after."""
+    apart, together = [[300.0, 200.0], [306.0, 200.0]], [[303.0, 200.0]]
+    tracker, ids = hovering(apart, resolution_px=8.0, measurement_sigma=1.0, birth_speed_sigma=3.0)
+    times = 0.1 + np.arange(round((seconds + 1.0) * hz)) / hz
+    for t in times:
+        watch(tracker, t, apart if t < 0.5 or t > seconds + 0.5 else together)
+    return ids, [track.id for track in tracker.tracks]
+
+
+@pytest.mark.parametrize("seconds", [0.8, 1.5])
+def test_while_another_hides_it_a_track_is_not_ended_as_one_that_went_unseen(seconds):
+    before, after = hidden_for(seconds)
+    assert after == before
+
+
+def test_nobody_coasts_longer_than_three_times_as_long_hidden_or_not():
+    before, after = hidden_for(20.0)
+    assert after != before
+
+
+def test_who_is_hidden_by_nobody_ends_on_time():
+    tracker, ids = hovering([[300.0, 200.0], [400.0, 200.0]], resolution_px=8.0)
+    for t in np.arange(1, 13) / 10.0:
+        watch(tracker, t, [[300.0, 200.0]])
+    assert [track.id for track in tracker.tracks] == ids[:1]
+
+
+@pytest.mark.parametrize(("scene", "run"), [("untold_slow_merged", 6), ("untold_slow_merged", 16)])
+def test_the_hidden_of_a_slow_crossing_keep_their_tracks(scene, run):
+    """Two runs in which a track ended while its drone was hidden behind another."""
+    score = play(SCENES[scene], "mbm", run=run)
+    assert not score.lost
+    assert not score.swapped
+
+
+def test_a_track_detected_a_moment_ago_goes_on_although_clutter_leaves_it_in_doubt():
+    """A drone missed three times, then twice: each time, one detection is not quite proof that it is there still."""
+    assert not play(SCENES["untold_crossing"], "mbm", run=4).lost
+
+
+# How hard they manoeuvre
+
+
+def test_an_agent_knows_gentle_manoeuvres_and_hard_ones_and_others_what_they_were_told():
+    assert mbm(learn_noise="both")._filter._manoeuvres.levels == (
+        manoeuvre.Level(0.06, pytest.approx(0.9)),
+        manoeuvre.Level(1.0, pytest.approx(0.1)),
+    )
+    for told in ({}, {"learn_noise": "both", "gentle_share": 1.0}):
+        assert mbm(**told)._filter._manoeuvres.levels == manoeuvre.AS_TOLD
+
+
+def error_in_turn(acceleration, hz=8.0, seed=0, **told):
+    """px: RMSE from the begin of a turn, after ten calm seconds of a drone that flies straight on; infinite if its
+    track is lost. Among clutter, and a tenth of the detections is missing."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 13.0, 1.0 / hz)
+    turning = np.clip(t - 10.0, 0.0, 1.2)
+    v = 100.0 + 0.5 * acceleration * turning**2 + acceleration * 1.2 * np.maximum(t - 11.2, 0.0)
+    truth = np.stack([100.0 + 20.0 * t, v], axis=1)
+    tracker = mbm(learn_noise="both", **told)
+    (name,) = tracker.initiate(0.0, truth[:1])
+    squared = []
+    for now, place in zip(t[1:], truth[1:], strict=True):
+        own = place + rng.normal(0.0, 1.0, (int(rng.random() < 0.9), 2))
+        z = np.concatenate([own, rng.uniform([0.0, 0.0], [640.0, 480.0], (rng.poisson(1.0), 2))])
+        tracker.predict(now)
+        tracker.update(Scan(now, z))
+        held = [track.mean[::2] - place for track in tracker.tracks if track.id == name]
+        squared.append((held[0] ** 2).sum() if held else np.inf)
+    return np.sqrt(np.mean(np.array(squared)[t[1:] > 10.0]))
+
+
+def test_who_flew_gently_until_now_is_still_followed_when_it_turns_hard():
+    """130 px/s²: 3 m/s² at 10 m."""
+    levels, hard_only = (
+        [error_in_turn(130.0, seed=seed, **told) for seed in range(8)] for told in ({}, {"gentle_share": 1.0})
+    )
+    assert np.mean(levels) < 1.15 * np.mean(hard_only)
+
+
+def test_gentle_flight_is_followed_closer_by_who_knows_that_there_is_such():
+    levels, hard_only = (
+        [play(SCENES["untold_slow_merged"], "mbm", told, run).rmse_px for run in range(3)]
+        for told in ({}, {"gentle_share": 1.0})
+    )
+    assert np.mean(levels) < 0.9 * np.mean(hard_only)
+
+
+@pytest.mark.parametrize("count", [3, 6])
+def test_with_levels_of_manoeuvres_it_hangs_together_too(count):
+    rng = np.random.default_rng(count)
+    tracker, _ = hovering(rng.uniform(200.0, 260.0, (count, 2)), learn_noise="both", resolution_px=8.0)
+    for k in range(1, 60):
+        watch(tracker, k / 10.0, rng.uniform(150.0, 300.0, (rng.integers(0, 8), 2)))
