@@ -105,12 +105,16 @@ class Population:
     def drop(self, t: float) -> NDArray[np.bool_] | None:
         """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that
         may be anywhere; returns which (n,) stay, None if all do."""
-        table = self.table
-        coasted = t - table.last_seen >= self._parameters.max_coast_s - ROUNDING_S
-        faded = table.existence < FADED * self._sensor.usual_birth
-        stay = ~(coasted | faded)
-        if not self._reach.surely_holds_all(table.mean, table.cov):
-            stay &= self._reach.holds(table.mean, table.cov)
+        table, longest = self.table, self._parameters.max_coast_s - ROUNDING_S
+        faded = FADED * self._sensor.usual_birth
+        # Lists: of a few tracks, an array costs more for each question than for all answers.
+        alive = [
+            t - seen < longest and existence >= faded
+            for seen, existence in zip(table.last_seen.tolist(), table.existence.tolist(), strict=True)
+        ]
+        if all(alive) and self._reach.surely_holds_all(table.mean, table.cov):
+            return None
+        stay = np.array(alive, dtype=np.bool_) & self._reach.holds(table.mean, table.cov)
         if stay.all():
             return None
         table.keep(stay)
