@@ -159,8 +159,9 @@ class Merging(NamedTuple):
 class Weighed(NamedTuple):
     """A scan of m detections as L leaves of n tracks see it.
 
-    visibility: of the tracks; merging: None where all are resolved; ratio (L, m): log-likelihood of a detection as the leaf's over its being clutter; gain (L, m): of having
-    made it, over having made none; missed (L,): log-probability of having made none.
+    visibility: of the tracks; merging: None where all are resolved; ratio (L, m): log-likelihood of a detection as
+    the leaf's over its being clutter; gain (L, m): of having made it, over having made none; missed (L,):
+    log-probability of having made none.
     """
 
     visibility: Visibility
@@ -443,6 +444,8 @@ class Mbm:
         best = options.max(axis=1)
         clear = (options > (best - self._depth)[:, None]).sum(axis=1) == 1
         column = np.where(choice < m, choice, NONE)
+        if clear.all():
+            return Association(leaves, column), leaves[:0]
         return Association(leaves[clear], column[clear]), leaves[~clear]
 
     def _cluster_of(self, tracks: Indices) -> Cluster:
