@@ -121,6 +121,8 @@ class _Drone:
     reports: int = 0
     reported_t: float = -np.inf
     reported: frozenset[int] = frozenset()
+    compared: int = 0
+    """How many scans it had tracked when it last looked whether there is something new to report."""
     shared: int = 0
     wanted: list[int] = dataclasses.field(default_factory=list)
     """Whose pose it wants and has not asked for yet."""
@@ -302,7 +304,9 @@ class VirtualSwarm:
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
         pose = self._drones[drone_id].ego.pose(index)
-        wrong = self._mistake(drone_id)
+        wrong = self._mistakes.get(drone_id)
+        if wrong is None:
+            return pose
         assert pose.position is not None, "simulated autopilots know where they are"
         turned = _yaw(wrong.compass) @ pose.world_from_body
         if any(wrong.tilt):
@@ -367,6 +371,9 @@ class VirtualSwarm:
 
     def _report(self, drone_id: int, drone: _Drone, now: float) -> None:
         if now - drone.reported_t < SOONEST_REPORT_S:
+            return
+        scans, drone.compared = drone.compared, drone.onboard.counters.scans
+        if scans == drone.compared and now - drone.reported_t < REPORT_S:
             return
         report = drone.onboard.sighting_report(f"{drone_id:08x}", drone.reports)
         if report is None:

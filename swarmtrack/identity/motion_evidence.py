@@ -251,12 +251,25 @@ class MotionEvidence:
 
     def log_ratio(self, track_id: int, drone_id: int) -> float:
         """How much more likely the track is the drone than another thing, by how both moved."""
-        by_turn = self.log_ratios([track_id], [drone_id])[:, 0, 0]
+        pair = track_id, drone_id
+        if pair not in self._ratio:
+            return 0.0
         if self.turns == 1:
-            return float(by_turn[0])
+            return self._log_ratio_unturned(pair)
+        by_turn = self.log_ratios([track_id], [drone_id])[:, 0, 0]
         is_it = np.logaddexp.reduce(self._log_turned - np.logaddexp(0.0, -by_turn))
         is_not = np.logaddexp.reduce(self._log_turned - np.logaddexp(0.0, by_turn))
         return float(is_it - is_not)
+
+    def _log_ratio_unturned(self, pair: tuple[int, int]) -> float:
+        """What `log_ratios` says of this pair alone, of one turn, in plain numbers: it is asked of every name, twice
+        per scan."""
+        ratio, last = float(self._ratio[pair][0]), self._last.get(pair[1])
+        if last is None:
+            return ratio
+        if last.trust.tried:
+            ratio = float(_if_flown(ratio))
+        return max(min(ratio, last.trust.most), -last.trust.most)
 
     def log_ratios(self, tracks: Sequence[int], drones: Sequence[int]) -> Array:
         """(turns, n, m): the same of all pairs, if the observer's north is turned by each."""
@@ -417,7 +430,7 @@ def _inverse_distance(look: _Look) -> tuple[float, float]:
     return 1.0 / distance, math.hypot(PLACED_SHARE, PLACED_M / distance)
 
 
-def _if_flown(ratio: Array) -> Array:
+def _if_flown(ratio: Array | float) -> Array:
     """The log ratio of a drone that as likely as not moves in another way than was compared."""
     return np.logaddexp(ratio, 0.0) - math.log(2.0)
 

@@ -16,12 +16,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
 
 from swarmtrack.messages import Array, EgoPose, FlightState, HeadingNews
-from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
+from swarmtrack.motion.gyro import GyroHistory, Orientation, Vector, rotation_between
 
 # s after take-off: by then the autopilot has aligned its heading in flight.
 ALIGNED_S = 20.0
@@ -106,11 +107,11 @@ class HeadingKnowledge:
 
 class _BesideGyro(NamedTuple):
     """One attitude beside the gyro. excess [rad]: what the heading has turned beyond the gyro since the first one;
-    rate (3,) rad/s in the camera's axes and turned [rad], in all, by the gyro."""
+    rate rad/s in the camera's axes and turned [rad], in all, by the gyro."""
 
     t: float
     excess: float
-    rate: Array
+    rate: Vector
     turned: float
 
 
@@ -160,38 +161,38 @@ class HeadingSteps:
         return steps
 
     def _compare(self, t: float, world_from_body: Array) -> None:
-        orientation = self._gyro.orientation(t)
-        before, self._last = self._last, (t, orientation, world_from_body)
+        orientation, looks = self._gyro.orientation(t), world_from_body @ self._body_from_camera
+        before, self._last = self._last, (t, orientation, looks)
         if before is None or not 0.0 < t - before[0] < LONGEST_GAP:
             self._compared.clear()
             return
-        then, was, attitude = before
+        then, was, looked = before
         turn = rotation_between(orientation, was).matrix
-        # Where the camera looks by the gyro, and where by the autopilot.
-        by_gyro = attitude @ self._body_from_camera @ turn
-        beyond = world_from_body @ self._body_from_camera @ by_gyro.T
+        # Where the camera looks by the autopilot, beyond where by the gyro.
+        beyond = looks @ (looked @ turn).T
         # Of so small a rotation, the part about the vertical.
-        excess = 0.5 * float(beyond[1, 0] - beyond[0, 1])
-        phi = 0.5 * np.array((turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]))
+        excess = 0.5 * (beyond.item(1, 0) - beyond.item(0, 1))
+        (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn.tolist()
+        twice = 2.0 * (t - then)
+        rate = (zy - yz) / twice, (xz - zx) / twice, (yx - xy) / twice
         sum_, turned = (
             (self._compared[-1].excess, self._compared[-1].turned) if self._compared else (0.0, 0.0)
         )
-        angle = float(np.linalg.norm(phi))
-        self._compared.append(_BesideGyro(t, sum_ + excess, phi / (t - then), turned + angle))
+        self._compared.append(_BesideGyro(t, sum_ + excess, rate, turned + math.hypot(*rate) * (t - then)))
 
     def _step(self) -> float | None:
         if len(self._compared) < 2 * MEAN_OF:
             return None
-        halves = list(self._compared)[:MEAN_OF], list(self._compared)[MEAN_OF:]
-        excess = np.array([[one.excess for one in half] for half in halves])
-        before, after = excess.mean(axis=1)
-        step = float(after - before)
+        excess = [one.excess for one in self._compared]
+        before, after = fmean(excess[:MEAN_OF]), fmean(excess[MEAN_OF:])
+        step = after - before
         if abs(step) <= STEP:
             return None
-        scatter = math.sqrt(float(((excess - [[before], [after]]) ** 2).sum()) / (2 * MEAN_OF - 2))
+        off = [e - before for e in excess[:MEAN_OF]] + [e - after for e in excess[MEAN_OF:]]
+        scatter = math.hypot(*off) / math.sqrt(2 * MEAN_OF - 2)
         then, now = self._compared[MEAN_OF // 2], self._compared[MEAN_OF + MEAN_OF // 2]
         explained = SIGMAS * scatter * math.sqrt(2.0 / MEAN_OF)
-        explained += LAG * float(np.linalg.norm(now.rate - then.rate))
+        explained += LAG * math.dist(now.rate, then.rate)
         explained += BIAS * (now.t - then.t) + SCALE * (now.turned - then.turned)
         return step if abs(step) > explained else None
 

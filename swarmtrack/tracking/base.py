@@ -120,7 +120,9 @@ class Tracker:
             return ()
         table = self._filter.table
         # copies: filters write into theirs
-        return self._show().tracks(self._t, table.mean.copy(), self._sensor.with_lasting_error(table.cov))
+        mean, cov = table.mean.copy(), table.cov.copy()
+        self._sensor.add_lasting_error(cov)
+        return self._show().tracks(self._t, mean, cov)
 
     def _show(self) -> TrackColumns:
         if self._shown is None:
@@ -292,7 +294,7 @@ class Tracker:
         if self._t is None:
             return ()
         mean, cov = self._filter.extrapolated(t - self._t, rotation, rotation_variance)
-        cov = self._sensor.with_lasting_error(cov)
+        self._sensor.add_lasting_error(cov)
         tracks = self._show().tracks(t, mean, cov)
         if self._reach.surely_holds_all(mean, cov):
             return tracks

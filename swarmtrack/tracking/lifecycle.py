@@ -44,12 +44,13 @@ def probability_in_view(mean: Array, cov: Array, camera: PinholeCamera) -> Array
     at, scale = camera.framed(mean[:, POSITION])
     sigma = np.sqrt(np.maximum(cov.diagonal(axis1=1, axis2=2)[:, POSITION], 1e-12)) * scale
     low, high = camera.frame_bounds
-    above, below = (at - low) / sigma, (high - at) / sigma
-    surely = np.minimum(above, below) > SURELY
+    above, below = at - low, high - at
+    surely = np.minimum(above, below) > SURELY * sigma
     inside = np.ones(len(mean))
     if not surely.all():
         near = ~surely.all(axis=1)
-        inside[near] = (_normal_cdf(below[near]) - _normal_cdf(-above[near])).prod(axis=1)
+        above, below = above[near] / sigma[near], below[near] / sigma[near]
+        inside[near] = (_normal_cdf(below) - _normal_cdf(-above)).prod(axis=1)
     if camera.is_wide:
         inside *= _within_the_circle(at, sigma, camera)
     return inside

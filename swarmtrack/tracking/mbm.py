@@ -159,17 +159,24 @@ class Leaves(NamedTuple):
         )
 
 
+class Merging(NamedTuple):
+    """Of L leaves of n tracks and m detections: p (L, m), that a detection is one of two targets; shift (n, 2, 2) px²:
+    how far it then lies off."""
+
+    p: Array
+    shift: Array
+
+
 class Weighed(NamedTuple):
     """A scan of m detections as L leaves of n tracks see it.
 
-    visibility: of the tracks; shift (n, 2, 2) px²: how far a detection of two targets lies off; merged (L, m): that it
-    is one; ratio (L, m): log-likelihood of a detection as the leaf's over its being clutter; gain (L, m): of having
-    made it, over having made none; missed (L,): log-probability of having made none.
+    visibility: of the tracks; merging: None where all are resolved; ratio (L, m): log-likelihood of a detection as
+    the leaf's over its being clutter; gain (L, m): of having made it, over having made none; missed (L,):
+    log-probability of having made none.
     """
 
     visibility: Visibility
-    shift: Array
-    merged: Array
+    merging: Merging | None
     ratio: Array
     gain: Array
     missed: Array
@@ -306,9 +313,9 @@ class Mbm:
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         boxes = self._sensor.box_likelihoods(leaves.size, measured)
         ratio = self._with_outliers(boxes, measured)
-        shift, merged = np.zeros((len(table), 2, 2)), np.zeros(ratio.shape)
-        if ratio.size and visibility.overlap.any():
-            ratio, merged, shift = self._with_merged(ratio, boxes, visibility.overlap, measured)
+        merging = None
+        if ratio.size and visibility.overlap is not None:
+            ratio, merging = self._with_merged(ratio, boxes, visibility.overlap, measured)
         p_detected = leaves.existence * visibility.p_detection.take(leaves.owner)
         missed = np.log1p(-p_detected)
         with np.errstate(divide="ignore"):
@@ -320,7 +327,7 @@ class Mbm:
             claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
             gain[confirmed] -= np.log1p(p_detected[~confirmed] @ claim)
         gain[gain < -self._depth] = -np.inf  # to have made none is likelier by more than what is kept
-        return Weighed(visibility, shift, merged, ratio, gain, missed)
+        return Weighed(visibility, merging, ratio, gain, missed)
 
     def _log_ratio(self, boxes: Array, measured: Measurements, shift: Array | None = None) -> Array:
         """(…, L, m) by all modes, … that of measured.R; boxes (L, m): see `SensorModel.box_likelihoods`; shift (n, 2,
@@ -351,8 +358,8 @@ class Mbm:
 
     def _with_merged(
         self, ratio: Array, boxes: Array, overlap: Array, measured: Measurements
-    ) -> tuple[Array, Array, Array]:
-        """Where a detection may also be one of two targets: the log-ratios (L, m), that it is one (L, m), and `shift`.
+    ) -> tuple[Array, Merging]:
+        """Where a detection may also be one of two targets: the log-ratios (L, m), and how they may merge.
 
         Two explanations stay two. As one wide noise they would tell a sharp track to ignore a sharp detection, because
         of a neighbour that it is merged with once in twenty scans.
@@ -366,7 +373,7 @@ class Mbm:
         with np.errstate(divide="ignore", invalid="ignore"):
             merged = np.log(p) + self._log_ratio(boxes, measured, shift)
             total = np.logaddexp(np.log1p(-p) + ratio, merged)
-            return total, np.where(total > -np.inf, np.exp(merged - total), 0.0), shift
+            return total, Merging(np.where(total > -np.inf, np.exp(merged - total), 0.0), shift)
 
     def _alone_in_scan(self, ratio: Array) -> NDArray[np.bool_]:
         """(n, m) whether a track has no other detection that is rather its own than clutter: who has, was not merged
@@ -449,6 +456,8 @@ class Mbm:
         best = options.max(axis=1)
         clear = (options > (best - self._depth)[:, None]).sum(axis=1) == 1
         column = np.where(choice < m, choice, NONE)
+        if clear.all():
+            return Association(leaves, column), leaves[:0]
         return Association(leaves[clear], column[clear]), leaves[~clear]
 
     def _cluster_of(self, tracks: Indices) -> Cluster:
@@ -585,10 +594,10 @@ class Mbm:
         before = self._leaves.take(told.leaf)
         (hit,) = (told.column >= 0).nonzero()
         leaf, column, owner = told.leaf.take(hit), told.column.take(hit), before.owner
-        merged = weighed.merged[leaf, column]
-        R = measured.R.take(column, axis=0) + merged[:, None, None] * weighed.shift.take(
-            owner.take(hit), axis=0
-        )
+        R = measured.R.take(column, axis=0)
+        if weighed.merging is not None:
+            p, shift = weighed.merging
+            R += p[leaf, column][:, None, None] * shift.take(owner.take(hit), axis=0)
         updated, fit = manoeuvre.update(before.motion.take(hit), measured.z.take(column, axis=0), R)
         motion = before.motion
         for old, new in zip(motion, updated, strict=True):
@@ -645,7 +654,7 @@ class Mbm:
         """The table's rows are the leaves of the best hypothesis."""
         table = self.table
         table.mean, table.cov = manoeuvre.merged(self._published())
-        table.size = self._leaves.size[self._best]
+        table.size = self._leaves.size.take(self._best, axis=0)
 
     def _published(self) -> ModeMixture:
         """Of each track, the leaf of the best hypothesis; the only one where nothing is in dispute."""

@@ -125,14 +125,14 @@ class Population:
         """After `judge`: of confirmed tracks that another hides, the time counts less in which nobody could have seen
         them. made: as in `credit`."""
         dt, self._excused_at = max(t - self._excused_at, 0.0), t
-        if visibility.overlap.any():
+        if visibility.overlap is not None:
             table = self.table
-            last = np.minimum(table.last_seen + self._excused(made, visibility) * dt, t)
+            last = np.minimum(table.last_seen + self._excused(made, visibility.overlap, visibility) * dt, t)
             table.last_seen = np.where(table.confirmed, last, table.last_seen)
 
-    def _excused(self, made: Array, visibility: Visibility) -> Array:
+    def _excused(self, made: Array, overlap: Array, visibility: Visibility) -> Array:
         """(n,) how surely a miss was because another, which was seen, hid the track, and not the detector's."""
-        p_detection, overlap = self._parameters.p_detection, visibility.overlap
+        p_detection = self._parameters.p_detection
         clear = visibility.p_detection / (p_detection * np.maximum(visibility.in_view, NOWHERE))
         seen = overlap @ made / np.maximum(overlap.sum(axis=1), NOWHERE)  # of those that may hide it
         hidden = within((1.0 - clear) * seen, 0.0, 1.0)
@@ -141,12 +141,16 @@ class Population:
     def drop(self, t: float) -> NDArray[np.bool_] | None:
         """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that
         may be anywhere; returns which (n,) stay, None if all do."""
-        table = self.table
-        coasted = t - table.last_seen >= self._parameters.max_coast_s - ROUNDING_S
-        faded = table.existence < FADED * self._sensor.usual_birth
-        stay = ~(coasted | faded)
-        if not self._reach.surely_holds_all(table.mean, table.cov):
-            stay &= self._reach.holds(table.mean, table.cov)
+        table, longest = self.table, self._parameters.max_coast_s - ROUNDING_S
+        faded = FADED * self._sensor.usual_birth
+        # Lists: of a few tracks, an array costs more for each question than for all answers.
+        alive = [
+            t - seen < longest and existence >= faded
+            for seen, existence in zip(table.last_seen.tolist(), table.existence.tolist(), strict=True)
+        ]
+        if all(alive) and self._reach.surely_holds_all(table.mean, table.cov):
+            return None
+        stay = np.array(alive, dtype=np.bool_) & self._reach.holds(table.mean, table.cov)
         if stay.all():
             return None
         table.keep(stay)

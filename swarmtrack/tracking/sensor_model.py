@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -54,11 +55,11 @@ class Measurements(NamedTuple):
 
 class Visibility(NamedTuple):
     """Of n targets. p_detection (n,): that this scan detects it; in_view (n,): that it lies inside the image; overlap
-    (n, n): that i and j are not resolved in it, but one detection."""
+    (n, n): that i and j are not resolved in it, but one detection; None where all are."""
 
     p_detection: Array
     in_view: Array
-    overlap: Array
+    overlap: Array | None
 
 
 class Likelihoods(NamedTuple):
@@ -104,15 +105,17 @@ class SensorModel:
         m, told = len(scan.z), self.parameters
         middle, extent = self._image
         if scan.size is not None and self._uses_boxes:
-            sensible = ((np.asarray(scan.size) > 0.0) & (scan.size < extent)).all(axis=1)
-            size = np.where(sensible[:, None], scan.size, np.nan)
+            size = np.asarray(scan.size, dtype=float)
+            sensible = (size > 0.0) & (size < extent)
+            if not sensible.all():
+                size = np.where(sensible.all(axis=1)[:, None], size, np.nan)
         else:
             size = np.full((m, 2), np.nan)
         if scan.score is not None and self._uses_boxes:
-            score = within(scan.score, *SCORES)
-            odds = (score / (1.0 - score)) ** told.score_weight
-            looks = score if scan.likeness is None else within(scan.likeness, *SCORES)
-            likeness = np.log(looks / (1.0 - looks)) - self._bar
+            by_score = _odds(scan.score)
+            odds = by_score**told.score_weight
+            looks = by_score if scan.likeness is None else _odds(scan.likeness)
+            likeness = np.log(looks) - self._bar
         else:
             odds, likeness = np.ones(m), np.full(m, np.inf)
         good = (np.abs(scan.z - middle) < extent).all(axis=1)  # NaN compares as False
@@ -138,26 +141,27 @@ class SensorModel:
 
         σ² = measurement_sigma² + side² (size_noise² + (score_noise (1 − s) / s)²) along each side of the box.
         """
-        R, told = np.zeros((len(size), 2, 2)) + self.R, self.parameters
-        unknown = np.isnan(size)
-        if self._uses_boxes and not unknown.all():
-            share = np.full(len(size), told.size_noise**2)
-            if score is not None:
-                s = within(score, LEAST_SCORE, 1.0)
-                share += (told.score_noise * (1.0 - s) / s) ** 2
-            side = within(np.where(unknown, 0.0, size), 0.0, self._image[1])
-            variance = variances(R)
-            variance += side**2 * share[:, None]
-        return R
+        told, (widest, highest) = self.parameters, self._image[1].tolist()
+        least = told.measurement_sigma**2
+        if not self._uses_boxes:
+            return np.tile(least * np.eye(2), (len(size), 1, 1))
+        scores = repeat(1.0) if score is None else np.asarray(score).tolist()
+        # In plain numbers: of a few boxes, arrays take five times as long.
+        R = []
+        for (width, height), score_of_it in zip(size.tolist(), scores, strict=False):
+            s = min(max(LEAST_SCORE, score_of_it), 1.0)
+            share = told.size_noise**2 + (told.score_noise * (1.0 - s) / s) ** 2
+            # A side that is not known, NaN, comes out of max as 0.
+            w, h = min(max(0.0, width), widest), min(max(0.0, height), highest)
+            R.append((least + w * w * share, 0.0, 0.0, least + h * h * share))
+        return np.array(R).reshape(-1, 2, 2)
 
-    def with_lasting_error(self, cov: Array) -> Array:
-        """A copy of covariances (n, 4, 4) px², where noise is measured with an error of the centre that lasts: boxes
+    def add_lasting_error(self, cov: Array) -> None:
+        """To covariances (n, 4, 4) px², in place, where noise is measured: an error of the centre that lasts. Boxes
         have edges of whole pixels, and more boxes of a target that hovers round them the same way."""
-        cov = cov.copy()
         if self._noise_learned == "both":
             of_position = variances(cov)[:, POSITION]
             of_position += LEAST_SIGMA**2
-        return cov
 
     def visibility(
         self, mean: Array, cov: Array, size: Array | None = None, existence: Array | None = None
@@ -167,14 +171,14 @@ class SensorModel:
         in_view = probability_in_view(mean, cov, self.camera)
         p_detection = self.parameters.p_detection * in_view
         if size is None:
-            return Visibility(p_detection, in_view, np.zeros((len(mean), len(mean))))
+            return Visibility(p_detection, in_view, None)
         overlap = self.overlap(mean, cov, size)
-        if overlap.any():
-            hidden = overlap * hidden_behind(size, self.parameters.size_sigma)
-            if existence is not None:
-                hidden *= existence
-            p_detection = p_detection * (1.0 - hidden).prod(axis=1)
-        return Visibility(p_detection, in_view, overlap)
+        if not overlap.any():
+            return Visibility(p_detection, in_view, None)
+        hidden = overlap * hidden_behind(size, self.parameters.size_sigma)
+        if existence is not None:
+            hidden *= existence
+        return Visibility(p_detection * (1.0 - hidden).prod(axis=1), in_view, overlap)
 
     def overlap(self, mean: Array, cov: Array, size: Array) -> Array:
         """(n, n) that i and j are not resolved in this scan, but one detection; of means (n, 4), covariances (n, 4, 4)
@@ -259,10 +263,16 @@ def within(values: Array, least: float | Array, most: float | Array) -> Array:
     return np.minimum(np.maximum(values, least), most)
 
 
+def _odds(score: Array) -> Array:
+    """Of what a detector scores (m,), as far as it is believed."""
+    p = within(score, *SCORES)
+    return p / (1.0 - p)
+
+
 def _sound_covariances(R: Array, largest: float) -> tuple[Array, NDArray[np.bool_]]:
     """Covariances R (m, 2, 2) px² made symmetric and no smaller than `LEAST_VARIANCE`, and which (m,) can be used:
     positive, with sigmas below `largest` px."""
-    R = np.array(R, dtype=float)
+    R = np.array(R, dtype=float, order="C")
     variance = variances(R)
     across = np.abs(R.reshape(-1, 4)[:, 1:3])
     most_across = MOST_CORRELATED * np.sqrt(within(variance, 0.0, largest**2)).prod(axis=1)

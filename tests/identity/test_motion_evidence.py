@@ -224,6 +224,15 @@ def test_an_observer_whose_north_is_turned_by_anything_finds_out_by_how_much(deg
     assert found.log_ratio(1, 1) > 0.0 > found.log_ratio(1, 2)
 
 
+@pytest.mark.parametrize("trust", [PUBLISHED, REPORTED, CODED, TRIED])
+def test_one_number_says_of_a_pair_what_the_table_of_that_pair_says(trust):
+    moves, unheard = [hovering(1, size=1.0), hovering(2, size=1.0)], 7
+    found = Flight(starts(2), moves).watched(12.0, [published(1, moves[0], trust)])
+    for track, drone in ((1, 1), (2, 1), (1, unheard)):
+        assert found.log_ratio(track, drone) == pytest.approx(found.log_ratios([track], [drone]).item())
+    assert found.log_ratio(1, 1) > 0.0 > found.log_ratio(2, 1)
+
+
 def test_no_turn_is_thought_of_unasked_and_none_once_it_is_settled():
     moves = [hovering(1), hovering(2)]
     flight, said = Flight(starts(2), moves), [published(1, moves[0])]

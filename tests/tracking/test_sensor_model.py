@@ -52,6 +52,20 @@ def test_whether_two_are_resolved_follows_how_well_their_places_are_known():
     assert found[0, 0] == found[1, 1] == 0.0
 
 
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 12))
+def test_of_many_targets_those_that_may_merge_are_those_that_may_as_two(seed, n):
+    rng = np.random.default_rng(seed)
+    mean, cov = targets(*rng.uniform(0.0, 200.0, (n, 2)), sigma=rng.uniform(0.5, 8.0))
+    resolution = rng.uniform(0.0, 30.0, (n, 2))
+    found = unresolved(mean, cov, resolution)
+    for i in range(n):
+        for j in range(i):
+            pair = [i, j]
+            alone = unresolved(mean[pair], cov[pair], resolution[pair])
+            assert found[i, j] == found[j, i] == alone[0, 1]
+
+
 def test_the_expected_number_of_merged_pairs_is_that_of_a_sharp_resolution():
     """Exact places, drawn over a wide square: as often merged as if they did below the resolution, above not."""
     rng = np.random.default_rng(1)
