@@ -16,7 +16,7 @@ from swarmtrack.replay.replayer import Replayer
 FLIGHTS = SHARED / "sitl_flights"
 # Of two drones flown by ArduPilot, as they are tracked now. Whoever changes a tracker, the camera's clock or who is
 # who, so that old flights come out otherwise, replaces these and says so.
-DIGESTS = {"D_gps/drone-2": (236, "f993820cbf56c064"), "B_gps/drone-1": (243, "f76fadf24665de9a")}
+DIGESTS = {"D_gps/drone-2": (236, "a3606fad9152e920"), "B_gps/drone-1": (243, "b18167488da0072a")}
 
 
 def digest(scans) -> str:
