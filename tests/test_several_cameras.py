@@ -278,6 +278,24 @@ def test_a_report_of_sightings_tells_of_all_cameras(detector_hz):
             assert sighting.direction @ away / np.linalg.norm(away) > math.cos(math.radians(1.5))
 
 
+@pytest.mark.parametrize("tracker", ["kalman", "mbm"])
+@pytest.mark.parametrize("late", [0.08, 0.2])
+def test_what_is_reported_of_a_late_camera_s_scan_has_a_variance(tracker, late):
+    """The other camera's tracks have to be carried back to it."""
+    flight = Flight((-40.0, 40.0), tracker=tracker)
+    flight.late[1] = late
+    flight.fly(0.0, 3.0)
+    flight.fly(0.8, 2.0)
+    flight.fly(-0.8, 2.0)
+    least = [
+        np.linalg.eigvalsh(entry.track.cov)[0]
+        for report, _ in flight.reports
+        for entry in report.tracks.tracks
+    ]
+    assert len(least) > 100
+    assert min(least) > 0.0
+
+
 def test_a_report_of_sightings_tells_of_nobody_whom_its_camera_does_not_show_any_more(monkeypatch):
     flight = Flight(ALL_ROUND)
     flight.fly(0.0, 3.0)

@@ -89,7 +89,8 @@ def propagate(
     At constant velocity, x' = A x, with white acceleration of density psd [px²/s³], one number or (n,): per axis
     Q = psd [dt³/3 dt²/2; dt²/2 dt], so that P grows the same per second at any rate. Bar-Shalom, Li & Kirubarajan
     (2001), section 6.2.2. With the turn's Jacobian F, P' = F (A P Aᵀ + Q) Fᵀ = (F A) (P + A⁻¹ Q A⁻ᵀ) (F A)ᵀ: one
-    product of matrices for each track, and not two.
+    product of matrices for each track, and not two. Back, where dt < 0, Q is zero: what a scan has told since does not
+    wear off by looking back, and nobody knows it better.
 
     rotation_variance [rad²] per axis is what the gyro does not know of it; it moves every target by its flow.
     """
@@ -114,6 +115,7 @@ def add_flow_of_error(cov: Array, mean: Array, variance: float, camera: PinholeC
 
 def _noise_before(dt: float, psd: float | Array) -> Array:
     """A⁻¹ Q A⁻ᵀ, (4, 4) or (n, 4, 4): white acceleration of density psd, as if all of it came before the motion."""
+    dt = max(dt, 0.0)
     a, b = dt**3 / 3.0, -(dt**2) / 2.0
     # One flat list: nested ones take twice as long.
     Q = np.array([a, b, 0.0, 0.0, b, dt, 0.0, 0.0, 0.0, 0.0, a, b, 0.0, 0.0, b, dt]).reshape(4, 4)

@@ -135,8 +135,7 @@ class ExpectedTracks(NamedTuple):
         variance = np.array([np.diagonal(track.cov)[::2] for track in tracks])
         return cls(
             np.array([track.mean[POSITION] for track in tracks]),
-            # Carried back a little it may fall below nothing.
-            np.sqrt(np.maximum(variance, 0.0)),
+            np.sqrt(variance),
             np.array([track.size for track in tracks]),
         )
 
