@@ -51,8 +51,9 @@ SETTLED_S = 0.7
 # m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
 # box.
 SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, PARALLAX_SIGMA, 5.0
-# s: between two detections of one camera, with one of another between them, that are compared.
-COMPARED_S = 0.25
+# s: between two detections of one camera, with one of another between them, that are compared; and rad/s²: by how much
+# a teammate's way between the two may bend, one sigma, as of one 5 m away that brakes with 1 m/s².
+COMPARED_S, BENDS = 0.7, 0.2
 # Focal lengths off the axis: what another camera sees farther aside is not looked for in this one's picture.
 MOST_ASIDE = 10.0
 # m: nobody is nearer.
@@ -296,6 +297,8 @@ class Rig:
         share = (middle.t - before.t) / (after.t - before.t)
         (p, P), (m, M), (q, Q) = (self._seen_at(look, middle, second) for look in (before, middle, after))
         outer, noise = (1.0 - share) * p + share * q, (1.0 - share) ** 2 * P + share**2 * Q + M
+        bend = 0.5 * BENDS * share * (1.0 - share) * (after.t - before.t) ** 2
+        noise += np.diag((bend * self._cameras[second].camera.per_radian(m[None]).reshape(2)) ** 2)
         if not (np.isfinite(outer).all() and np.isfinite(noise).all() and np.isfinite(m).all()):
             return
         foretold, z = (outer, m) if middle.camera == second else (m, outer)

@@ -398,10 +398,10 @@ def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said()
     assert news == [(0, 1, None, None)]
 
 
-def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), seed=2, told_deg=1.0):
+def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), seed=2, told_deg=1.0, hz=15.0):
     """A drone 5 m away stays where two pictures overlap, the second of which is turned by so much beside what it is
-    told. Returns the rig, how far rays to it are off in the end [deg], and of the last two thirds the RMS error of its
-    track [px] and the sigma that it claims."""
+    told; each camera looks hz times per second. Returns the rig, how far rays to it are off in the end [deg], and of the
+    last two thirds the RMS error of its track [px] and the sigma that it claims."""
     poses = [looking(-40.0), looking(40.0, (0.0, baseline, 0.0))]
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=3)
@@ -413,7 +413,7 @@ def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), see
     errors, claimed = [], []
     while drone.t < seconds:
         for camera in (0, 1):
-            drone.turn(0.02 * math.cos(drone.t), 1.0 / 30.0)
+            drone.turn(0.02 * math.cos(drone.t), 0.5 / hz)
             if camera in cameras:
                 drone.look(camera, noise=1.5 * rng.normal(size=2), missed=rng.random() < 0.05)
             (track,) = drone.tracks() or (None,)
@@ -441,6 +441,13 @@ def test_a_drone_that_stays_where_two_pictures_overlap_tells_how_they_are_turned
     ((first, second, turn, _),) = rig.take_news()
     assert (first, second) == (0, 1)
     assert math.degrees(np.linalg.norm(turn.angle)) > 0.5
+
+
+def test_cameras_that_look_twice_per_second_each_tell_it_as_well():
+    rig, off, together, claimed = hover_in_the_overlap(2.0, seconds=40.0, hz=2.5)
+    assert rig.found_turns[0, 1].compared > 40
+    assert off < 0.5
+    assert together < 1.2 * claimed
 
 
 def test_what_a_hovering_drone_tells_ends_with_how_well_its_distance_and_its_middle_are_known():
