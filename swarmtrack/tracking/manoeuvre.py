@@ -43,7 +43,7 @@ SHORT = 0.5  # share of an acceleration's time, up to which the process noise is
 NODES, WEIGHTS = (0.5 * np.array(np.polynomial.legendre.leggauss(5)) + [[0.5], [0.0]]).tolist()
 
 
-class Level(NamedTuple):
+class AgileLevel(NamedTuple):
     """How hard targets manoeuvre, as far as a camera sees: near ones more than far ones. scale: factor on the density
     of their acceleration and the variance of their speed; share: of all manoeuvres."""
 
@@ -51,7 +51,7 @@ class Level(NamedTuple):
     share: float
 
 
-AS_TOLD = (Level(1.0, 1.0),)
+AS_TOLD = (AgileLevel(1.0, 1.0),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ class Manoeuvres:
     """s: how long a target stays calm, on average."""
     agile_s: float
     """s: how long it manoeuvres, on average."""
-    levels: tuple[Level, ...] = AS_TOLD
+    levels: tuple[AgileLevel, ...] = AS_TOLD
     """How hard manoeuvres are, the gentlest first."""
 
     @property

@@ -34,7 +34,7 @@ from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
-from swarmtrack.tracking.manoeuvre import AS_TOLD, PLACE, Level, Manoeuvres, ModeInnovations, ModeMixture
+from swarmtrack.tracking.manoeuvre import AS_TOLD, PLACE, AgileLevel, Manoeuvres, ModeInnovations, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, propagate
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
@@ -116,10 +116,10 @@ class MbmParameters(CommonParameters):
         return self.interacting
 
     @property
-    def _levels(self) -> tuple[Level, ...]:
+    def _levels(self) -> tuple[AgileLevel, ...]:
         if self.learn_noise != "both" or self.gentle_share == 1.0:
             return AS_TOLD
-        return Level(self.gentle_share, OFTEN_GENTLE), Level(1.0, 1.0 - OFTEN_GENTLE)
+        return AgileLevel(self.gentle_share, OFTEN_GENTLE), AgileLevel(1.0, 1.0 - OFTEN_GENTLE)
 
     @property
     def manoeuvres(self) -> Manoeuvres:

@@ -16,7 +16,7 @@ from swarmtrack.tracking import gaussian, manoeuvre
 from swarmtrack.tracking.manoeuvre import (
     AGILE,
     CALM,
-    Level,
+    AgileLevel,
     Manoeuvres,
     ModeMixture,
     begun,
@@ -312,7 +312,7 @@ def test_begun_is_in_either_mode_as_often_as_usual_and_known_as_told():
     assert manoeuvre.mean_acceleration(mixture) == pytest.approx(np.zeros((1, 2)))
 
 
-LEVELS = replace(SWAYING, levels=(Level(0.04, 0.75), Level(1.0, 0.25)))
+LEVELS = replace(SWAYING, levels=(AgileLevel(0.04, 0.75), AgileLevel(1.0, 0.25)))
 
 
 def test_of_two_levels_the_gentle_is_slower_and_the_calm_are_of_either():
@@ -325,7 +325,7 @@ def test_of_two_levels_the_gentle_is_slower_and_the_calm_are_of_either():
 
 def test_two_levels_alike_are_one():
     """However one splits them, and whatever came before: same Gaussian, same innovations."""
-    alike = replace(SWAYING, levels=(Level(1.0, 0.75), Level(1.0, 0.25)))
+    alike = replace(SWAYING, levels=(AgileLevel(1.0, 0.75), AgileLevel(1.0, 0.25)))
     one, two = (begun(np.zeros((1, 4)), KNOWN[None], m) for m in (SWAYING, alike))
     R = np.eye(2)[None]
     for k in range(1, 8):

@@ -585,8 +585,8 @@ def test_a_track_detected_a_moment_ago_goes_on_although_clutter_leaves_it_in_dou
 
 def test_an_agent_knows_gentle_manoeuvres_and_hard_ones_and_others_what_they_were_told():
     assert mbm(learn_noise="both")._filter._manoeuvres.levels == (
-        manoeuvre.Level(0.06, pytest.approx(0.9)),
-        manoeuvre.Level(1.0, pytest.approx(0.1)),
+        manoeuvre.AgileLevel(0.06, pytest.approx(0.9)),
+        manoeuvre.AgileLevel(1.0, pytest.approx(0.1)),
     )
     for told in ({}, {"learn_noise": "both", "gentle_share": 1.0}):
         assert mbm(**told)._filter._manoeuvres.levels == manoeuvre.AS_TOLD

@@ -400,8 +400,8 @@ def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said()
 
 def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), seed=2, told_deg=1.0, hz=15.0):
     """A drone 5 m away stays where two pictures overlap, the second of which is turned by so much beside what it is
-    told; each camera looks hz times per second. Returns the rig, how far rays to it are off in the end [deg], and of the
-    last two thirds the RMS error of its track [px] and the sigma that it claims."""
+    told; each camera looks hz times per second. Returns the rig, how far rays to it are off in the end [deg], and of
+    the last two thirds the RMS error of its track [px] and the sigma that it claims."""
     poses = [looking(-40.0), looking(40.0, (0.0, baseline, 0.0))]
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=3)
