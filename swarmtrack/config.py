@@ -143,11 +143,14 @@ class Intrinsics(Section):
 
     @model_validator(mode="after")
     def _of_one_image(self) -> Intrinsics:
-        """As of calibration files: a slip, and numbers of another resolution, show in the optical axis."""
-        if not (0.0 < self.cx < self.width and 0.0 < self.cy < self.height):
+        """A slip of the decimal point shows in the optical axis. That of a cropped image may lie beside it."""
+        beside = (
+            abs(self.cx - 0.5 * self.width) > self.width or abs(self.cy - 0.5 * self.height) > self.height
+        )
+        if beside:
             raise ValueError(
                 f"found cx = {self.cx:g}, cy = {self.cy:g}, expected an optical axis in the image of {self.width} x "
-                f"{self.height}"
+                f"{self.height}, or near it"
             )
         return self
 

@@ -93,6 +93,8 @@ MOST_CODES, SWAY_S = 32, 0.05
 STRANGERS_SPEED = 1.0
 # rad: two pixels or so. A camera that has turned by more shows nobody at the very same place.
 STUCK_TURN = 5e-3
+# s: nor one that has not turned, for so long.
+STUCK_S = 1.0
 # rad: of a turn between two scans that is known no better, tracks may have taken up each other's detections.
 UNMEASURED = 0.35
 
@@ -545,8 +547,9 @@ class Onboard:
             for track_id in self._identities.take_vouched():
                 self._rig.vouch(track_id)
             self._watch_doubt(t)
-            # A picture that is the one before tells nobody where anybody is now.
-            seen = self._identities.sightings(observer.t) if self._changed_t[number] == t else []
+            # A picture that has been the same for long tells nobody where anybody is now.
+            is_live = t - self._changed_t[number] < STUCK_S
+            seen = self._identities.sightings(observer.t) if is_live else []
             own = self._as_sure_as_it_is(observer)
             self._view = OwnView.of(own, mounting.body_from_camera, seen)
             self._consensus.remember(self._view)

@@ -143,11 +143,18 @@ def test_whose_camera_is_stuck_tells_the_team_nobody_that_it_shows(monkeypatch):
     monkeypatch.setattr(Onboard, "tell", told)
     drone = Hovering(announced=True).onboard
     assert len(drone.sighting_report("0000000a", 1).sightings) == IN_VIEW
-    last = pictures[-1]
-    drone.tell(replace(last, t=last.t + 0.01, sequence=last.sequence + 1))
-    report = drone.sighting_report("0000000a", 2)
-    assert report.t == pytest.approx(last.t + 0.01)
-    assert report.sightings == ()
+    last, seen = pictures[-1], []
+    for k in range(1, 13):
+        t = last.t + 0.1 * k
+        drone.tell(ImuSample(t, np.zeros(3), np.full(3, np.nan)))
+        drone.tell(EgoPose(t, np.zeros(3), np.eye(3)))
+        drone.tell(replace(last, t=t, sequence=last.sequence + k))
+        report = drone.sighting_report("0000000a", 1 + k)
+        assert report.t == pytest.approx(t)
+        seen.append(len(report.sightings))
+    # One second of the same may be chance.
+    assert seen[:5] == [IN_VIEW] * 5
+    assert seen[-2:] == [0, 0]
 
 
 def test_to_see_nobody_again_and_again_is_no_stuck_camera():

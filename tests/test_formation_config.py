@@ -148,19 +148,19 @@ def test_check_shows_who_is_where_and_draws_it(team, capsys, tmp_path):
 
 
 def test_with_several_cameras_a_reference_may_be_in_any_of_them(team, capsys, tmp_path):
-    """The only camera looks to the right of the nose, which turns to the leader; a second looks ahead."""
+    """The only camera looks down, and a second looks ahead."""
     [file] = team(ids=[2])
     camera = re.search(r"\[camera\]\n(.*?)\n\n", file.read_text(), re.DOTALL)[1]
-    aside = f"[[camera]]\n{camera}\nbody_from_camera = {{ rpy_deg = [0, 0, 90], position_m = [0, 0, 0] }}\n\n"
+    down = f"[[camera]]\n{camera}\nbody_from_camera = {{ rpy_deg = [0, -60, 0], position_m = [0, 0, 0] }}\n\n"
     ahead = f"[[camera]]\n{camera}\n\n".replace("video0", "video2")
     before = f"[camera]\n{camera}\n\n"
     assert before in file.read_text()
     text = file.read_text()
-    file.write_text(text.replace(before, aside))
+    file.write_text(text.replace(before, down))
     code, _, err = check(capsys, file)
     assert code == 2
-    assert "drone 1 is 90° beside the camera's axis" in err
-    file.write_text(text.replace(before, aside + ahead))
+    assert "drone 1 is 49° above the camera's axis" in err
+    file.write_text(text.replace(before, down + ahead))
     code, out, err = check(capsys, file, "--drawing", tmp_path / "formation.svg")
     assert code == 0, err
     assert "looks at drone 1 5.1 m away, at 39% of the half view of camera 2" in out

@@ -33,9 +33,8 @@ MANY_LOOKS = 30.0  # over which the likeness is a mean
 LUCK = 0.5
 # A tenth of a chance that a track made no detection is full doubt. Clutter is seldom better than that: it keeps nobody.
 CERTAINTY = 10.0
-MOST_EXCUSED = (
-    2.0 / 3.0
-)  # of the time since the last scan: who is hidden coasts for three times as long at most
+# Of the time since the last scan: who is hidden coasts for three times as long at most.
+MOST_EXCUSED = 2.0 / 3.0
 NOWHERE = 1e-9  # a probability of being in view that is as good as none
 FADED = 0.05  # share of its existence at birth, below which a tentative track ends
 
