@@ -241,7 +241,20 @@ class CameraSection(Section):
             )
         if self.distortion is not None and self.intrinsics is None:
             raise ValueError("distortion without intrinsics, expected both or a calibration file")
+        if self.intrinsics is not None:
+            try:
+                self.lens_of(self.intrinsics)
+            except ValueError:
+                raise ValueError(
+                    f"intrinsics: found cx = {self.intrinsics.cx:g}, cy = {self.intrinsics.cy:g}, expected an "
+                    "optical axis so near to the image that the lens reaches a part of it"
+                ) from None
         return self
+
+    def lens_of(self, intrinsics: Intrinsics) -> PinholeCamera:
+        """With the distortion. Raises ValueError where it reaches no part of its image."""
+        lens = self.distortion.distortion() if self.distortion else None
+        return PinholeCamera(**intrinsics.model_dump(), distortion=lens)
 
     @property
     def simulated(self) -> bool:
@@ -756,8 +769,7 @@ def mount_camera(section: CameraSection) -> MountedCamera:
         file = load_calibration(section.calibration, section.calibration_camera)
         camera, imu_from_camera, file_offset_s = file.camera, file.imu_from_camera, file.time_offset_s
     elif section.intrinsics is not None:
-        lens = section.distortion.distortion() if section.distortion else None
-        camera = PinholeCamera(**section.intrinsics.model_dump(), distortion=lens)
+        camera = section.lens_of(section.intrinsics)
     else:
         raise ValueError(
             f"camera.source {section.source}: no calibration, expected the simulation to be asked"

@@ -140,6 +140,11 @@ probability = 2
             MINIMAL.replace("cx = 320.0", "cx = 3200.0"),
             ":6: camera.intrinsics: found cx = 3200, cy = 256, expected an optical axis in the image of 640 x 512",
         ),
+        (
+            MINIMAL.replace("600.0", "100.0").replace("cx = 320.0", "cx = 900.0")
+            + 'distortion = { model = "equidistant", coefficients = [0, 0, 0, 0] }',
+            ": camera: intrinsics: found cx = 900, cy = 256, expected an optical axis so near to the image",
+        ),
         (MINIMAL + 'distortion = { model = "fov", coefficients = [1] }', ":7: camera.distortion.model"),
         (MINIMAL + 'distortion = { model = "radtan", coefficients = [1, 2] }', "expected finite numbers, 4"),
         (

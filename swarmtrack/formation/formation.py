@@ -11,7 +11,7 @@ Theory of operation. A command has five parts, in this order:
    everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down. Whoever is
    kept clear of, nothing leads beyond the fence, nor farther than `MOST_ASIDE_M` from the slot (`Berth`), nor out of
    the own height: who flies beside is out of sight, and kept apart by heights alone.
-5. The nose turns to the references, and to where they were last expected.
+5. The first camera turns to the references, and to where they were last expected.
 """
 
 from __future__ import annotations
@@ -376,7 +376,7 @@ class Formation:
                 aside = added(aside, sidestep(tuple(there), tuple(motion)))
         return spaces, saturated(aside, STEPS_ASIDE_M_S)
 
-    # ── the nose ─────────────────────────────────────────────────────────────────────────────────────────────────────
+    # ── the view ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _turned(self, own: OwnFlight, t: float, dt: float) -> float:
         """rad/s: towards the references, where they are, were last expected, or should be."""

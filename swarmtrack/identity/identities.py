@@ -300,11 +300,11 @@ class Identities:
                 weighing=self._weighing,
             )
         t = view.observer.t
-        for name in list(self._names):
+        proofs = self._weighing.proofs
+        for name in [name for name in self._names if proofs.of(name.track_id, name.drone_id) is None]:
             if self._self_doubt.forbids(name, self._weighing) or self._team_fit.forbids(name, t):
                 self._names.fire(name, Event.OVERRULED)
         if self.self_doubt:
-            proofs = self._weighing.proofs
             for held in self._names.settled:
                 if not proofs.lasts(held.track_id, held.drone_id, t):
                     self._names.fire(held, Event.SELF_DOUBTED)

@@ -182,7 +182,7 @@ class Judgement:
 
     def _may_be_named(self, track: Track, drone: int, t: float) -> bool:
         """Whether any probability is enough: who is disputed, or knows no place, is named by motion alone, and so is
-        by who doubts its own pose whoever tells how it moves."""
+        whoever tells how it moves where the own place, or the team's, may be wrong."""
         if drone in self._disputes:
             return False
         tells_motion = self._weighing.tells_motion(drone)

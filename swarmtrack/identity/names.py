@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 from swarmtrack.identity.assignment import Assignment, Unassigned
@@ -86,7 +87,7 @@ class Names:
             if held.track_id not in self.shown
             and held.seen
             and abs(held.seen.t - t) <= within
-            and held.seen.t >= self._looked[self.alive[held.track_id].camera]
+            and held.seen.t >= self._looked.get(self.alive[held.track_id].camera, -math.inf)
         ]
 
     def _surely(self, held: Assignment) -> float:

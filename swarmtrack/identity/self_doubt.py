@@ -139,11 +139,9 @@ class SelfDoubt:
             self._break_off(t)
 
     def forbids(self, name: Assignment, weighing: Weighing) -> bool:
-        """Whether it is given up: who is elsewhere knows nobody by place."""
-        proved = weighing.proofs.of(name.track_id, name.drone_id) is not None
-        if not self.said or proved:
-            return False
-        return self.own.turned < 0.5 or not self.trusts_place(name.track_id, name.drone_id, weighing)
+        """Whether a name that motion does not prove is given up: who is elsewhere knows nobody by place."""
+        elsewhere = self.own.turned < 0.5
+        return self.said and (elsewhere or not self.trusts_place(name.track_id, name.drone_id, weighing))
 
     def trusts_place(self, track_id: int, drone_id: int, weighing: Weighing) -> bool:
         """Whether its place may tell that a track is a drone. Who may be wrong itself waits for motion, of those that

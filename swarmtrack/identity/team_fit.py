@@ -80,12 +80,10 @@ class TeamFit:
         return self._most_fit and not self._weighing.tells_motion(drone_id)
 
     def forbids(self, name: Assignment, t: float) -> bool:
-        """Whether it is given up: its place gave it before it showed that the tracks do not fit the team, they have not
-        for a while, and motion will tell."""
-        if t - self._puzzling_since < FITS_S or self.tells(name.drone_id):
-            return False
-        proved = self._weighing.proofs.of(name.track_id, name.drone_id) is not None
-        return not proved and self._weighing.tells_motion(name.drone_id)
+        """Whether a name that motion does not prove is given up: its place gave it before it showed that the tracks do
+        not fit the team, they have not for a while, and motion will tell."""
+        lasts = t - self._puzzling_since >= FITS_S
+        return lasts and not self.tells(name.drone_id) and self._weighing.tells_motion(name.drone_id)
 
     def may_be_missing(self, track: Track, view: ObserverCamera) -> bool:
         """Whether a track that no place explains may be a teammate whose start is wrong."""

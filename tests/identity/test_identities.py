@@ -403,6 +403,14 @@ def test_a_drone_that_this_camera_has_just_missed_is_not_reported_as_seen():
     assert sighted(observer) == [3]
 
 
+def test_whose_track_is_with_a_camera_that_has_not_looked_yet_is_reported():
+    observer = Observer(cameras=(FORWARD, RIGHTWARD))
+    observer.hears(2, LEFT)
+    assert observer.sees(1.0, a=LEFT) == {"a": 2}
+    observer.sees(SCAN_S, elsewhere="a", a=LEFT)
+    assert sighted(observer) == [2]
+
+
 def test_what_another_camera_saw_is_reported_until_that_looks_again_for_a_second_at_most():
     observer = two_cameras()
     observer.sees(0.8, camera=0, elsewhere="b", a=LEFT, b=MIDDLE)
