@@ -86,3 +86,23 @@ def test_a_gap_counts_at_once():
 def test_a_sample_that_comes_doubled_after_a_gap_was_late_and_is_not_lost():
     cadence, _ = listen([5] * 100 + [10, 0, 5])
     assert (cadence.lost, cadence.repeated) == (0, 1)
+
+
+def test_who_is_silent_and_agrees_to_its_rate_anew_before_it_speaks_has_a_gap():
+    cadence, _ = listen(STEADY)
+    assert cadence.newest is not None
+    cadence.learn_again()
+    cadence.observe(cadence.newest + 0.9)
+    assert (cadence.lost, cadence.gaps) == (round(0.9 / cadence.period) - 1, 1)
+    for _ in range(500):
+        cadence.observe(cadence.newest + cadence.period)
+    assert cadence.gaps == 1
+
+
+@pytest.mark.parametrize("period", [0.5, 0.02])
+def test_who_agrees_to_another_rate_has_no_gap(period):
+    cadence, _ = listen([500.0] * 100)
+    cadence.learn_again()
+    for _ in range(100):
+        cadence.observe(cadence.newest + period)
+    assert cadence.gaps == 0

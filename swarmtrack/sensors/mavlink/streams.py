@@ -401,6 +401,7 @@ class Cadence:
 
     GAP = 1.8  # of the usual interval: ArduPilot's loop makes 5.0 and 7.5 ms of 6 ms
     REBOOT = 1.0  # s back in time
+    SILENCE = 0.1  # s: nobody who is slower is worth being asked for another rate
     LEARNING = 20  # intervals whose median is the usual one, and gaps in a row that mean a new rate
     MEMORY = 200  # intervals: it follows their mean from there
     RHYTHM = 40  # gaps that are looked at for a rule
@@ -446,13 +447,21 @@ class Cadence:
             return StampStep.REPEATED
         self.newest = stamp
         self._just_lost = 0
-        if self._seen < self.LEARNING:
+        if self._is_silence(interval):
+            self._just_lost = round(interval / self.period) - 1
+            self._count(self._just_lost)
+        elif self._seen < self.LEARNING:
             self._learn(interval)
         elif interval > self.GAP * self.period:
             self._on_gap(round(interval / self.period))
         else:
             self._on_usual(interval)
         return StampStep.NEXT
+
+    def _is_silence(self, interval: float) -> bool:
+        """Whether a rate that is to be learned anew begins with a gap in the one before: who was silent is asked again,
+        and agrees before it speaks."""
+        return not self._first and self._seen == 0 and 0.0 < self.GAP * self.period < interval > self.SILENCE
 
     def _learn(self, interval: float) -> None:
         # A mean would take samples that are lost meanwhile for a slower rate, in which later ones are no gaps.
