@@ -248,7 +248,7 @@ def test_two_processes_that_speak_as_one_drone_are_played(tmp_path):
 
 
 def test_what_is_cut_off_is_played_as_far_as_it_goes_and_told(heard, tmp_path):
-    (whole,) = heard.rglob("*.mcap")
+    whole = min(heard.rglob("*.mcap"))  # a busy machine begins a second segment
     cut = tmp_path / "0001.mcap"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     timeline = read_timeline([cut])

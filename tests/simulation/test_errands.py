@@ -115,10 +115,11 @@ def test_sway_is_of_the_size_that_is_asked_for_and_slow():
 
 
 def test_frames_show_the_same_in_whatever_order_they_are_asked_for():
-    backwards = OracleDetector(errand())
+    scenario = errand()
+    backwards = OracleDetector(scenario)
     later = [backwards.detections(1, k, 0.1 * k).centre for k in reversed(range(20))][::-1]
     for k in range(20):
-        np.testing.assert_array_equal(OracleDetector(errand()).detections(1, k, 0.1 * k).centre, later[k])
+        np.testing.assert_array_equal(OracleDetector(scenario).detections(1, k, 0.1 * k).centre, later[k])
 
 
 def test_a_ghost_fires_as_often_as_its_probability_says_and_always_at_its_place():
