@@ -141,11 +141,10 @@ class Course:
         self._camera, self._turn, self._gyro_error = camera, turn, gyro_error
         self._reach = None if drift is None else drift.reach
         # A row each for 1, dt, dt²; for Q of constant psd, which is 0 where dt < 0; for the reach of an acceleration.
-        self._by_time = np.zeros((6 if drift is None else 8, 20 * n))
-        states, covs = (
-            self._by_time[:, : 4 * n].reshape(-1, 4, n),
-            self._by_time[:, 4 * n :].reshape(-1, n, 4, 4),
-        )
+        rows = 6 if drift is None else 8
+        self._by_time = np.zeros((rows, 20 * n))
+        states = self._by_time[:, : 4 * n].reshape(rows, 4, n)
+        covs = self._by_time[:, 4 * n :].reshape(rows, n, 4, 4)
         states[0] = mean.T
         states[1, POSITION] = mean.T[VELOCITY]
         covs[0] = cov

@@ -200,3 +200,10 @@ def test_a_course_may_be_asked_again():
     course.at(0.3, rotation.exp(np.array([0.1, 0.0, 0.0])), 1e-4)
     for once, again in zip(first, course.at(0.1, None, 1e-4), strict=True):
         assert np.array_equal(once, again)
+
+
+def test_a_course_of_nobody_leads_nowhere():
+    course = Course(np.empty((0, 4)), np.empty((0, 4, 4)), psd=np.empty(0), camera=CAMERA, turn=turn_exactly)
+    mean, cov = course.at(0.1, rotation.exp(np.array([0.1, 0.0, 0.0])), 1e-4)
+    assert mean.shape == (0, 4)
+    assert cov.shape == (0, 4, 4)
