@@ -29,12 +29,29 @@ FAR = 100.0  # focal lengths off the axis, where the tangent of 89 degrees is 57
 
 
 class Turned(NamedTuple):
-    """Of n places and motions, after a rotation. moving (2, 2, n): coordinate, then place and motion; by_place (2, 2,
-    n): d place' / d place, which is d motion' / d motion as well; bend (2, 2, n): d motion' / d place."""
+    """Of n places and motions, after a rotation. moving (2, 2, n): coordinate, then place and motion; by_state (n, 4,
+    4): their derivative by those before, both in that order."""
 
     moving: Array
-    by_place: Array
-    bend: Array
+    by_state: Array
+
+
+def _turned(moving: Array, J: Array, bend: Array) -> Turned:
+    """J (2, 2, n): d place' / d place, which is d motion' / d motion as well; bend (2, 2, n): d motion' / d place."""
+    by_state = np.zeros((2, 2, 2, 2, moving.shape[2]))
+    by_state[:, 0, :, 0] = by_state[:, 1, :, 1] = J
+    by_state[:, 1, :, 0] = bend
+    return Turned(moving, np.ascontiguousarray(by_state.reshape(4, 4, -1).transpose(2, 0, 1)))
+
+
+def _by_homography() -> Array:
+    """(96, 9): from a homography M (3, 3) to what `Gnomonic.turn` multiplies, (6, 4, 4)."""
+    matrix = np.zeros((3, 2, 2, 2, 2, 2, 3, 3))
+    for i, j in np.ndindex(2, 2):
+        for value, before, after in ((0, 0, 0), (0, 1, 1), (1, 0, 1)):
+            matrix[2, value, i, after, j, before, i, j] = 1.0
+            matrix[i, value, i, after, j, before, 2, j] = -1.0
+    return matrix.reshape(96, 9)
 
 
 @dataclass(frozen=True)
@@ -179,27 +196,35 @@ class Gnomonic(Chart):
     def turn(self, moving: Array, rotation: Array) -> Turned:
         """The homography K R K⁻¹ for the place, its derivative for the motion.
 
-        With M = K R K⁻¹, h = M·[u v 1], w = M·[vu vv 0] and k = 1 / h₃: p' = k h₁₂, v' = k (w₁₂ − w₃ p') = J v,
-        J = ∂p'/∂p = k (M₁₂ − p' M₃), and ∂v'/∂p = −k (w₃ J + v' M₃).
-        Hartley & Zisserman (2004), section 8.4, differentiated. The targets are the last axis on the way: NumPy loops
-        over them then, and not over pairs of coordinates.
+        With M = K R K⁻¹, h = M·[u v 1], w = M·[vu vv 0] and k = 1 / h₃: p' = k h₁₂ and v' = k (w₁₂ − w₃ p'), which is
+        the derivative of p' along the motion. J = ∂p'/∂p = k (M₁₂ − p' M₃) is linear in g = k [p' 1], and ∂v'/∂p, its
+        derivative along the motion, in ġ = k ([v' 0] − k w₃ [p' 1]). What multiplies them is linear in R, and one
+        product makes all derivatives of all targets, which are the last axis until then.
+        Hartley & Zisserman (2004), section 8.4, differentiated.
         """
         n = moving.shape[2]
-        M = self.K @ rotation @ self.K_inverse
-        m3 = M[2, :2, None]
+        by_rotation = self._by_rotation @ rotation.ravel()
+        M, by_features = by_rotation[:9].reshape(3, 3), by_rotation[9:].reshape(6, 16)
         lifted = (M[:, :2] @ moving.reshape(2, 2 * n)).reshape(3, 2, n)
-        h, w = lifted[:, 0], lifted[:, 1]
+        h = lifted[:, 0]
         h += M[:, 2:]
-        (behind,) = (h[2] < MIN_DEPTH).nonzero()
-        if behind.size:
+        depth = h[2]
+        if depth.min(initial=1.0) < MIN_DEPTH:
+            (behind,) = (depth < MIN_DEPTH).nonzero()
             h[:, behind] = self._far_outside(h[:, behind])
-        k = 1.0 / h[2]
-        turned = lifted[:2] * k
-        p, v = turned[:, 0], turned[:, 1]
-        approach = k * w[2]
-        v -= approach * p
-        J = (M[:2, :2, None] - p[:, None] * m3) * k
-        return Turned(turned, J, -(approach * J + (k * v)[:, None] * m3))
+        k = 1.0 / depth
+        lifted *= k
+        approach = lifted[2, 1].copy()
+        lifted[:, 1] -= approach * h
+        features = lifted * k
+        features[:, 1] -= approach * features[:, 0]
+        return Turned(lifted[:2], (features.reshape(6, n).T @ by_features).reshape(n, 4, 4))
+
+    @cached_property
+    def _by_rotation(self) -> Array:
+        """(105, 9): from a rotation to its homography, and to the derivatives that `turn` takes of it."""
+        homography = np.kron(self.K, self.K_inverse.T)
+        return np.concatenate([homography, _by_homography() @ homography])
 
     def _far_outside(self, h: Array) -> Array:
         """(3, n) for targets at h (3, n) = K ray that no image shows: the way they went, beyond any lens' reach."""
@@ -314,7 +339,7 @@ class Stereographic(Chart):
         found = np.empty_like(moving, dtype=float)
         found[0, 0], found[1, 0] = turned.real / scale_x + self.cx, turned.imag / scale_y + self.cy
         found[0, 1], found[1, 1] = moved.real / scale_x, moved.imag / scale_y
-        return Turned(found, self._matrices(by_place), self._matrices(bend))
+        return _turned(found, self._matrices(by_place), self._matrices(bend))
 
     def _matrices(self, factor: Array) -> Array:
         """(2, 2, n) px of what multiplies by complex numbers (n,)."""
@@ -368,4 +393,4 @@ def cross(moving: Array, here: Chart, there: Chart) -> Turned:
     found = np.empty_like(moving, dtype=float)
     found[:, 0] = s * p * after + np.array([[there.cx], [there.cy]])
     found[:, 1] = np.einsum("ijn,jn->in", J, v) * after
-    return Turned(found, scale * J, scale * bend)
+    return _turned(found, scale * J, scale * bend)

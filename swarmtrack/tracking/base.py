@@ -18,6 +18,7 @@ from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
 from swarmtrack.tracking.lifecycle import LOST_BELOW, Reach
+from swarmtrack.tracking.motion_model import Course
 from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
@@ -68,16 +69,14 @@ class Filter(Protocol):
         """Fold in what a scan at t, the time of the belief, measured."""
         ...
 
-    def extrapolated(
-        self, dt: float, rotation: Array | None, rotation_variance: float
-    ) -> tuple[Array, Array]:
-        """Means (n, 4) and covariances (n, 4, 4) of the table's rows, carried on by dt; nothing is changed."""
+    def course(self) -> Course:
+        """How the table's rows go on from here, as long as the belief stands."""
         ...
 
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
     ) -> Passage:
-        """Take these rows (n,) of the table out, carried on as `extrapolated` does, for another camera's filter."""
+        """Take these rows (n,) of the table out, carried on by dt, for another camera's filter."""
         ...
 
     def copied(self, rows: NDArray[np.bool_]) -> Passage:
@@ -107,7 +106,9 @@ class Tracker:
         self._late_scans = 0
         self._last: tuple[SurePairs, Measurements] | None = None
         """Who made what in the last scan."""
-        self._shown: TrackColumns | None = None  # of the state as it stands, once somebody asked
+        # Of the state as it stands, once somebody asked.
+        self._shown: TrackColumns | None = None
+        self._course: Course | None = None
 
     @property
     def t(self) -> float | None:
@@ -128,6 +129,10 @@ class Tracker:
         if self._shown is None:
             self._shown = self._filter.table.shown(self._camera_index)
         return self._shown
+
+    def _changes(self) -> None:
+        """What was worked out of the state holds no longer."""
+        self._shown = self._course = None
 
     @property
     def smoothed(self) -> tuple[Track, ...]:
@@ -158,7 +163,7 @@ class Tracker:
         """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
         self.predict(t)
         self._smoother.expect(self._filter.table)
-        self._shown = None
+        self._changes()
         ids = self._filter.initiate(t, np.asarray(points, dtype=float).reshape(-1, 2))
         self._smoother.note(t, self._filter.table)
         return ids
@@ -173,7 +178,7 @@ class Tracker:
         dt = 0.0 if self._t is None else t - self._t
         self._note_turn(dt, rotation)
         self._smoother.move(self._filter.table, dt, rotation)
-        self._shown = None
+        self._changes()
         self._filter.predict(dt, rotation, rotation_variance)
         self._t = t
 
@@ -200,7 +205,7 @@ class Tracker:
             self.predict(scan.t)
         self._last_scan = scan.t
         self._smoother.expect(self._filter.table)
-        self._shown = None
+        self._changes()
         measured = self._sensor.usable(scan)
         explained = self._filter.update(scan.t, measured)
         self._smoother.note(scan.t, self._filter.table)
@@ -232,17 +237,18 @@ class Tracker:
         """(n, 2) px, width and height of all tracks, NaN while unknown."""
         return self._filter.table.size
 
-    def extrapolated(self, t: float, rotation: Array, rotation_variance: float) -> tuple[Array, Array]:
+    def extrapolated(self, t: float, rotation: Array | None, rotation_variance: float) -> tuple[Array, Array]:
         """Means (n, 4) and covariances (n, 4, 4) of all tracks carried on to t; the tracker itself is unchanged."""
-        dt = 0.0 if self._t is None else t - self._t
-        return self._filter.extrapolated(dt, rotation, rotation_variance)
+        if self._course is None:
+            self._course = self._filter.course()
+        return self._course.at(0.0 if self._t is None else t - self._t, rotation, rotation_variance)
 
     def release(
         self, rows: NDArray[np.bool_], t: float, rotation: Array, rotation_variance: float
     ) -> Passage:
         """Take these rows (n,) of the `tracks` out, carried on to t and turned, for another camera's tracker."""
         assert self._t is not None
-        self._shown = None
+        self._changes()
         return self._filter.release(rows, t - self._t, rotation, rotation_variance)
 
     def copied(self, rows: NDArray[np.bool_]) -> Passage:
@@ -264,12 +270,12 @@ class Tracker:
 
     def not_lost(self, rows: NDArray[np.bool_]) -> None:
         """These rows (n,) are out of this picture, but not out of sight of the drone."""
-        self._shown = None
+        self._changes()
         self._filter.table.lost[rows] = False
 
     def adopt(self, arriving: Passage) -> None:
         """Tracks that another one released, in pixels of this camera at the time of the state."""
-        self._shown = None
+        self._changes()
         self._filter.adopt(arriving)
 
     def end_unseen(self, t: float) -> None:
@@ -293,7 +299,7 @@ class Tracker:
         """The tracks carried on to t, without those behind the camera then; the tracker itself is unchanged."""
         if self._t is None:
             return ()
-        mean, cov = self._filter.extrapolated(t - self._t, rotation, rotation_variance)
+        mean, cov = self.extrapolated(t, rotation, rotation_variance)
         self._sensor.add_lasting_error(cov)
         tracks = self._show().tracks(t, mean, cov)
         if self._reach.surely_holds_all(mean, cov):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.motion_model import Course
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.population import Population
@@ -31,13 +32,12 @@ class GaussianTracks:
         return self._population.initiate(t, points)
 
     def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
-        self.table.mean, self.table.cov = self.extrapolated(dt, rotation, rotation_variance)
+        table = self.table
+        table.mean, table.cov = self._motion.carried(table.mean, table.cov, dt, rotation, rotation_variance)
         self._population.survive(dt)
 
-    def extrapolated(
-        self, dt: float, rotation: Array | None, rotation_variance: float
-    ) -> tuple[Array, Array]:
-        return self._motion.carried(self.table.mean, self.table.cov, dt, rotation, rotation_variance)
+    def course(self) -> Course:
+        return self._motion.course(self.table.mean, self.table.cov)
 
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
 from swarmtrack.tracking.manoeuvre import AS_TOLD, PLACE, AgileLevel, Manoeuvres, ModeInnovations, ModeMixture
-from swarmtrack.tracking.motion_model import POSITION, propagate
+from swarmtrack.tracking.motion_model import POSITION, Course, Drift
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.population import Population, blend_sizes
@@ -245,25 +246,19 @@ class Mbm:
         self._population.survive(dt)
         self._show_best()
 
-    def extrapolated(
-        self, dt: float, rotation: Array | None, rotation_variance: float
-    ) -> tuple[Array, Array]:
-        published, scale = self._published(), self._sensor.noise.motion
-        psd = self._manoeuvres.calmed(scale).psd
-        position, velocity = manoeuvre.acceleration_reach(dt, self._manoeuvres)
-        # Such that constant velocity brings it where the acceleration does.
-        reach = np.array([position - dt * velocity, velocity])
-        jump = manoeuvre.mean_acceleration(published)[:, :, None] * reach
-        mean = self.table.mean + jump.reshape(-1, 4)
-        return propagate(
-            mean,
+    def course(self) -> Course:
+        published, manoeuvres = self._published(), self._manoeuvres
+        return Course(
+            self.table.mean,
             self.table.cov,
-            dt,
-            psd=published.mode @ psd,
+            psd=published.mode @ manoeuvres.calmed(self._sensor.noise.motion).psd,
             camera=self._sensor.camera,
-            rotation=rotation,
-            rotation_variance=self._learned(rotation_variance),
             turn=self._turn,
+            drift=Drift(
+                manoeuvre.mean_acceleration(published),
+                partial(manoeuvre.acceleration_reach, manoeuvres=manoeuvres),
+            ),
+            gyro_error=self._learned,
         )
 
     def release(

@@ -7,6 +7,7 @@ it. Means are (n, 4), covariances (n, 4, 4): all tracks at once.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -60,12 +61,8 @@ def _moving(mean: Array) -> Array:
 
 def _of_states(turned: Turned) -> tuple[Array, Array]:
     """Means (n, 4), and their Jacobian (n, 4, 4)."""
-    moving, J, bend = turned
-    n = moving.shape[2]
-    F = np.zeros((4, 4, n))
-    F[POSITION, POSITION] = F[VELOCITY, VELOCITY] = J
-    F[VELOCITY, POSITION] = bend
-    return np.ascontiguousarray(moving.reshape(4, n).T), np.ascontiguousarray(F.transpose(2, 0, 1))
+    moving, F = turned
+    return np.ascontiguousarray(moving.reshape(4, -1).T), F
 
 
 def optical_flow(points: Array, camera: PinholeCamera) -> Array:
@@ -101,11 +98,82 @@ def propagate(
     if rotation is not None:
         mean, turned = turn(mean, rotation, camera)
         F = (turned.reshape(-1, 4) @ A).reshape(-1, 4, 4)
-    # matmul takes twice as long for a transposed view
-    cov = F @ (cov + _noise_before(dt, psd)) @ np.ascontiguousarray(F.swapaxes(-1, -2))
+    cov = _through(F, cov + _noise_before(dt, psd))
     if rotation_variance > 0.0:
         add_flow_of_error(cov, mean, rotation_variance, camera)
     return mean, cov
+
+
+def _through(F: Array, cov: Array) -> Array:
+    """F P Fᵀ."""
+    # matmul takes twice as long for a transposed view
+    return F @ cov @ np.ascontiguousarray(F.swapaxes(-1, -2))
+
+
+@dataclass(frozen=True)
+class Drift:
+    """An acceleration (n, 2) px/s² that fades. reach: by how much one of 1 moves position and velocity within dt."""
+
+    acceleration: Array
+    reach: Callable[[float], tuple[float, float]]
+
+
+class Course:
+    """How n targets go on from means (n, 4) and covariances (n, 4, 4), for whoever asks for many times.
+
+    It says what `propagate` says. Before the camera's turn, all numbers are polynomials of the time that passes: their
+    coefficients are worked out once, and one product tells the numbers of a time.
+    """
+
+    def __init__(
+        self,
+        mean: Array,
+        cov: Array,
+        *,
+        psd: float | Array,
+        camera: PinholeCamera,
+        turn: Turn,
+        drift: Drift | None = None,
+        gyro_error: Callable[[float], float] = float,
+    ) -> None:
+        """drift: beside the velocity. gyro_error: the variance to believe, from that which is said with a turn."""
+        self._n = n = len(mean)
+        self._camera, self._turn, self._gyro_error = camera, turn, gyro_error
+        self._reach = None if drift is None else drift.reach
+        # A row each for 1, dt, dt²; for Q of constant psd, which is 0 where dt < 0; for the reach of an acceleration.
+        rows = 6 if drift is None else 8
+        self._by_time = np.zeros((rows, 20 * n))
+        states = self._by_time[:, : 4 * n].reshape(rows, 4, n)
+        covs = self._by_time[:, 4 * n :].reshape(rows, n, 4, 4)
+        states[0] = mean.T
+        states[1, POSITION] = mean.T[VELOCITY]
+        covs[0] = cov
+        covs[1, :, POSITION] = cov[:, VELOCITY]
+        covs[1, :, :, POSITION] += cov[:, :, VELOCITY]
+        covs[2, :, POSITION, POSITION] = cov[:, VELOCITY, VELOCITY]
+        noise = covs[3:6].reshape(3, n, 16)
+        density = np.reshape(psd, (-1, 1))
+        noise[0][:, [5, 15]] = density
+        noise[1][:, [1, 4, 11, 14]] = density / 2.0
+        noise[2][:, [0, 10]] = density / 3.0
+        if drift is not None:
+            states[6, POSITION] = states[7, VELOCITY] = drift.acceleration.T
+
+    def at(self, dt: float, rotation: Array | None, rotation_variance: float) -> tuple[Array, Array]:
+        """Means (n, 4) and covariances (n, 4, 4) after dt; rotation, rotation_variance: see `propagate`."""
+        ahead, n = max(dt, 0.0), self._n
+        powers = [1.0, dt, dt * dt, ahead, ahead**2, ahead**3]
+        if self._reach is not None:
+            powers += self._reach(dt)
+        numbers = np.array(powers) @ self._by_time
+        mean, cov = numbers[: 4 * n].reshape(4, n).T, numbers[4 * n :].reshape(n, 4, 4)
+        if rotation is not None:
+            mean, F = self._turn(mean, rotation, self._camera)
+            cov = _through(F, cov)
+        variance = self._gyro_error(rotation_variance)
+        if variance > 0.0:
+            add_flow_of_error(cov, mean, variance, self._camera)
+        return mean, cov
 
 
 def add_flow_of_error(cov: Array, mean: Array, variance: float, camera: PinholeCamera) -> None:

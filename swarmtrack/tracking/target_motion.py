@@ -7,7 +7,7 @@ from functools import partial
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
-from swarmtrack.tracking.motion_model import propagate, turn_by_flow, turn_exactly
+from swarmtrack.tracking.motion_model import Course, propagate, turn_by_flow, turn_exactly
 from swarmtrack.tracking.parameters import CommonParameters
 
 TURNS = {"default": turn_exactly, "paper": turn_by_flow}
@@ -18,7 +18,13 @@ class TargetMotion:
 
     def __init__(self, camera: PinholeCamera, parameters: CommonParameters) -> None:
         self._psd = parameters.acceleration_psd
-        self._propagate = partial(propagate, camera=camera, turn=TURNS[parameters.profile])
+        turn = TURNS[parameters.profile]
+        self._propagate = partial(propagate, camera=camera, turn=turn)
+        self._course = partial(Course, psd=self._psd, camera=camera, turn=turn)
+
+    def course(self, mean: Array, cov: Array) -> Course:
+        """Where means (n, 4) and covariances (n, 4, 4) go, to be asked for many times."""
+        return self._course(mean, cov)
 
     def carried(
         self, mean: Array, cov: Array, dt: float, rotation: Array | None, rotation_variance: float

@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.tracking.gaussian import update
-from swarmtrack.tracking.motion_model import optical_flow, propagate, turn_by_flow, turn_exactly
+from swarmtrack.tracking.motion_model import (
+    Course,
+    Drift,
+    optical_flow,
+    propagate,
+    turn_by_flow,
+    turn_exactly,
+)
 
 CAMERA = PinholeCamera(430.0, 470.0, 315.0, 242.0, 640, 480)
 angles = st.tuples(*[st.floats(-0.3, 0.3)] * 3).map(np.array)
@@ -159,3 +166,44 @@ def test_what_an_unsure_rotation_costs_is_the_flow_times_its_transpose(x):
         x[None], np.zeros((1, 4, 4)), 0.0, psd=1.0, camera=CAMERA, rotation=np.eye(3), rotation_variance=1e-4
     )
     assert paid[0, ::2, ::2] == pytest.approx(1e-4 * flow @ flow.T, rel=1e-9)
+
+
+@pytest.mark.parametrize("turn", [turn_exactly, turn_by_flow])
+@pytest.mark.parametrize("dt", [0.0, 0.05, 0.7, -0.04])
+@pytest.mark.parametrize("angle", [None, (0.1, -0.2, 0.15)])
+def test_a_course_says_what_propagate_says(dt, angle, turn):
+    rng = np.random.default_rng(6)
+    mean = rng.uniform((50.0, -200.0, 50.0, -200.0), (600.0, 200.0, 400.0, 200.0), (7, 4))
+    root = rng.normal(0.0, 3.0, (7, 4, 4))
+    cov, psd = root @ root.swapaxes(1, 2), rng.uniform(100.0, 3000.0, 7)
+    R = None if angle is None else rotation.exp(np.array(angle))
+    drift = Drift(rng.normal(0.0, 500.0, (7, 2)), lambda dt: (0.4 * dt**2, 0.8 * dt))
+    course = Course(
+        mean, cov, psd=psd, camera=CAMERA, turn=turn, drift=drift, gyro_error=lambda told: 2.0 * told
+    )
+    found = course.at(dt, R, 1e-5)
+
+    position, velocity = drift.reach(dt)
+    drifted = mean.copy()
+    drifted[:, 1::2] += velocity * drift.acceleration
+    drifted[:, ::2] += (position - dt * velocity) * drift.acceleration
+    said = propagate(drifted, cov, dt, psd=psd, camera=CAMERA, rotation=R, rotation_variance=2e-5, turn=turn)
+    for ours, theirs in zip(found, said, strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9)
+    assert (np.linalg.eigvalsh(found[1]) > 0.0).all()
+
+
+def test_a_course_may_be_asked_again():
+    mean, cov = np.array([[300.0, 20.0, 200.0, -10.0]]), np.diag([4.0, 90.0, 9.0, 50.0])[None]
+    course = Course(mean, cov, psd=900.0, camera=CAMERA, turn=turn_exactly)
+    first = course.at(0.1, None, 1e-4)
+    course.at(0.3, rotation.exp(np.array([0.1, 0.0, 0.0])), 1e-4)
+    for once, again in zip(first, course.at(0.1, None, 1e-4), strict=True):
+        assert np.array_equal(once, again)
+
+
+def test_a_course_of_nobody_leads_nowhere():
+    course = Course(np.empty((0, 4)), np.empty((0, 4, 4)), psd=np.empty(0), camera=CAMERA, turn=turn_exactly)
+    mean, cov = course.at(0.1, rotation.exp(np.array([0.1, 0.0, 0.0])), 1e-4)
+    assert mean.shape == (0, 4)
+    assert cov.shape == (0, 4, 4)
