@@ -200,6 +200,10 @@ class MotionEvidence:
         """The drones whose motion is known well enough to prove a name."""
         return tuple(drone for drone, last in self._last.items() if last.trust.most >= MOST)
 
+    def last_said(self, drone_id: int) -> Saying | None:
+        """What a drone's motion was compared by last."""
+        return self._last.get(drone_id)
+
     def hear(self, saying: Saying) -> None:
         """It counts with the first scan that is no older."""
         if len(self._waiting) < MANY:
