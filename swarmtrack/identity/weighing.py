@@ -124,9 +124,9 @@ class Weighing:
             wander=max(PUBLISHED.wander, DRIFT_SHARE * sigma), clock=max(PUBLISHED.clock, report.t_sigma)
         )
         source = ("motion", report.boot)
-        self._motion.hear(
-            Saying(report.drone_id, source, report.t, report.displacement, report.velocity, trust)
-        )
+        saying = Saying(report.drone_id, source, report.t, report.displacement, report.velocity, trust)
+        self._motion.hear(saying)
+        self.proved_places.hear(saying)
 
     def step_heading(self, t: float) -> None:
         """By t the observer's heading has stepped."""
@@ -205,8 +205,8 @@ class Weighing:
             for drone, place in places.items()
             if self._says_motion(drone, view.observer.t) and not is_vague(place)
         }
-        self.proved_places.keep(alive, said)
-        self.proved_places.judge(detected, view, said, self._motion, self.proofs)
+        self.proved_places.follow(alive, said)
+        self.proved_places.judge(detected, view, self._motion, self.proofs)
 
     def weigh(
         self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera, own: OwnPose

@@ -13,9 +13,9 @@ SIZE = (24.0, 24.0)
 class Sway:
     """Drones at 8 m that sway; each says how, or something else, and once a second where it thinks that it is."""
 
-    def __init__(self, places, sways, thinks, said=None):
+    def __init__(self, places, sways, thinks, said=None, observer=None):
         self.places, self.sways, self.said = places, sways, sways if said is None else said
-        self.observer = Observer()
+        self.observer = observer or Observer()
         self.observer.sizes = dict.fromkeys(places, SIZE)
         self.sequence = 0
         self.told = []
