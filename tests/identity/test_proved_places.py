@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
-from support.observer import LEFT, RIGHT, shifted
+from support.observer import CAMERA, FORWARD, LEFT, RIGHT, SCAN_S, at, shifted
 from support.swaying import SIZE, Sway
+from swarmtrack.identity.motion_evidence import MOST, PUBLISHED, Saying
 from swarmtrack.identity.proof import PROVED
-from swarmtrack.identity.proved_places import FITS_S, MOST_AGAINST
+from swarmtrack.identity.proved_places import FITS_S, MOST_AGAINST, ProvedPlaces
+from swarmtrack.identity.reprojection import ObserverCamera
 from swarmtrack.identity.weighing import PLACE_ALONE, SILENT_S
+from swarmtrack.messages import Announcement, Track, TrackStatus
+from swarmtrack.motion.ego import TeamPose
 
 
 class Alike(Sway):
@@ -81,12 +85,82 @@ def test_places_that_may_be_right_no_more_make_no_name_surer(lose):
         assert max(flight.sureness().values()) <= PLACE_ALONE
 
 
-def test_a_place_is_right_only_once_motion_has_proved_it_for_a_while():
-    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: RIGHT})
-    while None in (proofs := [flight.proofs().get(drone) for drone in (2, 3)]):
-        flight.flies(0.1)
-    since = max(proof.since for proof in proofs)
-    alike = Alike(apart_s=round(since + FITS_S - 0.3, 1))
-    for _ in range(10):
-        alike.flies(1.0)
-        assert max(alike.sureness().values()) <= PLACE_ALONE
+class Scans:
+    """Drones 2 and 3 hover where they say, to the left and to the right; motion says that both tracks are either."""
+
+    exact, turn_weight = (2, 3), np.ones(1)
+
+    def __init__(self):
+        self.places, self.t = ProvedPlaces(), 0.0
+        self.counted_from = np.zeros(3)
+        self.proved = ()
+
+    def log_ratios(self, tracks, drones):
+        return np.full((1, len(tracks), len(drones)), MOST)
+
+    def lasting(self, t):
+        return self.proved
+
+    def look(self, seconds, proved=(), left=LEFT):
+        """The probabilities of tracks and drones. proved: by motion; left: where track 1 is seen."""
+        self.proved = proved
+        for _ in range(round(seconds / SCAN_S)):
+            self.t += SCAN_S
+            told = {}
+            for drone, pixel in ((2, LEFT), (3, RIGHT)):
+                told[drone] = Announcement(
+                    drone, "0000000a", 1, self.t, 0.0, at(pixel), np.eye(3), 0.05 * np.eye(3)
+                )
+                self.places.hear(
+                    Saying(drone, ("motion",), self.t, self.counted_from, np.zeros(3), PUBLISHED)
+                )
+            observer = TeamPose(self.t, np.zeros(3), np.eye(3), 0.01 * np.eye(3), 1e-4 * np.eye(3))
+            view = ObserverCamera.of(observer, CAMERA, FORWARD, 0)
+            tracks = [self._track(1, left), self._track(2, RIGHT)]
+            self.places.follow((1, 2), told)
+            self.places.judge(tracks, view, self, self)
+        pairs = [(track, drone) for track in (1, 2) for drone in (2, 3)]
+        return {pair: p for pair in pairs if (p := self.places.probability(*pair, self.t))}
+
+    def _track(self, track_id, pixel):
+        mean = np.array([pixel[0], 0.0, pixel[1], 0.0])
+        return Track(track_id, self.t, mean, np.eye(4), TrackStatus.CONFIRMED, 1.0, np.full(2, 20.0), None)
+
+
+BOTH = ((1, 2), (2, 3))
+
+
+@pytest.mark.parametrize("proved_s", [FITS_S - 0.5, FITS_S + 0.5])
+def test_a_place_is_right_once_motion_has_proved_it_for_a_while(proved_s):
+    scans = Scans()
+    assert scans.look(proved_s, BOTH) == {}
+    found = scans.look(2.0)
+    assert set(found) == (set(BOTH) if proved_s > FITS_S else set())
+    assert all(p > PROVED for p in found.values())
+
+
+def test_one_right_place_tells_which_of_two_is_that_drone():
+    scans = Scans()
+    scans.look(4.0, [(2, 3)])
+    assert set(scans.look(2.0)) == {(2, 3)}
+
+
+def test_who_is_seen_beside_its_place_is_no_more_where_it_says():
+    scans = Scans()
+    scans.look(4.0, BOTH)
+    assert set(scans.look(2.0)) == set(BOTH)
+    scans.look(0.5, BOTH, left=shifted(LEFT, 60.0))
+    assert set(scans.look(2.0)) == {(2, 3)}
+
+
+def test_a_track_beside_the_place_is_not_known_by_it():
+    scans = Scans()
+    scans.look(4.0, BOTH)
+    assert set(scans.look(2.0, left=shifted(LEFT, 60.0))) == {(2, 3)}
+
+
+def test_who_counts_its_way_from_elsewhere_is_not_known_by_its_place_any_more():
+    scans = Scans()
+    scans.look(4.0, BOTH)
+    scans.counted_from = np.array([5.0, 0.0, 0.0])
+    assert scans.look(2.0) == {}
