@@ -6,7 +6,7 @@ import pytest
 from support.observer import CAMERA, FORWARD, LEFT, RIGHT, SCAN_S, at, shifted
 from support.swaying import SIZE, Sway
 from swarmtrack.identity.motion_evidence import MOST, PUBLISHED, Saying
-from swarmtrack.identity.proof import PROVED
+from swarmtrack.identity.proof import LASTS_S, PROVED
 from swarmtrack.identity.proved_places import FITS_S, MOST_AGAINST, ProvedPlaces
 from swarmtrack.identity.reprojection import ObserverCamera
 from swarmtrack.identity.weighing import PLACE_ALONE, SILENT_S
@@ -94,6 +94,7 @@ class Scans:
         self.places, self.t = ProvedPlaces(), 0.0
         self.counted_from = np.zeros(3)
         self.proved = ()
+        self.sigma_m = 0.2
 
     def log_ratios(self, tracks, drones):
         return np.full((1, len(tracks), len(drones)), MOST)
@@ -101,22 +102,21 @@ class Scans:
     def lasting(self, t):
         return self.proved
 
-    def look(self, seconds, proved=(), left=LEFT):
-        """The probabilities of tracks and drones. proved: by motion; left: where track 1 is seen."""
+    def look(self, seconds, proved=(), left=LEFT, seen=(1, 2)):
+        """The probabilities of tracks and drones. proved: by motion; left: where track 1 is seen; seen: the tracks."""
         self.proved = proved
         for _ in range(round(seconds / SCAN_S)):
             self.t += SCAN_S
             told = {}
             for drone, pixel in ((2, LEFT), (3, RIGHT)):
-                told[drone] = Announcement(
-                    drone, "0000000a", 1, self.t, 0.0, at(pixel), np.eye(3), 0.05 * np.eye(3)
-                )
+                cov = self.sigma_m**2 * np.eye(3)
+                told[drone] = Announcement(drone, "0000000a", 1, self.t, 0.0, at(pixel), np.eye(3), cov)
                 self.places.hear(
                     Saying(drone, ("motion",), self.t, self.counted_from, np.zeros(3), PUBLISHED)
                 )
             observer = TeamPose(self.t, np.zeros(3), np.eye(3), 0.01 * np.eye(3), 1e-4 * np.eye(3))
             view = ObserverCamera.of(observer, CAMERA, FORWARD, 0)
-            tracks = [self._track(1, left), self._track(2, RIGHT)]
+            tracks = [self._track(id, {1: left, 2: RIGHT}[id]) for id in seen]
             self.places.follow((1, 2), told)
             self.places.judge(tracks, view, self, self)
         pairs = [(track, drone) for track in (1, 2) for drone in (2, 3)]
@@ -134,7 +134,8 @@ BOTH = ((1, 2), (2, 3))
 def test_a_place_is_right_once_motion_has_proved_it_for_a_while(proved_s):
     scans = Scans()
     assert scans.look(proved_s, BOTH) == {}
-    found = scans.look(2.0)
+    assert scans.look(LASTS_S - 0.1) == {}
+    found = scans.look(1.0)
     assert set(found) == (set(BOTH) if proved_s > FITS_S else set())
     assert all(p > PROVED for p in found.values())
 
@@ -156,7 +157,21 @@ def test_who_is_seen_beside_its_place_is_no_more_where_it_says():
 def test_a_track_beside_the_place_is_not_known_by_it():
     scans = Scans()
     scans.look(4.0, BOTH)
-    assert set(scans.look(2.0, left=shifted(LEFT, 60.0))) == {(2, 3)}
+    assert set(scans.look(2.0, left=shifted(LEFT, 40.0))) == {(2, 3)}
+
+
+@pytest.mark.parametrize(("proved", "known"), [(BOTH, {(1, 2)}), (BOTH[:1], set())])
+def test_a_track_alone_may_be_whoever_flies_alike_and_whose_place_is_not_known_to_be_right(proved, known):
+    scans = Scans()
+    scans.look(4.0, proved)
+    assert set(scans.look(2.0, seen=(1,))) == known
+
+
+def test_a_place_that_is_hardly_known_tells_nothing():
+    scans = Scans()
+    scans.look(4.0, BOTH)
+    scans.sigma_m = 1.6
+    assert scans.look(2.0) == {}
 
 
 def test_who_counts_its_way_from_elsewhere_is_not_known_by_its_place_any_more():
