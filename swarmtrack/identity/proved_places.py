@@ -4,7 +4,8 @@ A team in formation flies as one. A track that is new to its observer then moves
 it is one of them, but not which. Place alone names it, and is believed no more than a swapped pad allows
 (`weighing.PLACE_ALONE`). But whoever once was where it says, when motion proved that it is it, stands on no other's
 pad, as long as neither frame begins anew: how far a track is beside its place, carried on by how it says that it moves,
-counts as any measurement does. It only ever counts against a pair, and for no more than `MOST_AGAINST`.
+counts as any measurement does. It only ever counts against a pair, and for no more than `MOST_AGAINST`. Who it cannot
+be also tells who it is, as in all matchings.
 """
 
 from __future__ import annotations
@@ -126,10 +127,10 @@ class ProvedPlaces:
         for j, drone in enumerate(drones):
             for track, i in row.items():
                 before = self._decided.pop((track, drone), None)
-                if drone in self._right and drone in off and off[drone][i] <= FITS_SIGMAS:
-                    proof = proof_after(before, float(probability[i, j]), t)
-                    if proof is not None:
-                        self._decided[track, drone] = proof
+                is_beside = drone in off and off[drone][i] > FITS_SIGMAS
+                proof = None if is_beside else proof_after(before, float(probability[i, j]), t)
+                if proof is not None:
+                    self._decided[track, drone] = proof
 
     def _check(
         self, known: Mapping[int, int], row: Mapping[int, int], off: Mapping[int, Array], t: float

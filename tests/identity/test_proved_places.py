@@ -140,18 +140,17 @@ def test_a_place_is_right_once_motion_has_proved_it_for_a_while(proved_s):
     assert all(p > PROVED for p in found.values())
 
 
-def test_one_right_place_tells_which_of_two_is_that_drone():
+def test_one_right_place_tells_who_of_two_is_there_and_who_the_other_one_is():
     scans = Scans()
-    scans.look(4.0, [(2, 3)])
-    assert set(scans.look(2.0)) == {(2, 3)}
+    scans.look(4.0, BOTH[:1])
+    assert set(scans.look(2.0)) == set(BOTH)
 
 
 def test_who_is_seen_beside_its_place_is_no_more_where_it_says():
     scans = Scans()
-    scans.look(4.0, BOTH)
-    assert set(scans.look(2.0)) == set(BOTH)
-    scans.look(0.5, BOTH, left=shifted(LEFT, 60.0))
-    assert set(scans.look(2.0)) == {(2, 3)}
+    scans.look(4.0, BOTH[:1])
+    scans.look(0.5, BOTH[:1], left=shifted(LEFT, 60.0))
+    assert scans.look(2.0) == {}
 
 
 def test_a_track_beside_the_place_is_not_known_by_it():
