@@ -269,6 +269,7 @@ class Onboard:
                 self._ego.restart()
                 self._bias.restart()
                 self._heading_steps.restart()
+                self._identities.lose_place()
             case _:
                 assert_never(event)
 

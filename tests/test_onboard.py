@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from support.observer import LEFT, RIGHT, SCAN_S, Observer
+from support.swaying import Sway
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.identity.weighing import PLACE_ALONE
 from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
@@ -383,6 +386,45 @@ def test_an_autopilot_that_reboots_in_flight_goes_on_from_where_the_drone_was():
     drone.tell(AutopilotRebooted())
     drone.tell(EgoPose(8.0, np.array([0.0, 0.0, 0.0]), np.eye(3)))
     assert drone.ego_pose(8.0).position == pytest.approx([98.0, 0.0, 0.0])
+
+
+class Aboard(Observer):
+    """One that sees by the whole of `Onboard`; its tracks have numbers of their own."""
+
+    def __init__(self):
+        super().__init__()
+        self.drone = onboard()
+        self.identities = self.drone._identities
+
+    def sees(self, seconds, **pixels):
+        for _ in range(round(seconds / SCAN_S)):
+            self.t = round(self.t + SCAN_S, 6)
+            self.drone.tell(ImuSample(self.t, np.zeros(3), NO_ACCEL))
+            self.drone.tell(EgoPose(self.t, np.zeros(3), np.eye(3), position_sigma=0.05, attitude_sigma=0.01))
+            self.drone.tell(seen(self.t, *pixels.values()))
+
+    def sureness(self):
+        """By drone, of its name."""
+        tracks = self.drone.tracks(self.t).tracks
+        return {entry.identity: entry.identity_probability for entry in tracks}
+
+
+@pytest.mark.parametrize("reboots", [False, True])
+def test_what_motion_proved_of_places_is_worth_nothing_once_the_autopilot_has_rebooted(reboots):
+    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: RIGHT}, observer=Aboard())
+    flight.flies(14.0)
+    assert min(flight.observer.sureness()[drone] for drone in (2, 3)) > PLACE_ALONE
+    if reboots:
+        flight.observer.drone.tell(AutopilotRebooted())
+    places, flight.places = flight.places, {}
+    flight.flies(2.0)
+    # From now on they move alike: only their places tell them apart.
+    flight.places, flight.sways, flight.said = places, {2: 12, 3: 12}, {2: 12, 3: 12}
+    surest = 0.0
+    for _ in range(12):
+        flight.flies(1.0)
+        surest = max(surest, *(flight.observer.sureness().get(drone, 0.0) for drone in (2, 3)))
+    assert (surest > PLACE_ALONE) is not reboots
 
 
 def test_a_heading_that_is_found_after_boot_does_not_turn_the_team_frame():

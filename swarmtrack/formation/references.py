@@ -71,12 +71,14 @@ class ReferenceWatch:
         self._place, self._placed_at = place, t
         self._velocity = (own.velocity[0] + vn, own.velocity[1] + ve, own.velocity[2] + vd)
         # While it is not detected its probability falls with the track's own, which says nothing against the name.
-        p = entry.identity_probability if coasting is None or not self.trusted else 1.0
+        p = entry.identity_probability if coasting is None or self._sure_since is None else 1.0
         if p > (min(self._sure, KNOWN) if entry.track.id == self._known_track else self._sure):
             self._sure_since = t if self._sure_since is None else self._sure_since
         elif p < DOUBTED or not self.trusted:
             self._sure_since = None
-        self.trusted = self._sure_since is not None and t - self._sure_since >= ENTRY_S
+        lasts = self._sure_since is not None and t - self._sure_since >= ENTRY_S
+        # Who is not detected just now is flown by on, and not from now on.
+        self.trusted = lasts and (self.trusted or coasting is None)
         self.entering = not self.trusted
         if self.trusted:
             self._known_track = entry.track.id

@@ -134,6 +134,7 @@ class Identities:
             self._weighing.forget(drone)
             self._disputes.begin_life(drone)
             self._team_fit.forget(drone)
+            self._weighing.proved_places.forget(drone)
         return True
 
     def agree(self, motion: AgreedMotion) -> None:
@@ -178,6 +179,10 @@ class Identities:
     def step_heading(self, t: float) -> None:
         """By t the autopilot's heading has stepped, and the drone has not turned."""
         self._weighing.step_heading(t)
+
+    def lose_place(self) -> None:
+        """This drone may be elsewhere than it thinks: places that were right as seen from there may be so no more."""
+        self._weighing.proved_places.forget_all()
 
     def turn_unmeasured(self) -> None:
         """The camera has turned since the last scan, and nobody knows how far."""
@@ -235,6 +240,9 @@ class Identities:
         if proof is not None and proofs.lasts(track.id, name, track.t):
             # Its place gave the name, and motion has made it surer since.
             probability = max(probability, proof.probability * track.probability)
+        # Or the places of those who move alike have, which are known to be right.
+        by_place = self._weighing.proved_places.probability(track.id, name, track.t)
+        probability = max(probability, by_place * track.probability)
         return IdentifiedTrack(track, name, probability, proof)
 
     def _assign_nearest(self, view: ObserverCamera) -> None:
@@ -305,6 +313,7 @@ class Identities:
             if self._self_doubt.forbids(name, self._weighing) or self._team_fit.forbids(name, t):
                 self._names.fire(name, Event.OVERRULED)
         if self.self_doubt:
+            self.lose_place()
             for held in self._names.settled:
                 if not proofs.lasts(held.track_id, held.drone_id, t):
                     self._names.fire(held, Event.SELF_DOUBTED)

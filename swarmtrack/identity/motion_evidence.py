@@ -297,7 +297,7 @@ class MotionEvidence:
             if abs(scan.t - saying.t) > SIMULTANEOUS_S or scan.t <= self._stepped_t:
                 continue
             self._last[saying.drone_id] = saying
-            if before is not None and not _follows(before, saying):
+            if before is not None and not follows(before, saying):
                 self._begin_again(before)
             here = [(track, saying.drone_id) for track in scan.row]
             pairs += here
@@ -373,7 +373,7 @@ def _is_news(before: Saying, saying: Saying) -> bool:
     return saying.trust.wander <= before.trust.wander or since >= SILENT_S
 
 
-def _follows(before: Saying, saying: Saying) -> bool:
+def follows(before: Saying, saying: Saying) -> bool:
     """Whether a drone may have flown from the one to the other."""
     dt = saying.t - before.t
     if saying.source != before.source or dt > LONGEST_S:

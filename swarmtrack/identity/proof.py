@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from swarmtrack.identity.motion_evidence import MotionEvidence
 from swarmtrack.identity.reprojection import NEAREST, ObserverCamera
-from swarmtrack.messages import Announcement, MotionProof, Track
+from swarmtrack.messages import Announcement, Array, MotionProof, Track
 from swarmtrack.tracking.marginals_of_each import matched_of_each
 
 # Of a probability: from where on it is a proof, and below which it is one no more. Looking at every scan is a
@@ -46,14 +46,7 @@ class Proofs:
         drones = motion.exact
         if not drones:
             return
-        # The probability over all matchings is at least this: what else the track, or the drone, could be.
-        ratios = motion.log_ratios(tracks, drones)
-        odds = np.exp(ratios)
-        rivals = odds.sum(axis=1, keepdims=True) + odds.sum(axis=2, keepdims=True) - odds
-        by_turn = odds / (1.0 + rivals)
-        # Where a rival may as well be another drone, only all matchings tell: they cost more, and are asked then.
-        if ((by_turn < PROVED) & (odds > DECISIVE)).any():
-            by_turn = matched_of_each(ratios).probability
+        by_turn = matched_surely(motion.log_ratios(tracks, drones))
         probability = np.tensordot(motion.turn_weight, by_turn, axes=1)
         for i, track in enumerate(tracks):
             for j, drone in enumerate(drones):
@@ -71,6 +64,10 @@ class Proofs:
         """Whether motion has proved it for a while."""
         proof = self.of(track_id, drone_id)
         return proof is not None and t - proof.since >= LASTS_S
+
+    def lasting(self, t: float) -> Iterator[tuple[int, int]]:
+        """Tracks, and the drones that motion has proved for a while that they are."""
+        return (pair for pair in self._proofs if self.lasts(*pair, t))
 
     def track_of(self, drone_id: int) -> int | None:
         """The track that is proved to be a drone."""
@@ -102,6 +99,25 @@ class Proofs:
         self._told.discard(drone_id)
 
     def _note(self, pair: tuple[int, int], probability: float, t: float) -> None:
-        before = self._proofs.pop(pair, None)
-        if probability > PROVED or (before is not None and probability >= KEPT):
-            self._proofs[pair] = MotionProof(probability, t if before is None else before.since)
+        proof = proof_after(self._proofs.pop(pair, None), probability, t)
+        if proof is not None:
+            self._proofs[pair] = proof
+
+
+def proof_after(before: MotionProof | None, probability: float, t: float) -> MotionProof | None:
+    """What is proved once the pair has that probability; before: what was until then."""
+    if probability > PROVED or (before is not None and probability >= KEPT):
+        return MotionProof(probability, t if before is None else before.since)
+    return None
+
+
+def matched_surely(ratios: Array) -> Array:
+    """(c, n, m) of each track and drone, by log ratios (c, n, m): exactly where it may be a proof, else at least."""
+    # The probability over all matchings is at least this: what else the track, or the drone, could be.
+    odds = np.exp(ratios)
+    rivals = odds.sum(axis=1, keepdims=True) + odds.sum(axis=2, keepdims=True) - odds
+    by_turn = odds / (1.0 + rivals)
+    # Where a rival may as well be another drone, only all matchings tell: they cost more, and are asked then.
+    if ((by_turn < PROVED) & (odds > DECISIVE)).any():
+        return matched_of_each(ratios).probability
+    return np.asarray(by_turn)

@@ -27,6 +27,7 @@ from swarmtrack.identity.posterior import (
     squared_sigmas,
 )
 from swarmtrack.identity.proof import PROVED, Proofs
+from swarmtrack.identity.proved_places import ProvedPlaces
 from swarmtrack.identity.reprojection import (
     ASTRAY,
     NOBODY,
@@ -105,6 +106,7 @@ class Weighing:
         self._spans = Spans()
         self._motion = MotionEvidence()
         self.proofs = Proofs()
+        self.proved_places = ProvedPlaces()
         self._agreed = AgreedMotions()
         self._named: list[int] = []
         self._placed: dict[int, Announcement] = {}
@@ -122,9 +124,9 @@ class Weighing:
             wander=max(PUBLISHED.wander, DRIFT_SHARE * sigma), clock=max(PUBLISHED.clock, report.t_sigma)
         )
         source = ("motion", report.boot)
-        self._motion.hear(
-            Saying(report.drone_id, source, report.t, report.displacement, report.velocity, trust)
-        )
+        saying = Saying(report.drone_id, source, report.t, report.displacement, report.velocity, trust)
+        self._motion.hear(saying)
+        self.proved_places.hear(saying)
 
     def step_heading(self, t: float) -> None:
         """By t the observer's heading has stepped."""
@@ -198,6 +200,13 @@ class Weighing:
         self._motion.observe(detected, view)
         self.proofs.keep(alive)
         self.proofs.judge(view.observer.t, [track.id for track in detected], self._motion)
+        said = {
+            drone: place
+            for drone, place in places.items()
+            if self._says_motion(drone, view.observer.t) and not is_vague(place)
+        }
+        self.proved_places.follow(alive, said)
+        self.proved_places.judge(detected, view, self._motion, self.proofs)
 
     def weigh(
         self, tracks: Sequence[Track], predicted: Predictions, view: ObserverCamera, own: OwnPose
@@ -253,6 +262,10 @@ class Weighing:
                         drone, track.size, distance, sigma, focal_px=self._box_focal(track)
                     )
         return np.asarray(every + ratios + motion)
+
+    def _says_motion(self, drone_id: int, t: float) -> bool:
+        """Whether a drone has said how it moves, and has not fallen silent by t."""
+        return t - self._published.get(drone_id, -math.inf) <= SILENT_S
 
     def tells_motion(self, drone_id: int) -> bool:
         """Whether it is known how the drone moves, and not only where it is once in a while."""

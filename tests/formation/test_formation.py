@@ -99,6 +99,23 @@ def test_a_reference_is_flown_by_once_it_was_sure_for_a_second(flying):
     assert flying.tell(own, seen, [track()]).why is Why.FOLLOW
 
 
+def test_a_missed_detection_costs_a_name_nothing_of_its_second_and_ends_it_for_nobody(flying):
+    own = in_slot(off=(-1.0, 0.0, 0.0))
+    seen = {10: leader_from(own)}
+    flying.tell(own, seen, [track()], seconds=0.5)
+    missed = [track(probability=0.9, coasting_since=flying.t)]
+    assert flying.tell(own, seen, missed, seconds=ENTRY_S).why is Why.ENTRY
+    assert flying.tell(own, seen, [track()]).why is Why.FOLLOW
+
+
+def test_a_name_that_is_not_sure_is_made_no_surer_by_a_missed_detection(flying):
+    own = in_slot(off=(-1.0, 0.0, 0.0))
+    seen, place_only = {10: leader_from(own)}, {"probability": 0.96}
+    for _ in range(20):
+        flying.tell(own, seen, [track(**place_only)])
+        assert flying.tell(own, seen, [track(**place_only, coasting_since=flying.t)]).why is Why.ENTRY
+
+
 @pytest.mark.parametrize(
     "tracks",
     [
