@@ -30,6 +30,8 @@ COUNTS_S, COUNTS_IN_DOUBT_S = 3.0, 60.0
 VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 3.0, 0.3
 # Of reports: those as good as they say, those off by some of it, and those by much; these in rad and m.
 SHARES, OFF = (0.8, 0.14, 0.06), ((0.0, 0.0), (math.radians(6.0), 0.3), (math.radians(20.0), 1.5))
+# Of reports that miss this drone: those that are simply wrong.
+WRONG = 0.02
 # rad: how well two autopilots agree on north.
 NORTH_SIGMA = 0.03
 # Sigmas: so far from where it should be, a sight is worth a thought.
@@ -94,15 +96,24 @@ class Onlookers:
         miss, variance = self._misses(np.zeros((1, 3)), np.zeros(1))
         return np.asarray(miss[0] ** 2 > PUZZLING**2 * variance[0])
 
-    def log_likelihood(self, shift: Array, sigma: Array) -> Array:
-        """(h,): of what they say if this drone is by shift (h, 3) m, ± sigma (h,) m, from where it thinks."""
+    def log_ratios(self, shift: Array, sigma: Array) -> Array:
+        """(m, h): of what they say if this drone is by shift (h, 3) m, ± sigma (h,) m, from where it thinks, and if it
+        is there; each of m times without another one, who may lie. One row of zeros where nobody misses it."""
+        speaks = self._log_density(shift, sigma) - self._log_density(np.zeros((1, 3)), np.zeros(1))
+        speaks = speaks[:, self._is_puzzling]
+        if not speaks.size:
+            return np.zeros((1, len(shift)))
+        return np.asarray((speaks.sum(axis=1, keepdims=True) - speaks).T)
+
+    def _log_density(self, shift: Array, sigma: Array) -> Array:
+        """(h, m): of each ray, if this drone is there."""
         miss, variance = self._misses(shift, sigma)
         distance = np.array([_length(ray.towards) for ray in self._rays.values()])
-        total = np.zeros_like(miss)
+        total = np.full_like(miss, WRONG / (2.0 * math.pi))
         for share, (turn, metres) in zip(SHARES, OFF, strict=True):
             wide = variance + turn**2 + (metres / distance) ** 2
             total += share * np.exp(-0.5 * miss**2 / wide) / np.sqrt(2.0 * math.pi * wide)
-        return np.asarray((np.log(total + 1e-9) * self._is_puzzling).sum(axis=1))
+        return np.asarray(np.log(total))
 
     def _misses(self, shift: Array, sigma: Array) -> tuple[Array, Array]:
         """(h, m) rad, and rad²: by how much each ray passes by this drone there."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
+from swarmtrack.geometry import rotation
 from swarmtrack.identity.proof import LASTS_S, PROVED, Proofs
 from swarmtrack.identity.weighing import PLACE_ALONE
 from swarmtrack.messages import MotionReport, SightingReport
@@ -14,17 +15,19 @@ SIZE = (24.0, 24.0)
 
 
 class Sway:
-    """Drones at 8 m that sway; each says how, or something else, and once a second where it thinks that it is."""
+    """Drones at 8 m that sway; each says how, or something else, and once a second where it thinks that it is. The
+    observer's north is off by so many degrees."""
 
-    def __init__(self, places, sways, thinks, said=None):
+    def __init__(self, places, sways, thinks, said=None, north_deg=0.0):
         self.places, self.sways, self.said = places, sways, sways if said is None else said
         self.observer = Observer()
         self.observer.sizes = dict.fromkeys(places, SIZE)
         self.sequence = 0
         self.told = []
         self.thinks = thinks
+        self.turn = rotation.from_euler(0.0, 0.0, math.radians(north_deg))
         for drone, pixel in thinks.items():
-            self.observer.hears(drone, pixel)
+            self.observer.hears_at(drone, self.turn @ at(pixel))
 
     def flies(self, seconds):
         """The names after so long."""
@@ -52,16 +55,16 @@ class Sway:
                 self.sequence,
                 t,
                 0.0,
-                swaying(sway, t),
+                self.turn @ swaying(sway, t),
                 0.01 * np.eye(3),
-                velocity,
+                self.turn @ velocity,
                 np.eye(3),
             )
         )
 
     def _report(self, drone, place, t):
         self.observer.identities.on_report(
-            SightingReport(drone, "0000000a", self.sequence, t, 0.0, place, 0.1, (), ())
+            SightingReport(drone, "0000000a", self.sequence, t, 0.0, self.turn @ place, 0.1, (), ())
         )
 
     def _pixel(self, name, t):
@@ -197,3 +200,15 @@ def test_who_doubts_itself_does_not_tell_by_their_places_who_is_who_of_two_that_
     assert flight.observer.identities.self_doubt
     for _ in range(20):
         assert flight.flies(SCAN_S) == {"a": None, "b": None}
+
+
+def test_who_does_not_know_to_which_side_it_looks_names_by_place_who_alone_is_left():
+    """Its compass is off by 90°; motion has told it who the first two are, and not yet which way is north."""
+    flight = Sway(
+        {"a": LEFT, "b": RIGHT}, {2: 31, 3: 32, 4: 33}, {2: LEFT, 3: RIGHT, 4: MIDDLE}, north_deg=90.0
+    )
+    assert flight.flies(6.0) == {"a": 2, "b": 3}
+    assert flight.observer.identities.self_doubt
+    flight.places["c"], flight.observer.sizes["c"] = MIDDLE, SIZE
+    assert flight.flies(LASTS_S)["c"] == 4
+    assert flight.proofs()[4] is None
