@@ -167,7 +167,7 @@ class OwnPose(NamedTuple):
         return float(self.weight[turned].sum() + self.other_weight[moved].sum()) + self.lost
 
     def seen_by(self, onlookers: Onlookers) -> list[OwnPose]:
-        """The same with what teammates say of where they see this drone, which no heading of its own changes; once
+        """The same with what teammates say of where they see this drone, which no heading of its own changes; then
         without each of them."""
         shift, sigma = np.vstack([np.zeros(3), self.shift]), np.append(LOST_M, self.shift_sigma)
         return [self._weighed(ratio[0], ratio[1:]) for ratio in onlookers.log_ratios(shift, sigma)]

@@ -183,11 +183,12 @@ class SelfDoubt:
         )
 
     def _wrong(self, observer: TeamPose) -> float:
-        """The probability that it is, by more than is expected of such a heading and start; also without any one of
-        those who say so."""
+        """The probability that it is, by more than is expected of such a heading and start. No teammate's word alone
+        begins a doubt, and any keeps it up."""
         start_sigma = math.hypot(self._start_sigma, observer.position_sigma)
         azimuth, metres = max(SIGMAS * self.own.heading_sigma, LEAST), max(SIGMAS * start_sigma, LEAST_M)
-        return min(own.off_by(azimuth, metres) for own in self.own.seen_by(self._onlookers))
+        wrong = [own.off_by(azimuth, metres) for own in self.own.seen_by(self._onlookers)]
+        return wrong[0] if self.said else min(wrong)
 
     def _break_off(self, t: float) -> None:
         """Nobody is left to compare with: a doubt neither grows nor goes."""
