@@ -127,3 +127,18 @@ def test_one_that_lies_makes_a_drone_without_a_look_of_its_own_doubt_nothing_and
             observer.identities.on_report(said)
         observer.sees(1.0, a=LEFT)
     assert observer.identities.self_doubt == doubts
+
+
+@pytest.mark.parametrize("objects", [False, True])
+def test_a_doubt_that_its_own_looks_began_lasts_while_anybody_sees_it_elsewhere(objects):
+    observer = Observer()
+    observer.hears(2, LEFT)
+    observer.hears_at(3, np.array((-6.0, 3.0, 0.0)))
+    observer.sees(3.0, a=(420.0, 240.0))
+    assert observer.identities.self_doubt
+    if objects:
+        observer.identities.on_report(report(3, (-6.0, 3.0, 0.0), (0.0, 8.0, 0.0), t=observer.t))
+    for _ in range(4):
+        observer.sees(1.0, b=LEFT)
+        observer.is_told(2, LEFT)
+    assert observer.identities.self_doubt == objects
