@@ -1,8 +1,9 @@
 """Where teammates see this drone, by what they report: a start that is wrong shows from outside, a heading does not.
 
 A drone whose start is off sees all others shifted, and so does one whose compass is off. But of the first everybody
-else says that it is not where it says, each on another ray. Each report may be wrong by itself, in its sender's heading
-or start; where several agree, it is this drone. Only rays that miss it count: a name is given by place, so who stands
+else says that it is not where it says, each on another ray. Each report may be wrong by itself: in its sender's heading
+or start, because it took another for this drone, or because it lies. Where several agree, it is this drone; so it must
+hold without any one of them. Only rays that miss it count: a name is given by place, so who stands
 where this drone should be, and is taken for it, agrees with whatever it says.
 
 A ray misses the place where this drone thought that it was. When the own place leaps, as a receiver's does that loses
@@ -30,6 +31,8 @@ COUNTS_S, COUNTS_IN_DOUBT_S = 3.0, 60.0
 VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 3.0, 0.3
 # Of reports: those as good as they say, those off by some of it, and those by much; these in rad and m.
 SHARES, OFF = (0.8, 0.14, 0.06), ((0.0, 0.0), (math.radians(6.0), 0.3), (math.radians(20.0), 1.5))
+# Of reports: those that are simply wrong, on a ray anywhere around.
+WRONG = 0.02
 # rad: how well two autopilots agree on north.
 NORTH_SIGMA = 0.03
 # Sigmas: so far from where it should be, a sight is worth a thought.
@@ -94,15 +97,23 @@ class Onlookers:
         miss, variance = self._misses(np.zeros((1, 3)), np.zeros(1))
         return np.asarray(miss[0] ** 2 > PUZZLING**2 * variance[0])
 
-    def log_likelihood(self, shift: Array, sigma: Array) -> Array:
-        """(h,): of what they say if this drone is by shift (h, 3) m, ± sigma (h,) m, from where it thinks."""
+    def log_ratios(self, shift: Array, sigma: Array) -> Array:
+        """(1 + m, h): of what they say if this drone is by shift (h, 3) m, ± sigma (h,) m, from where it thinks, and if
+        it is there; then the same without each of the m who miss it, as any one may lie."""
+        speaks = self._log_density(shift, sigma) - self._log_density(np.zeros((1, 3)), np.zeros(1))
+        speaks = speaks[:, self._is_puzzling]
+        together = speaks.sum(axis=1)
+        return np.vstack([together, together - speaks.T])
+
+    def _log_density(self, shift: Array, sigma: Array) -> Array:
+        """(h, m): of each ray, if this drone is there."""
         miss, variance = self._misses(shift, sigma)
         distance = np.array([_length(ray.towards) for ray in self._rays.values()])
-        total = np.zeros_like(miss)
+        total = np.full_like(miss, WRONG / (2.0 * math.pi))
         for share, (turn, metres) in zip(SHARES, OFF, strict=True):
             wide = variance + turn**2 + (metres / distance) ** 2
             total += share * np.exp(-0.5 * miss**2 / wide) / np.sqrt(2.0 * math.pi * wide)
-        return np.asarray((np.log(total + 1e-9) * self._is_puzzling).sum(axis=1))
+        return np.asarray(np.log(total))
 
     def _misses(self, shift: Array, sigma: Array) -> tuple[Array, Array]:
         """(h, m) rad, and rad²: by how much each ray passes by this drone there."""

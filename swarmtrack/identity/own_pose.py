@@ -166,13 +166,16 @@ class OwnPose(NamedTuple):
         moved = np.linalg.norm(self.shift, axis=1) > metres
         return float(self.weight[turned].sum() + self.other_weight[moved].sum()) + self.lost
 
-    def seen_by(self, onlookers: Onlookers) -> OwnPose:
-        """The same with what teammates say of where they see this drone, which no heading of its own changes."""
-        nowhere = np.zeros((2, 3))
-        here, lost = onlookers.log_likelihood(nowhere, np.array([0.0, LOST_M])).tolist()
-        there = onlookers.log_likelihood(self.shift, self.shift_sigma)
-        most = max(here, lost, *there.tolist())
-        weight, other_weight = self.weight * math.exp(here - most), self.other_weight * np.exp(there - most)
+    def seen_by(self, onlookers: Onlookers) -> list[OwnPose]:
+        """The same with what teammates say of where they see this drone, which no heading of its own changes; then
+        without each of them."""
+        shift, sigma = np.vstack([np.zeros(3), self.shift]), np.append(LOST_M, self.shift_sigma)
+        return [self._weighed(ratio[0], ratio[1:]) for ratio in onlookers.log_ratios(shift, sigma)]
+
+    def _weighed(self, lost: float, there: Array) -> OwnPose:
+        """With these log ratios of being lost and of other places (h,) and of being where it thinks."""
+        most = max(0.0, lost, *there.tolist())
+        weight, other_weight = self.weight * math.exp(-most), self.other_weight * np.exp(there - most)
         p_lost = self.lost * math.exp(lost - most)
         total = float(weight.sum() + other_weight.sum()) + p_lost
         return self._replace(weight=weight / total, other_weight=other_weight / total, lost=p_lost / total)

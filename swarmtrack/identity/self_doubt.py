@@ -145,10 +145,11 @@ class SelfDoubt:
 
     def trusts_place(self, track_id: int, drone_id: int, weighing: Weighing) -> bool:
         """Whether its place may tell that a track is a drone. Who may be wrong itself waits for motion, of those that
-        tell how they move: until it is clear to which side it looks, and where it moves as two of them."""
+        tell how they move: until it is clear to which side it looks, and where it moves as two of them. That nobody
+        else is left is as good."""
         if not (self.said or self._p > SUSPECTED) or not weighing.tells_motion(drone_id):
             return True
-        if self.said and self.own.beside > FAR:
+        if self.said and self.own.beside > FAR and not weighing.leaves_only(track_id, drone_id):
             return False
         return not weighing.moves_as_another(track_id, drone_id)
 
@@ -182,11 +183,12 @@ class SelfDoubt:
         )
 
     def _wrong(self, observer: TeamPose) -> float:
-        """The probability that it is, by more than is expected of such a heading and start."""
+        """The probability that it is, by more than is expected of such a heading and start. No teammate's word alone
+        begins a doubt, and any keeps it up."""
         start_sigma = math.hypot(self._start_sigma, observer.position_sigma)
-        return self.own.seen_by(self._onlookers).off_by(
-            max(SIGMAS * self.own.heading_sigma, LEAST), max(SIGMAS * start_sigma, LEAST_M)
-        )
+        azimuth, metres = max(SIGMAS * self.own.heading_sigma, LEAST), max(SIGMAS * start_sigma, LEAST_M)
+        wrong = [own.off_by(azimuth, metres) for own in self.own.seen_by(self._onlookers)]
+        return wrong[0] if self.said else min(wrong)
 
     def _break_off(self, t: float) -> None:
         """Nobody is left to compare with: a doubt neither grows nor goes."""

@@ -31,6 +31,8 @@ MISPLACED_M = 6.0
 LEAVES = 1.0
 # s that names must stand side by side, or motion speak for one, until their places are known to be right; and how many.
 FITS_S, TOGETHER = 1.0, 2
+# s that a name is kept which a place gave before the tracks ceased to fit the team.
+KEPT_S = 0.5
 
 
 class TeamFit:
@@ -82,7 +84,7 @@ class TeamFit:
     def forbids(self, name: Assignment, t: float) -> bool:
         """Whether a name that motion does not prove is given up: its place gave it before it showed that the tracks do
         not fit the team, they have not for a while, and motion will tell."""
-        lasts = t - self._puzzling_since >= FITS_S
+        lasts = t - self._puzzling_since >= KEPT_S
         return lasts and not self.tells(name.drone_id) and self._weighing.tells_motion(name.drone_id)
 
     def may_be_missing(self, track: Track, view: ObserverCamera) -> bool:

@@ -353,6 +353,11 @@ class Weighing:
             if other != drone_id
         )
 
+    def leaves_only(self, track_id: int, drone_id: int) -> bool:
+        """Whether motion proves of all other teammates that they are other tracks."""
+        others = self._placed.keys() - {drone_id}
+        return all(self.proofs.track_of(other) not in (None, track_id) for other in others)
+
     def moved_since(self, held: Assignment) -> float:
         """Log ratio: what motion says of an ID since it was last judged."""
         return self.motion(held.track_id, held.drone_id) - held.motion

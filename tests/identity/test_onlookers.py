@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from support.observer import LEFT, Observer
 from swarmtrack.identity.onlookers import COUNTS_IN_DOUBT_S, COUNTS_S, Onlookers
 from swarmtrack.messages import Sighting, SightingReport
 
@@ -30,16 +31,40 @@ def onlookers():
 
 
 def gain(onlookers):
-    """By how much what is said speaks for two metres further east, in nats."""
-    return float(onlookers.log_likelihood(THERE, EXACT)[0] - onlookers.log_likelihood(HERE, EXACT)[0])
+    """By how much what is said speaks for two metres further east, without whoever says most, in nats."""
+    return float(onlookers.log_ratios(THERE, EXACT).min())
 
 
-def test_one_that_sees_it_elsewhere_may_be_wrong_itself_and_two_are_hardly(onlookers):
+def by_all(onlookers):
+    """The same with all of them."""
+    return float(onlookers.log_ratios(THERE, EXACT)[0, 0])
+
+
+def test_one_that_sees_it_elsewhere_may_be_wrong_and_of_several_all_but_one_count(onlookers):
     onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0]))
-    one = gain(onlookers)
+    one = by_all(onlookers)
+    assert one > 1.0
+    assert gain(onlookers) == 0.0
     onlookers.tell(report(3, (-8.0, 0.0, 0.0), THERE[0]))
-    assert 0.0 < one < math.log(100.0)
+    two = gain(onlookers)
+    assert two == pytest.approx(one, rel=0.01)
+    assert by_all(onlookers) == pytest.approx(2.0 * one, rel=0.01)
+    onlookers.tell(report(4, (8.0, 0.1, 0.0), THERE[0]))
     assert gain(onlookers) == pytest.approx(2.0 * one, rel=0.01)
+
+
+def test_one_that_says_the_same_again_and_again_is_one(onlookers):
+    for t in (0.8, 0.9, 1.0):
+        onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0], t=t))
+    assert onlookers.are_puzzled
+    assert gain(onlookers) == 0.0
+
+
+def test_who_sees_it_in_no_likely_place_at_all_speaks_for_none(onlookers):
+    for observer, ahead in ((2, 8.0), (3, -8.0)):
+        onlookers.tell(report(observer, (ahead, 0.0, 0.0), (2.0 * ahead, 0.0, 0.0)))
+    assert onlookers.are_puzzled
+    assert abs(gain(onlookers)) < 0.1
 
 
 def test_who_sees_it_where_it_says_proves_nothing(onlookers):
@@ -49,10 +74,11 @@ def test_who_sees_it_where_it_says_proves_nothing(onlookers):
 
 
 def test_two_that_see_it_in_different_places_do_not_agree_on_either(onlookers):
-    onlookers.tell(report(2, (8.0, 0.0, 0.0), THERE[0]))
-    one = gain(onlookers)
-    onlookers.tell(report(3, (-8.0, 0.0, 0.0), -THERE[0]))
-    assert gain(onlookers) < one
+    for observer, ahead in ((2, 8.0), (3, -8.0), (4, 9.0)):
+        onlookers.tell(report(observer, (ahead, 0.0, 0.0), THERE[0] * math.copysign(1.0, ahead)))
+    disagree = gain(onlookers)
+    onlookers.tell(report(3, (-8.0, 0.0, 0.0), THERE[0]))
+    assert gain(onlookers) - disagree > 0.0
 
 
 @pytest.mark.parametrize(
@@ -85,3 +111,34 @@ def test_a_report_counts_for_longer_while_nobody_can_say_it_again(onlookers, in_
     assert onlookers.are_puzzled
     onlookers.follow(1.0 + counts_s + 0.1, np.zeros(3), 0.05, in_doubt=in_doubt)
     assert not onlookers.are_puzzled
+
+
+@pytest.mark.parametrize(("liars", "doubts"), [(1, False), (2, True)])
+def test_one_that_lies_makes_a_drone_without_a_look_of_its_own_doubt_nothing_and_two_may(liars, doubts):
+    """What it sees is older than what was said of it, so that its own looks tell nothing."""
+    observer = Observer()
+    observer.hears(2, LEFT)
+    for drone_id, place in ((3, (-6.0, 3.0, 0.0)), (4, (-8.0, -3.0, 0.0))):
+        observer.hears_at(drone_id, np.array(place))
+    observer.sees(1.0, a=LEFT)
+    for _ in range(4):
+        for drone_id, place in ((3, (-6.0, 3.0, 0.0)), (4, (-8.0, -3.0, 0.0)))[:liars]:
+            said = report(drone_id, place, (0.0, 4.0, 0.0), t=observer.t)
+            observer.identities.on_report(said)
+        observer.sees(1.0, a=LEFT)
+    assert observer.identities.self_doubt == doubts
+
+
+@pytest.mark.parametrize("objects", [False, True])
+def test_a_doubt_that_its_own_looks_began_lasts_while_anybody_sees_it_elsewhere(objects):
+    observer = Observer()
+    observer.hears(2, LEFT)
+    observer.hears_at(3, np.array((-6.0, 3.0, 0.0)))
+    observer.sees(3.0, a=(420.0, 240.0))
+    assert observer.identities.self_doubt
+    if objects:
+        observer.identities.on_report(report(3, (-6.0, 3.0, 0.0), (0.0, 8.0, 0.0), t=observer.t))
+    for _ in range(4):
+        observer.sees(1.0, b=LEFT)
+        observer.is_told(2, LEFT)
+    assert observer.identities.self_doubt == objects

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, at, shifted
-from support.swaying import Sway
+from support.swaying import SIZE, Sway
 from swarmtrack.identity.proof import LASTS_S, PROVED, Proofs
 from swarmtrack.identity.weighing import PLACE_ALONE
 
@@ -125,3 +125,15 @@ def test_who_doubts_itself_does_not_tell_by_their_places_who_is_who_of_two_that_
     assert flight.observer.identities.self_doubt
     for _ in range(20):
         assert flight.flies(SCAN_S) == {"a": None, "b": None}
+
+
+def test_who_does_not_know_to_which_side_it_looks_names_by_place_who_alone_is_left():
+    """Its compass is off by 90°; motion has told it who the first two are, and not yet which way is north."""
+    flight = Sway(
+        {"a": LEFT, "b": RIGHT}, {2: 31, 3: 32, 4: 33}, {2: LEFT, 3: RIGHT, 4: MIDDLE}, north_deg=90.0
+    )
+    assert flight.flies(6.0) == {"a": 2, "b": 3}
+    assert flight.observer.identities.self_doubt
+    flight.places["c"], flight.observer.sizes["c"] = MIDDLE, SIZE
+    assert flight.flies(LASTS_S)["c"] == 4
+    assert flight.proofs()[4] is None

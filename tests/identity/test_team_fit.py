@@ -6,7 +6,7 @@ import pytest
 from support.observer import CAMERA, FORWARD, LEFT, MIDDLE, RIGHT, Observer
 from swarmtrack.identity.names import Names
 from swarmtrack.identity.reprojection import NOBODY, ObserverCamera
-from swarmtrack.identity.team_fit import TeamFit
+from swarmtrack.identity.team_fit import KEPT_S, TeamFit
 from swarmtrack.identity.teammates import Teammates
 from swarmtrack.identity.weighing import Weighing
 from swarmtrack.messages import Announcement, Track, TrackStatus
@@ -59,7 +59,8 @@ def test_a_name_given_before_the_others_were_heard_waits_for_motion_where_their_
     assert observer.sees(1.0, a=LEFT, b=MIDDLE, c=RIGHT)["b"] == 2
     observer.hears(3, UP, metres=-8.0)
     observer.hears(4, FAR_UP, metres=-8.0)
-    assert observer.sees(2.0, a=LEFT, b=MIDDLE, c=RIGHT) == {"a": None, "b": None, "c": None}
+    assert observer.sees(KEPT_S - 0.2, a=LEFT, b=MIDDLE, c=RIGHT)["b"] == 2
+    assert observer.sees(0.4, a=LEFT, b=MIDDLE, c=RIGHT) == {"a": None, "b": None, "c": None}
 
 
 @pytest.mark.parametrize(("metres_aside", "may_be"), [(5.0, True), (20.0, False)])

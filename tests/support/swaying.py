@@ -5,23 +5,26 @@ import math
 import numpy as np
 
 from support.observer import SCAN_S, Observer, at
+from swarmtrack.geometry import rotation
 from swarmtrack.messages import MotionReport, SightingReport
 
 SIZE = (24.0, 24.0)
 
 
 class Sway:
-    """Drones at 8 m that sway; each says how, or something else, and once a second where it thinks that it is."""
+    """Drones at 8 m that sway; each says how, or something else, and once a second where it thinks that it is. The
+    observer's north is off by so many degrees."""
 
-    def __init__(self, places, sways, thinks, said=None, observer=None):
+    def __init__(self, places, sways, thinks, said=None, observer=None, north_deg=0.0):
         self.places, self.sways, self.said = places, sways, sways if said is None else said
         self.observer = observer or Observer()
         self.observer.sizes = dict.fromkeys(places, SIZE)
         self.sequence = 0
         self.told = []
         self.thinks = thinks
+        self.turn = rotation.from_euler(0.0, 0.0, math.radians(north_deg))
         for drone, pixel in thinks.items():
-            self.observer.hears(drone, pixel)
+            self.observer.hears_at(drone, self.turn @ at(pixel))
 
     def flies(self, seconds):
         """The names after so long."""
@@ -49,16 +52,16 @@ class Sway:
                 self.sequence,
                 t,
                 0.0,
-                swaying(sway, t),
+                self.turn @ swaying(sway, t),
                 0.01 * np.eye(3),
-                velocity,
+                self.turn @ velocity,
                 np.eye(3),
             )
         )
 
     def _report(self, drone, place, t):
         self.observer.identities.on_report(
-            SightingReport(drone, "0000000a", self.sequence, t, 0.0, place, 0.1, (), ())
+            SightingReport(drone, "0000000a", self.sequence, t, 0.0, self.turn @ place, 0.1, (), ())
         )
 
     def _pixel(self, name, t):
