@@ -36,7 +36,7 @@ from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
 from swarmtrack.tracking.manoeuvre import AS_TOLD, PLACE, AgileLevel, Manoeuvres, ModeInnovations, ModeMixture
-from swarmtrack.tracking.motion_model import POSITION, Course, Drift
+from swarmtrack.tracking.motion_model import POSITION, Course, FadingAcceleration
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.population import Population, blend_sizes
@@ -254,7 +254,7 @@ class Mbm:
             psd=published.mode @ manoeuvres.calmed(self._sensor.noise.motion).psd,
             camera=self._sensor.camera,
             turn=self._turn,
-            drift=Drift(
+            drift=FadingAcceleration(
                 manoeuvre.mean_acceleration(published),
                 partial(manoeuvre.acceleration_reach, manoeuvres=manoeuvres),
             ),

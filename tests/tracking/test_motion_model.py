@@ -10,7 +10,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.motion_model import (
     Course,
-    Drift,
+    FadingAcceleration,
     optical_flow,
     propagate,
     turn_by_flow,
@@ -177,7 +177,7 @@ def test_a_course_says_what_propagate_says(dt, angle, turn):
     root = rng.normal(0.0, 3.0, (7, 4, 4))
     cov, psd = root @ root.swapaxes(1, 2), rng.uniform(100.0, 3000.0, 7)
     R = None if angle is None else rotation.exp(np.array(angle))
-    drift = Drift(rng.normal(0.0, 500.0, (7, 2)), lambda dt: (0.4 * dt**2, 0.8 * dt))
+    drift = FadingAcceleration(rng.normal(0.0, 500.0, (7, 2)), lambda dt: (0.4 * dt**2, 0.8 * dt))
     course = Course(
         mean, cov, psd=psd, camera=CAMERA, turn=turn, drift=drift, gyro_error=lambda told: 2.0 * told
     )
