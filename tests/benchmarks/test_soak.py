@@ -1,4 +1,4 @@
-"""Random and hostile scans leave every number sound: a hundred, 2000 in the long form, a million in `bench soak`."""
+"""Random and hostile scans leave every number sound: a hundred, 1000 in the long form, a million in `bench soak`."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from swarmtrack.tracking import TRACKERS
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("scans", [100, pytest.param(2000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("scans", [100, pytest.param(1000, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", TRACKERS)
 def test_hostile_scans_leave_every_number_sound(name, scans):
     found = soak.endure(name, scans, seed=3)

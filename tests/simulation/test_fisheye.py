@@ -81,6 +81,6 @@ def test_drones_at_the_end_of_the_field_are_named():
 
 @pytest.mark.long
 def test_a_whole_flight_of_it_has_no_wrong_name():
-    flight = all_round.fly("fisheye", 30.0, "mbm", 2)
+    flight = all_round.fly("fisheye", 20.0, "mbm", 2)
     assert flight.score.wrong == 0.0
     assert flight.score.correct > 0.98
