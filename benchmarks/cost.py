@@ -1,7 +1,8 @@
 """What tracking and an agent cost, beside another checkout: both are timed by turns, in processes of their own.
 
 Machines are shared and their clocks vary, so a figure of yesterday says little; the ratio of two figures from one run
-says much. Of each figure the median over the rounds is shown.
+says much. Of each figure the least of the rounds is shown: whatever disturbs a round only adds to it.
+Who is first changes from round to round.
 
     swarmtrack bench cost --beside ../swarmtrack-before [--quick] --out DIR
 """
@@ -14,7 +15,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import swarmtrack
@@ -27,7 +27,7 @@ NAME = "cost"
 HERE = Path(swarmtrack.__file__).resolve().parents[1]
 # What is probed, and how much of it: scans, and seconds of flight.
 USUAL, QUICK = {"trackers": 200, "agent": 10}, {"trackers": 30, "agent": 3}
-ROUNDS = 3
+ROUNDS = 6
 
 Figures = dict[str, float]
 
@@ -46,12 +46,12 @@ def publish(out: Path, beside: Path | None, amounts: dict[str, int], rounds: int
     checkouts = [path for path in (beside, HERE) if path is not None]
     found: dict[Path, list[Figures]] = {path: [] for path in checkouts}
     with report.progress(NAME, rounds * len(amounts) * len(checkouts)) as advance:
-        for _ in range(rounds):
+        for turn in range(rounds):
             for kind, amount in amounts.items():
-                for path in checkouts:
+                for path in checkouts if turn % 2 == 0 else checkouts[::-1]:
                     found[path].append(probed(path, kind, amount))
                     advance(kind)
-    of_each = [_medians(found[path]) for path in checkouts]
+    of_each = [_least(found[path]) for path in checkouts]
     here, before = of_each[-1], of_each[0] if beside is not None else None
     result: dict[str, Any] = {"here": here, "beside": before}
     report.write(out, NAME, result, _markdown(here, before))
@@ -69,9 +69,9 @@ def probed(checkout: Path, kind: str, amount: int) -> Figures:
     return figures
 
 
-def _medians(rounds: list[Figures]) -> Figures:
+def _least(rounds: list[Figures]) -> Figures:
     names = dict.fromkeys(name for figures in rounds for name in figures)
-    return {name: median(figures[name] for figures in rounds if name in figures) for name in names}
+    return {name: min(figures[name] for figures in rounds if name in figures) for name in names}
 
 
 def _markdown(here: Figures, before: Figures | None) -> str:

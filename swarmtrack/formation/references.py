@@ -77,7 +77,7 @@ class ReferenceWatch:
         elif p < DOUBTED or not self.trusted:
             self._sure_since = None
         lasts = self._sure_since is not None and t - self._sure_since >= ENTRY_S
-        # Who is not detected just now is flown by on, and not from now on.
+        # A missed detection ends no trust, and begins none.
         self.trusted = lasts and (self.trusted or coasting is None)
         self.entering = not self.trusted
         if self.trusted:

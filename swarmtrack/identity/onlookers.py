@@ -32,7 +32,7 @@ VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 3.0, 0.3
 # Of reports: those as good as they say, those off by some of it, and those by much; these in rad and m.
 SHARES, OFF = (0.8, 0.14, 0.06), ((0.0, 0.0), (math.radians(6.0), 0.3), (math.radians(20.0), 1.5))
 # Of reports: those that are simply wrong, on a ray anywhere around.
-WRONG = 0.02
+WRONG = 1e-4
 # rad: how well two autopilots agree on north.
 NORTH_SIGMA = 0.03
 # Sigmas: so far from where it should be, a sight is worth a thought.

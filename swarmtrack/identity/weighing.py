@@ -193,7 +193,7 @@ class Weighing:
             before = self._placed.get(drone)
             if before is None or place.t > before.t:
                 self._placed[drone] = place
-                if place.t - self._published.get(drone, -math.inf) > SILENT_S:
+                if not self._says_motion(drone, place.t):
                     self._motion.hear(_said_by(place, before))
         for saying in self._agreed.at(view.observer.t):
             self._motion.hear(saying)
