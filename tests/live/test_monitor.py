@@ -144,6 +144,14 @@ async def test_one_whose_radio_died_is_grey_within_three_seconds_though_its_toke
         await until_said(page, "drone 1 is gone", "warn")
 
 
+# Collects what the page says before another state has come.
+EARLY_WORDS = """() => {
+    const last = state, send = WebSocket.prototype.send;
+    window.early = [];
+    WebSocket.prototype.send = function (word) { if (state === last) early.push(word); send.call(this, word) };
+}"""
+
+
 @needs_chromium
 async def test_the_page_comes_back_by_itself_when_the_monitor_does(team: str) -> None:
     async with scripted_team(team, 2), browser_page() as (page, _):
@@ -152,10 +160,13 @@ async def test_the_page_comes_back_by_itself_when_the_monitor_does(team: str) ->
         await until_said(page, "2 drones agree", "ok")
         assert await first.end() == 0
         await until_said(page, "no link to the monitor", "idle")
+        await page.evaluate(EARLY_WORDS)
         async with monitor(team, "--port", first.url.rsplit(":", 1)[1].strip("/")):
             await until_said(page, "2 drones agree", "ok")
             before = await page.evaluate("stats.pictures")
             await page.wait_for_function("n => stats.pictures > n + 2", arg=before)
+            # What it asked for before the new monitor knew of any drone would be granted for none.
+            assert await page.evaluate("early") == []
 
 
 @needs_chromium
