@@ -541,7 +541,7 @@ class Onboard:
         self.counters.scans += 1
         self.counters.detections += len(detections)
         tracks = self._rig.tracks(orientation)
-        observer = self._ego.at(t) if is_known else None
+        observer = self._ego.steady(t) if is_known else None
         if observer is not None:
             self._identities.observe(self._placeable(tracks), observer, number)
             self._events += self._identities.take_astray()

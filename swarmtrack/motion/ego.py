@@ -226,6 +226,15 @@ class EgoHistory:
             max(before.attitude_cov, after.attitude_cov, key=np.trace),
         )
 
+    def steady(self, t: float) -> TeamPose | None:
+        """The pose at t, with a place that does not jitter from one pose to the next: that of a straight line through
+        those around it. Whoever compares places of one second with each other takes the jitter for a motion."""
+        pose, line = self.at(t), self._line_around(t)
+        if pose is None or line is None:
+            return pose
+        middle, place, velocity, _ = line
+        return replace(pose, position=place + (t - middle) * velocity)
+
     def moved(self, drone_id: int, boot: str, sequence: int) -> MotionReport | None:
         """How this drone moves, and how far it is from where it was first known to be; None where nobody knows.
 
@@ -254,9 +263,7 @@ class EgoHistory:
 
     def velocity(self, t: float) -> tuple[Array, Array]:
         """How this drone itself moves at t: (3,) m/s in the team frame, and its covariance (3, 3)."""
-        line = None
-        if self._placed is not None:
-            line = self._line(t - 0.5 * SPEED_OVER, t + 0.5 * SPEED_OVER) or self._line(t - SPEED_OVER, t)
+        line = self._line_around(t)
         if line is None:
             return np.zeros(3), SPEED_SIGMA**2 * np.eye(3)
         middle, _, velocity, cov = line
@@ -272,6 +279,12 @@ class EgoHistory:
             self._newest_velocity = self.velocity(self._poses[-1].t)
         velocity, cov = self._newest_velocity
         return ahead * velocity, velocity, cov + (ACCELERATION_SIGMA * ahead) ** 2 * _EYE
+
+    def _line_around(self, t: float) -> tuple[float, Array, Array, Array] | None:
+        """`_line` of the poses on both sides of t, or of those before it; None where no place was ever known."""
+        if self._placed is None:
+            return None
+        return self._line(t - 0.5 * SPEED_OVER, t + 0.5 * SPEED_OVER) or self._line(t - SPEED_OVER, t)
 
     def _line(self, begin: float, end: float) -> tuple[float, Array, Array, Array] | None:
         """A straight line through the poses of that time: its middle [s] and place there, its slope (3,) m/s and the

@@ -41,3 +41,35 @@ def test_within_the_history_there_is_no_way_and_the_velocity_of_then():
     way, velocity, _ = ego.flown_on(0.5)
     assert (way == 0.0).all()
     assert velocity == pytest.approx([1.0, 0.0, 0.0])
+
+
+def jittering(sigma, velocity=(1.0, -2.0, 0.5)):
+    rng, ego = np.random.default_rng(1), EgoHistory(origin=np.zeros(3))
+    for k in range(101):
+        place = k / HZ * np.array(velocity)
+        noise = sigma * rng.standard_normal(3) if k else 0.0
+        ego.append(EgoPose(t=k / HZ, position=place + noise, world_from_body=np.eye(3)))
+    return ego
+
+
+def test_a_steady_place_jitters_less_than_the_poses_around_it():
+    ego = jittering(0.03)
+    times = np.arange(0.5, 1.9, 0.013)
+    true = times[:, None] * np.array([1.0, -2.0, 0.5])
+    steady, at = (np.array([of(t).position for t in times]) - true for of in (ego.steady, ego.at))
+    assert np.abs(steady).std() < 0.5 * np.abs(at).std()
+    assert steady.std() < 0.012
+
+
+def test_a_steady_place_goes_on_with_the_drone_between_and_beyond_its_poses():
+    ego = jittering(0.0)
+    for t in (0.5, 1.003, 1.99, 2.0, 2.1):
+        assert ego.steady(t).position == pytest.approx(t * np.array([1.0, -2.0, 0.5]), abs=1e-9)
+    assert (ego.steady(2.1).position_cov == ego.at(2.1).position_cov).all()
+
+
+def test_without_a_place_or_alone_a_pose_is_as_steady_as_it_is():
+    ego = EgoHistory(origin=np.zeros(3))
+    assert ego.steady(0.0) is None
+    ego.append(EgoPose(t=0.0, position=np.array([1.0, 2.0, 3.0]), world_from_body=np.eye(3)))
+    assert ego.steady(0.01).position == pytest.approx(ego.at(0.01).position)
