@@ -18,6 +18,7 @@ from swarmtrack.messages import Array
 BODY_FROM_FORWARD_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Of a camera (x right, y down, z forward) that looks along the nose: body FRD = [z_cam, x_cam, y_cam]."""
 BODY_FROM_FORWARD_CAMERA.setflags(write=False)
+_NO_ROTATION = "quaternion: norm is zero or NaN, expected a rotation (w, x, y, z)"
 
 
 def hat(v: ArrayLike) -> Array:
@@ -65,9 +66,11 @@ def log(R: ArrayLike) -> Array:
 def from_quaternion(q: ArrayLike) -> Array:
     """The matrix of a quaternion (w, x, y, z), normalised first. q (…, 4) -> (…, 3, 3)."""
     q = np.asarray(q, dtype=float)
+    if q.shape == (4,):
+        return _matrix_of_one(q.tolist())
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(norm > 0.0):  # NaN fails this too
-        raise ValueError("quaternion: norm is zero or NaN, expected a rotation (w, x, y, z)")
+        raise ValueError(_NO_ROTATION)
     w, x, y, z = np.moveaxis(q / norm, -1, 0)
     R = np.empty((*q.shape[:-1], 3, 3))
     R[..., 0, 0], R[..., 1, 1], R[..., 2, 2] = (
@@ -179,6 +182,20 @@ def _log_of_one(rows: list[list[float]]) -> Array:
     sine = math.sqrt(x * x + y * y + z * z)
     scale = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
     return np.array([scale * x, scale * y, scale * z])
+
+
+def _matrix_of_one(q: list[float]) -> Array:
+    norm = math.sqrt(_dot(q, q) + q[3] * q[3])
+    if not norm > 0.0:
+        raise ValueError(_NO_ROTATION)
+    w, x, y, z = (part / norm for part in q)
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
 
 
 def _quaternion_of_one(rows: list[list[float]]) -> tuple[float, float, float, float]:

@@ -78,7 +78,8 @@ class EgoHistory:
 
     Heading and place are continuous in the team frame: when the estimator's heading jumps (it aligns itself seconds
     after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
-    origin, goes on from where the drone was last.
+    origin, goes on from where the drone was last. Where it flew meanwhile nobody knows: by as much its place is less
+    sure from then on.
 
     So does one whose place leaps, as a receiver's does that loses its satellites: nobody flew that way, and a velocity
     that spans it is none. Whether the place was right before the leap or is so since, the leap does not tell. `leapt`
@@ -113,6 +114,8 @@ class EgoHistory:
         self._turn_sigma = 0.0
         self._jumped_at = -math.inf
         self._shift: Array | None = None
+        self._unseen_var = 0.0
+        """m² per axis: of all ways that were flown while no pose told of them."""
         self._yaw: tuple[float, float] | None = None
         self._first_place: Array | None = None
         self._placed: TeamPose | None = None  # the last whose position the autopilot knew
@@ -154,8 +157,11 @@ class EgoHistory:
         position, cov = place
         tilt, heading = pose.attitude_sigma**2, self.heading.sigma(pose.t) ** 2
         turned = turn @ pose.world_from_body
-        placed = TeamPose(pose.t, position, turned, cov, np.diag([tilt, tilt, heading]))
-        insort(self._poses, placed, key=lambda kept: kept.t)
+        placed = TeamPose(pose.t, position, turned, cov, _diagonal(tilt, tilt, heading))
+        if not self._poses or pose.t >= self._poses[-1].t:
+            self._poses.append(placed)
+        else:
+            insort(self._poses, placed, key=lambda kept: kept.t)
         self._newest_velocity = None
         if pose.position is not None:
             self._placed = placed
@@ -321,6 +327,8 @@ class EgoHistory:
         assert self._turn is not None
         if self._shift is None:
             self._shift = self.origin if last is None else last - self._turn @ pose.position
+            if self._placed is not None and not self.heading.is_on_ground:
+                self._unseen_var += (SPEED_SIGMA * (pose.t - self._placed.t)) ** 2
         position = self._turn @ pose.position + self._shift
         leap = self._leap(pose.t, position)
         if leap is not None:
@@ -328,7 +336,8 @@ class EgoHistory:
             self.leapt, self.leapt_at = self.leapt + leap, pose.t
             self.place_leaps += 1
         vertical = pose.position_sigma if pose.vertical_sigma is None else pose.vertical_sigma
-        cov = np.diag(np.square([pose.position_sigma, pose.position_sigma, vertical]))
+        level = pose.position_sigma**2 + self._unseen_var
+        cov = _diagonal(level, level, vertical**2 + self._unseen_var)
         if start is not None:
             # The way from there was turned along with a heading that is not exact.
             north, east, _ = (self._turn_sigma * (position - start)).tolist()
@@ -375,6 +384,10 @@ class EgoHistory:
         self._turn = self._turn @ rotation.from_euler(0.0, 0.0, -jump)
         # The old one was made with the old heading.
         self._shift = None
+
+
+def _diagonal(x: float, y: float, z: float) -> Array:
+    return np.array([[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]])
 
 
 def _heading(world_from_body: Array) -> float:
