@@ -140,8 +140,9 @@ def publish(
     tracker: str,
     processes: int | None = None,
 ) -> dict[str, Any]:
-    """Fly everything, write all-round.json and all-round.md into `out`."""
+    """Fly everything, write all-round.json and all-round.md into `out` after each scenario."""
     found: dict[str, Any] = {}
+    result = {"seeds": seeds, "seconds": seconds, "tracker": tracker, "scenarios": found}
     with (
         multiprocessing.get_context("spawn").Pool(processes) as pool,
         report.progress(NAME, len(scenarios) * seeds) as advance,
@@ -152,8 +153,7 @@ def publish(
                 flights.append(flight)
                 advance(scenario)
             found[scenario] = summary(flights)
-    result = {"seeds": seeds, "seconds": seconds, "tracker": tracker, "scenarios": found}
-    report.write(out, NAME, result, _markdown(result))
+            report.write(out, NAME, result, _markdown(result))
     return result
 
 

@@ -193,8 +193,15 @@ def publish(
     share_hz: float | None = None,
     processes: int | None = None,
 ) -> dict[str, Any]:
-    """Fly everything, write misconfigured.json and misconfigured.md into `out`."""
+    """Fly everything, write misconfigured.json and misconfigured.md into `out` after each row."""
     found: dict[str, dict[str, Any]] = {}
+    result = {
+        "seeds": seeds,
+        "sigma_m": sigma_m,
+        "tracker": tracker,
+        "share_hz": share_hz,
+        "scenarios": found,
+    }
     with (
         multiprocessing.get_context("spawn").Pool(processes) as pool,
         report.progress(NAME, len(scenarios) * len(chosen) * seeds) as advance,
@@ -208,14 +215,7 @@ def publish(
                     flights.append(flight)
                     advance(f"{scenario}: {row.name}")
                 found[scenario][row.name] = summary(flights)
-    result = {
-        "seeds": seeds,
-        "sigma_m": sigma_m,
-        "tracker": tracker,
-        "share_hz": share_hz,
-        "scenarios": found,
-    }
-    report.write(out, NAME, result, _markdown(result))
+                report.write(out, NAME, result, _markdown(result))
     return result
 
 

@@ -255,9 +255,10 @@ def run(args: argparse.Namespace) -> None:
 
 
 def publish(out: Path, seeds: int, *, tracker: str = "mbm", processes: int | None = None) -> dict[str, Any]:
-    """Fly everything, write seams.json and .md into `out`, and return what is in the JSON."""
+    """Fly everything, write seams.json and .md into `out` after each row, and return what is in the JSON."""
     assert tracker in TRACKERS
-    rows = []
+    rows: list[dict[str, Any]] = []
+    result = {"tracker": tracker, "seeds": seeds, "rows": rows}
     with (
         multiprocessing.get_context("spawn").Pool(processes) as pool,
         report.progress(NAME, seeds * len(ROWS)) as advance,
@@ -268,8 +269,7 @@ def publish(out: Path, seeds: int, *, tracker: str = "mbm", processes: int | Non
                 flown.append(flight)
                 advance(row.name)
             rows.append(_summary(row, flown))
-    result = {"tracker": tracker, "seeds": seeds, "rows": rows}
-    report.write(out, NAME, result, _markdown(result))
+            report.write(out, NAME, result, _markdown(result))
     return result
 
 
