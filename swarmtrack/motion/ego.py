@@ -78,8 +78,7 @@ class EgoHistory:
 
     Heading and place are continuous in the team frame: when the estimator's heading jumps (it aligns itself seconds
     after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
-    origin, goes on from where the drone was last. Where it flew meanwhile nobody knows: by as much its place is less
-    sure from then on.
+    origin, goes on from where the drone was last.
 
     So does one whose place leaps, as a receiver's does that loses its satellites: nobody flew that way, and a velocity
     that spans it is none. Whether the place was right before the leap or is so since, the leap does not tell. `leapt`
@@ -114,8 +113,6 @@ class EgoHistory:
         self._turn_sigma = 0.0
         self._jumped_at = -math.inf
         self._shift: Array | None = None
-        self._unseen_var = 0.0
-        """m² per axis: of all ways that were flown while no pose told of them."""
         self._yaw: tuple[float, float] | None = None
         self._first_place: Array | None = None
         self._placed: TeamPose | None = None  # the last whose position the autopilot knew
@@ -327,8 +324,6 @@ class EgoHistory:
         assert self._turn is not None
         if self._shift is None:
             self._shift = self.origin if last is None else last - self._turn @ pose.position
-            if self._placed is not None and not self.heading.is_on_ground:
-                self._unseen_var += (SPEED_SIGMA * (pose.t - self._placed.t)) ** 2
         position = self._turn @ pose.position + self._shift
         leap = self._leap(pose.t, position)
         if leap is not None:
@@ -336,8 +331,8 @@ class EgoHistory:
             self.leapt, self.leapt_at = self.leapt + leap, pose.t
             self.place_leaps += 1
         vertical = pose.position_sigma if pose.vertical_sigma is None else pose.vertical_sigma
-        level = pose.position_sigma**2 + self._unseen_var
-        cov = _diagonal(level, level, vertical**2 + self._unseen_var)
+        level = pose.position_sigma**2
+        cov = _diagonal(level, level, vertical**2)
         if start is not None:
             # The way from there was turned along with a heading that is not exact.
             north, east, _ = (self._turn_sigma * (position - start)).tolist()

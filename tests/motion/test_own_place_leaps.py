@@ -111,17 +111,3 @@ def test_by_gps_a_drone_whose_autopilot_rebooted_is_where_that_says():
     fly(ego, 0.5, begin=3.0, leap=LEAP)
     assert ego.at(3.4).position == pytest.approx(np.array([1.5 * 3.4, 0.0, 0.0]) + LEAP)
     assert not ego.leapt.any()
-
-
-@pytest.mark.parametrize(("flies", "sigma"), [(True, 4.0), (False, 0.1)])
-def test_what_a_rebooting_autopilot_flew_meanwhile_nobody_knows(flies, sigma):
-    ego = EgoHistory(origin=np.zeros(3))
-    ego.fly(FlightState(0.0, 0.0 if flies else None))
-    fly(ego, 1.0)
-    before = ego.at(1.0)
-    ego.restart()
-    fly(ego, 1.0, begin=5.0)
-    after = ego.at(6.0)
-    assert before.position_sigma == pytest.approx(0.1, abs=0.05)
-    assert after.position_sigma == pytest.approx(sigma, rel=0.05)
-    assert after.position - before.position == pytest.approx([1.5, 0.0, 0.0], abs=0.05)
