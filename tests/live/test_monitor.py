@@ -221,12 +221,12 @@ async def test_a_drone_with_four_cameras_has_a_picture_of_each_and_all_direction
         assert await page.locator("#cameras .camera").count() == 0
         assert await page.locator(".rig").first.locator(".camera").count() == 4
         # The strip shows the teammate where the camera that sees it looks.
-        await page.wait_for_function("() => [...rigs.values()].some(r => r.marks.length > 0)")
-        off = await page.evaluate(
-            "[...rigs.values()].flatMap(r => r.marks.map(m => {"
+        marks = await page.wait_for_function(
+            "() => { const off = [...rigs.values()].flatMap(r => r.marks.map(m => {"
             " const az = 360 * m.x / r.strip.clientWidth - 180, off = az - 90 * m.camera;"
-            " return [m.identity, Math.abs(((off + 540) % 360) - 180)]}))"
+            " return [m.identity, Math.abs(((off + 540) % 360) - 180)]})); return off.length ? off : null }"
         )
+        off = await marks.json_value()
         assert {identity for identity, _ in off} <= {1, 2}
         assert max(angle for _, angle in off) < 46.0
         # Pictures of those on the screen, and of no others.
