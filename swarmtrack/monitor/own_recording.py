@@ -169,7 +169,7 @@ class DroneRecording:
         self.tracked.add(exposed + self._offset, self._blob_file.put(data), t)
         if camera < len(self._cameras) and _is_due(self._scans[camera], t):
             self._scans[camera].append(_View(t, self._view(exposed, camera), None))
-        observer = self._ego.at(exposed)
+        observer = self._ego.steady(exposed)
         if observer is not None:
             self._seen = _Seen(data, observer)
 

@@ -227,8 +227,7 @@ def test_what_a_drone_said_by_its_own_recording_is_what_its_team_heard(flown):
     assert said.keys() == heard.keys()
     for number, ours in said.items():
         theirs = heard[number]
-        # Its recording has each pose of the autopilot; what is said is a line through some, which does not jitter.
-        assert ours.position_m == pytest.approx(theirs.position_m, abs=0.1)
+        assert ours.position_m == pytest.approx(theirs.position_m)
         assert ours.position_sigma_m == theirs.position_sigma_m
         assert [(s.drone_id, s.probability) for s in ours.sightings] == [
             (s.drone_id, s.probability) for s in theirs.sightings
