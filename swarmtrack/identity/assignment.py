@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from dataclasses import dataclass, field
 
 from swarmtrack.identity.parameters import IdentityParameters
@@ -13,6 +14,8 @@ from swarmtrack.identity.standing import Standing
 HELD_LOG_ODDS = math.log(1e3)
 # Of one whose track met another, or came back from where it was not seen.
 HIDDEN_LOG_ODDS = math.log(3.0)
+# The probability from which on a track is rather a stranger, and s for which it then stays one by place.
+STRANGE, STRANGE_S = 0.5, 10.0
 
 
 @dataclass(slots=True)
@@ -75,10 +78,18 @@ class Unassigned:
     """The probability that it is none."""
     foreign: bool = False
     """Unexplained for long enough."""
+    _strange_since: float | None = None
+    """s: since when it is rather no announced drone."""
+    _elsewhere: set[int] = field(default_factory=set)
+    """The drones that have said where they are all the time since then."""
+    _not_of: dict[int, float] = field(default_factory=dict)
+    """By drone that it was none of for long, with the drone's place known: until when, s."""
 
-    def weigh(self, p_none: float, t: float, parameters: IdentityParameters) -> bool:
-        """p_none: that it is no announced drone, by the scan of t. Whether one of them may explain it."""
+    def weigh(self, p_none: float, t: float, parameters: IdentityParameters, located: Set[int]) -> bool:
+        """p_none: that it is no announced drone, by the scan of t; located: the drones that say then where they are.
+        Whether one of them may explain it."""
         self.p_none = p_none
+        self._remember_strange(t, parameters.foreign_s, located)
         if p_none < parameters.probability:
             self.unexplained_since, self.foreign = None, False
             return True
@@ -86,3 +97,23 @@ class Unassigned:
             self.unexplained_since = t
         self.foreign = t - self.unexplained_since >= parameters.foreign_s
         return False
+
+    def was_strange_to(self, drone_id: int, t: float) -> bool:
+        """Whether it was rather a stranger for seconds, not long ago, while that drone said where it was: a track stays
+        what it is."""
+        return t - self._not_of.get(drone_id, -math.inf) < STRANGE_S
+
+    def reconsider(self) -> None:
+        """What it was taken for came of a place or a heading that was wrong."""
+        self._strange_since = None
+        self._not_of.clear()
+
+    def _remember_strange(self, t: float, long: float, located: Set[int]) -> None:
+        if self.p_none < STRANGE:
+            self._strange_since = None
+        elif self._strange_since is None:
+            self._strange_since, self._elsewhere = t, set(located)
+        else:
+            self._elsewhere &= located
+            if t - self._strange_since >= long:
+                self._not_of |= dict.fromkeys(self._elsewhere, t)

@@ -179,10 +179,12 @@ class Identities:
     def step_heading(self, t: float) -> None:
         """By t the autopilot's heading has stepped, and the drone has not turned."""
         self._weighing.step_heading(t)
+        self._names.reconsider_strangers()
 
     def lose_place(self) -> None:
         """This drone may be elsewhere than it thinks: places that were right as seen from there may be so no more."""
         self._weighing.proved_places.forget_all()
+        self._names.reconsider_strangers()
 
     def turn_unmeasured(self) -> None:
         """The camera has turned since the last scan, and nobody knows how far."""

@@ -175,14 +175,15 @@ class Judgement:
         """A track stays without an ID: ask the drones that it may be. One that is none of them asks nobody.
         may_be_foreign: whether "none of them" tells anything yet."""
         unassigned = self._names.leave_unassigned(track.id, t)
-        explained = unassigned.weigh(p_none, t, self._parameters)
+        explained = unassigned.weigh(p_none, t, self._parameters, self._located(t))
         unassigned.foreign &= may_be_foreign
         if explained and t - unassigned.first_t > NAMELESS_S:
             self._ask(matches, t)
 
     def _may_be_named(self, track: Track, drone: int, t: float) -> bool:
         """Whether any probability is enough: who is disputed, or knows no place, is named by motion alone, and so is
-        whoever tells how it moves where the own place, or the team's, may be wrong."""
+        whoever tells how it moves where the own place, or the team's, may be wrong. No place turns a stranger into a
+        teammate that was elsewhere."""
         if drone in self._disputes:
             return False
         tells_motion = self._weighing.tells_motion(drone)
@@ -192,7 +193,16 @@ class Judgement:
             return True
         if self._disputes.needs_proof(drone) or not self._team_fit.tells(drone):
             return False
+        unassigned = self._names.unassigned.get(track.id)
+        if unassigned is not None and unassigned.was_strange_to(drone, t):
+            return False
         return self._self_doubt.trusts_place(track.id, drone, self._weighing)
+
+    def _located(self, t: float) -> set[int]:
+        """The drones that have just said where they are."""
+        latest = self._teammates.whereabouts.latest
+        places = [latest(drone) for drone in self._teammates.announced]
+        return {place.drone_id for place in places if t - place.t <= FRESH_S and not is_vague(place)}
 
     def _doubt(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
         """Another track may be the drone: where this one was seen says nothing of where the drone is."""

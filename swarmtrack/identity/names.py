@@ -145,6 +145,11 @@ class Names:
         """A track has no ID, since t or before."""
         return self.unassigned.setdefault(track_id, Unassigned(t))
 
+    def reconsider_strangers(self) -> None:
+        """Whoever was taken for a stranger may be a teammate: this drone was wrong itself."""
+        for entry in self.unassigned.values():
+            entry.reconsider()
+
     def keep_unassigned(self, tracks: list[Track], t: float) -> None:
         """Of the tracks shown these take part in the matching: those among them without an ID. Those of other cameras
         stay as they are."""

@@ -224,6 +224,42 @@ def test_a_foreign_track_that_a_teammate_turns_out_to_be_is_named(observer):
     assert observer.sees(1.0, a=LEFT, b=RIGHT, c=MIDDLE)["c"] == 4
 
 
+@pytest.fixture
+def beside_a_stranger(observer):
+    """Drone 4 has said for four seconds that it is outside the image, and then where track c was all the time."""
+    observer.hears(4, OUTSIDE)
+    _is_told_and_sees(observer, 4.0, OUTSIDE)
+    return observer
+
+
+OUTSIDE, THERE = (900.0, 240.0), (320.0, 40.0)
+
+
+def _is_told_and_sees(observer, seconds, place, **tracks):
+    tracks = tracks or {"c": THERE}
+    for _ in range(round(seconds / 0.5)):
+        observer.is_told(4, place)
+        names = observer.sees(0.5, a=LEFT, b=RIGHT, **tracks)
+    return names
+
+
+def test_a_stranger_is_no_teammate_that_was_known_to_be_elsewhere(beside_a_stranger):
+    assert _is_told_and_sees(beside_a_stranger, 9.0, THERE)["c"] is None
+
+
+def test_after_ten_seconds_it_may_be_that_teammate_all_the_same(beside_a_stranger):
+    assert _is_told_and_sees(beside_a_stranger, 12.0, THERE)["c"] == 4
+
+
+def test_a_new_track_there_is_that_teammate(beside_a_stranger):
+    assert _is_told_and_sees(beside_a_stranger, 2.0, THERE, d=THERE)["d"] == 4
+
+
+def test_of_a_drone_that_was_wrong_itself_a_stranger_may_be_a_teammate(beside_a_stranger):
+    beside_a_stranger.identities.lose_place()
+    assert _is_told_and_sees(beside_a_stranger, 2.0, THERE)["c"] == 4
+
+
 def test_nobody_is_foreign_before_somebody_has_announced_itself():
     alone = Observer()
     assert alone.sees(4.0, a=MIDDLE) == {"a": None}
