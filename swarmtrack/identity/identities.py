@@ -284,6 +284,7 @@ class Identities:
         foreign = bool(self._teammates.announced) and not self._self_doubt.said
         foreign &= not self._weighing.misses_somebody(predicted, p_drone)
         self._team_fit.look(tracks, predicted, p_drone, t)
+        located = self._judgement.located(t)
         for i, track in enumerate(tracks):
             matches = self._weighing.matches(
                 i, track, predicted, t, p_drone=p_drone[i], p_seen=p_drone.sum(axis=0), ratios=ratios[i]
@@ -292,7 +293,9 @@ class Identities:
             if self._names.of(track.id) is None and track.status is TrackStatus.CONFIRMED:
                 p = min(p_none[i], PLACE_ALONE)
                 may_be_foreign = foreign and not self._team_fit.may_be_missing(track, view)
-                self._judgement.leave_unassigned(track, matches, p, t, may_be_foreign=may_be_foreign)
+                self._judgement.leave_unassigned(
+                    track, matches, p, t, may_be_foreign=may_be_foreign, located=located
+                )
 
     def _watch(self, view: ObserverCamera) -> None:
         """What all tracks tell, named or not: how they move, and whether this drone is where it thinks it is."""

@@ -8,7 +8,7 @@ drone should be: then its past counts only as far as it was earned.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
 
@@ -169,13 +169,26 @@ class Judgement:
         if before is not None:
             self._occlusion.verify(before, t)
 
+    def located(self, t: float) -> set[int]:
+        """The drones that have just said where they are."""
+        latest = self._teammates.whereabouts.latest
+        places = [latest(drone) for drone in self._teammates.announced]
+        return {place.drone_id for place in places if t - place.t <= FRESH_S and not is_vague(place)}
+
     def leave_unassigned(
-        self, track: Track, matches: Mapping[int, Match], p_none: float, t: float, *, may_be_foreign: bool
+        self,
+        track: Track,
+        matches: Mapping[int, Match],
+        p_none: float,
+        t: float,
+        *,
+        may_be_foreign: bool,
+        located: Set[int],
     ) -> None:
         """A track stays without an ID: ask the drones that it may be. One that is none of them asks nobody.
-        may_be_foreign: whether "none of them" tells anything yet."""
+        may_be_foreign: whether "none of them" tells anything yet; located: by `located`."""
         unassigned = self._names.leave_unassigned(track.id, t)
-        explained = unassigned.weigh(p_none, t, self._parameters, self._located(t))
+        explained = unassigned.weigh(p_none, t, self._parameters, located)
         unassigned.foreign &= may_be_foreign
         if explained and t - unassigned.first_t > NAMELESS_S:
             self._ask(matches, t)
@@ -197,12 +210,6 @@ class Judgement:
         if unassigned is not None and unassigned.was_strange_to(drone, t):
             return False
         return self._self_doubt.trusts_place(track.id, drone, self._weighing)
-
-    def _located(self, t: float) -> set[int]:
-        """The drones that have just said where they are."""
-        latest = self._teammates.whereabouts.latest
-        places = [latest(drone) for drone in self._teammates.announced]
-        return {place.drone_id for place in places if t - place.t <= FRESH_S and not is_vague(place)}
 
     def _doubt(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
         """Another track may be the drone: where this one was seen says nothing of where the drone is."""
