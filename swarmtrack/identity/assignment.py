@@ -83,7 +83,7 @@ class Unassigned:
     _elsewhere: set[int] = field(default_factory=set)
     """The drones that have said where they are all the time since then."""
     _not_of: dict[int, float] = field(default_factory=dict)
-    """By drone that it was none of for long, with the drone's place known: until when, s."""
+    """By drone that it was none of for long, with the drone's place known: when that was so last, s."""
 
     def weigh(self, p_none: float, t: float, parameters: IdentityParameters, located: Set[int]) -> bool:
         """p_none: that it is no announced drone, by the scan of t; located: the drones that say then where they are.

@@ -35,7 +35,7 @@ LIKELY = 0.01
 ASKED = 2
 # s that a track is nameless before its candidates are asked for their poses.
 NAMELESS_S = 1.0
-# s: so old a place still tells the distance.
+# s: so old a place still tells where its drone is, and how far.
 FRESH_S = 1.5
 
 
