@@ -41,6 +41,8 @@ class Assignment:
     """Where the drone was when it was last detected under a stated ID."""
     met: set[int] = field(default_factory=set)
     """The teammates that came near while the track was not detected: they may have been taken for one another."""
+    missed_alone: bool = True
+    """Whether no other track came near while it was not detected."""
     verified_t: float = -math.inf
     """s: when these were last asked where they are."""
 

@@ -11,6 +11,8 @@ from swarmtrack.identity.weighing import Weighing
 
 # s without a detection: no longer a miss.
 HIDDEN_S = 0.25
+# s without a detection: after longer a track may have taken up anything.
+ALONE_S = 1.0
 # s between two questions to drones that keep hiding each other.
 VERIFY_S = 1.0
 
@@ -25,16 +27,20 @@ class OcclusionWatch:
 
     def look(self, t: float) -> None:
         """A drone that is not detected may be taken for one near it. If that lasts, its ID is doubted once the track
-        is detected again."""
+        is detected again. Where nothing came near, how it moved before still tells who it is."""
         for held in self._names:
             since = self._names.alive[held.track_id].coasting_since
             if since is not None:
                 held.met |= self._near(held)
+                held.missed_alone &= t - since < ALONE_S and self._alone(held)
                 if t - since >= HIDDEN_S:
                     self._names.fire(held, Event.UNDETECTED)
-            elif held.standing is Standing.HIDDEN:
+                continue
+            alone, held.missed_alone = held.missed_alone, True
+            if held.standing is Standing.HIDDEN:
                 self._names.fire(held, Event.DETECTED_AGAIN)
-                self._weaken(held)
+                if not (alone and self._alone(held)):
+                    self._weaken(held)
                 self.verify(held, t)
             elif held.met:
                 still_near = held.met & self._near(held)
@@ -62,6 +68,12 @@ class OcclusionWatch:
     def _weaken(self, held: Assignment) -> None:
         held.weaken(HIDDEN_LOG_ODDS)
         self._weighing.hide(held.track_id, HIDDEN_LOG_ODDS)
+
+    def _alone(self, held: Assignment) -> bool:
+        """Whether no other track, named or not, nearly touches this one."""
+        own = self._names.alive[held.track_id]
+        others = (track for track in self._names.alive.values() if track.camera == own.camera)
+        return not any(track.id != own.id and meet(own, track) for track in others)
 
     def _near(self, held: Assignment) -> set[int]:
         """The drones whose tracks nearly touch this one."""

@@ -31,6 +31,27 @@ def test_a_name_is_stated_more_surely_than_by_place_once_its_proof_has_lasted():
     assert surest[False] <= PLACE_ALONE < PROVED < surest[True]
 
 
+@pytest.mark.parametrize(
+    ("near", "seconds", "stays"),
+    [(None, 0.5, True), (25.0, 0.5, False), (None, 1.5, False)],
+    ids=["nobody came near", "a stranger did", "for too long"],
+)
+def test_a_proof_outlives_a_gap_in_which_the_track_cannot_have_become_another(near, seconds, stays):
+    flight = Sway(
+        {"a": LEFT, "b": RIGHT, "c": MIDDLE}, {2: 12, 3: 13, 4: 14}, {2: LEFT, 3: RIGHT}, said={2: 12, 3: 13}
+    )
+    flight.flies(10.0)
+    before = flight.proofs()[2]
+    flight.places["c"] = MIDDLE if near is None else shifted(LEFT, near)
+    flight.missed = ("a",)
+    flight.flies(seconds)
+    flight.missed = ()
+    flight.flies(6 * SCAN_S)
+    after = flight.proofs()[2]
+    assert before is not None
+    assert (after is not None and after.since == before.since) == stays
+
+
 def test_who_starts_on_the_other_s_pad_gets_its_own_name_by_its_motion_and_that_is_said():
     flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: RIGHT, 3: LEFT})
     assert flight.flies(0.5) == {"a": 3, "b": 2}

@@ -13,7 +13,7 @@ SIZE = (24.0, 24.0)
 
 class Sway:
     """Drones at 8 m that sway; each says how, or something else, and once a second where it thinks that it is. The
-    observer's north is off by so many degrees."""
+    observer's north is off by so many degrees. missed: the tracks that are not detected from now on."""
 
     def __init__(self, places, sways, thinks, said=None, observer=None, north_deg=0.0):
         self.places, self.sways, self.said = places, sways, sways if said is None else said
@@ -21,6 +21,7 @@ class Sway:
         self.observer.sizes = dict.fromkeys(places, SIZE)
         self.sequence = 0
         self.told = []
+        self.missed = ()
         self.thinks = thinks
         self.turn = rotation.from_euler(0.0, 0.0, math.radians(north_deg))
         for drone, pixel in thinks.items():
@@ -39,7 +40,7 @@ class Sway:
                 for drone, pixel in self.thinks.items():
                     self._report(drone, at(pixel) + swaying(self.said[drone], t), t)
             pixels = {name: self._pixel(name, t) for name in self.places}
-            names = self.observer.sees(SCAN_S, **pixels)
+            names = self.observer.sees(SCAN_S, coasting=self.missed, **pixels)
             self.told += self.observer.identities.take_astray()
         return names
 
