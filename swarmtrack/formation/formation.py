@@ -41,7 +41,7 @@ from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
 # s: of a pose, of the gyro, of a scan: older than this they tell nothing of now.
 OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
-# m: of a place that is known worse the fence means nothing.
+# m: of a place that is known worse the fence means nothing, nor do heights that keep apart who fly beside each other.
 VAGUEST_PLACE_M = 1.0
 # s: so long after its heading stepped, or its place leapt, a drone does not fly by it.
 SETTLES_S = 3.0
@@ -67,10 +67,11 @@ MOST_ASIDE_M, BACK_S = 12.0, 10.0
 FARTHEST_M = 1e3
 
 # What a busy computer or link delays for a moment: only where it lasts so long [s] it costs the references their trust.
-LATE, LATE_S = (Why.OWN_POSE, Why.GYRO, Why.CAMERA), 0.5
+LATE, LATE_S = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA), 0.5
 
 HOLDS = {
-    Why.OWN_POSE: "own position is old or unsure",
+    Why.OWN_POSE: "own position is old",
+    Why.VAGUE: f"own position is known worse than {VAGUEST_PLACE_M:g} m",
     Why.GYRO: "gyro is silent",
     Why.CAMERA: "camera is silent or stuck",
     Why.CLASH: "another process speaks as this drone",
@@ -141,7 +142,7 @@ class Formation:
         why = _forbidden(own, self._cameras(own))
         if self._lasts(why, t):
             self._forget()
-        if why in (Why.OWN_POSE, Why.GYRO):
+        if why in (Why.OWN_POSE, Why.VAGUE, Why.GYRO):
             return self._brake(t, dt, why)
         if self._engaged_at is None:
             self._engaged_at = own.position
@@ -410,9 +411,9 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
     these has to be alive."""
     # Who doubts its start says that it knows its place to a kilometre: its autopilot still knows how it moves.
     vague = not own.doubted and not own.position_sigma <= VAGUEST_PLACE_M
-    if vague or not own.pose_age <= OLDEST_POSE_S:
-        return Why.OWN_POSE
     reasons = (
+        (not own.pose_age <= OLDEST_POSE_S, Why.OWN_POSE),
+        (vague, Why.VAGUE),
         (not own.gyro_age <= OLDEST_GYRO_S, Why.GYRO),
         (not own.clock_known, Why.CLOCK),
         (own.clash, Why.CLASH),

@@ -21,7 +21,8 @@ class Why(enum.StrEnum):
     ENTRY = "entry"  # a reference is named, not for long enough
     FADE = "fade"  # the last reference has just been lost: slows down
     NO_REFERENCE = "no_reference"  # holds its place
-    OWN_POSE = "own_pose"
+    OWN_POSE = "own_pose"  # the own pose is old, or none
+    VAGUE = "vague"  # the own place is not known well enough
     GYRO = "gyro"
     CAMERA = "camera"
     CLASH = "clash"

@@ -199,7 +199,7 @@ def test_a_name_that_leaps_to_another_place_is_not_flown_after(flying):
     ("facts", "why"),
     [
         ({"pose_age": 0.21}, Why.OWN_POSE),
-        ({"position_sigma": 1.1}, Why.OWN_POSE),
+        ({"position_sigma": 1.1}, Why.VAGUE),
         ({"pose_age": math.nan}, Why.OWN_POSE),
         ({"gyro_age": 0.4}, Why.GYRO),
         ({"scan_ages": (1.1,)}, Why.CAMERA),
