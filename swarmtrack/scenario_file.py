@@ -93,6 +93,7 @@ MAX_DRONES = 1000
 MAX_CAMERAS = 8  # of a drone
 CLIMBS_S = 8.0  # s from a take-off to the height of a slot
 FASTEST_LEADER_M_S = 5.0
+FENCE_M = 200.0  # around where a follower was engaged: wider than any scenario, it is not what is shown
 LEAST_STAR_HEIGHT_M = 2.0  # as an agent's config has it: nobody's slot is lower
 VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
 VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
@@ -333,6 +334,7 @@ class StarSection(Section):
             judged_from_s=self.judged_from_s,
             sticks=tuple(Stick(stick.at_s, stick.velocity_m_s) for stick in self.sticks),
             leader_leaves_s=math.inf if self.leader_leaves_s is None else self.leader_leaves_s,
+            settings={"limits": {"fence_radius_m": FENCE_M}},
         )
 
 
@@ -781,5 +783,5 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         events=events,
         radio=Radio(**file.radio.model_dump()),
         faults=tuple(fault.fault() for fault in file.fault),
-        star=star,
+        formation=star,
     )

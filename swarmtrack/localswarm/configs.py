@@ -13,10 +13,10 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.star import Star
+from swarmtrack.simulation.star import TeamSlots
 from swarmtrack.team_config import TeamOrigin
+from swarmtrack.toml.layers import Table
 
-FENCE_M = 200.0  # around where a follower was engaged
 MAX_FRAME_AGE_S = 0.15  # beyond it a frame says more of where a drone was than of where it is
 
 
@@ -25,14 +25,14 @@ class Sources:
     """Where a drone finds its sensors: the values of camera.source and autopilot.link.
 
     camera: of the first one; more_cameras: of the others, in the order of the scenario. system_id: of its autopilot,
-    None for whichever is heard. start: drone.start as TOML, None where the scenario tells it. max_frame_age_s: how late
-    a frame may come.
+    None for whichever is heard. start: drone.start, None where the scenario tells it. max_frame_age_s: how late a frame
+    may come.
     """
 
     camera: str
     autopilot: str
     system_id: int | None = None
-    start: str | None = None
+    start: Table | None = None
     max_frame_age_s: float = MAX_FRAME_AGE_S
     more_cameras: tuple[str, ...] = ()
 
@@ -84,8 +84,8 @@ def write_configs(
         text += "\n".join(["", "[team]", *shared, ""])
     if not scenario.announces:
         text += _silent_team(scenario, epoch_utc)
-    if scenario.star is not None:
-        text += _formation(scenario.star)
+    if scenario.formation is not None:
+        text += _formation(scenario.formation)
     if recordings is not None:
         text += f"\n[recording]\ndir = {_text(str(recordings))}\n"
     (folder / "team.toml").write_text(text, encoding="utf-8")
@@ -140,17 +140,17 @@ def _silent_team(scenario: Scenario, epoch_utc: float) -> str:
     return "\n".join([*lines, ""])
 
 
-def _formation(star: Star) -> str:
-    """Who leads, and everybody's slot. The fence is wider than any scenario: it is not what is shown."""
-    slots = [f"{drone_id} = {_numbers(star.slots[drone_id])}" for drone_id in star.followers]
+def _formation(formation: TeamSlots) -> str:
+    """Who leads, everybody's slot, and what else is set."""
+    settings: Table = {"enabled": True, **formation.settings}
+    slots = [f"{drone_id} = {_numbers(formation.slots[drone_id])}" for drone_id in formation.followers]
     return "\n".join(
         [
             "",
             "[formation]",
-            "enabled = true                      # their pilots engage them in the air",
-            f"leader = {star.leader}",
-            f"height_m = {star.height_m:g}",
-            f"limits = {{ fence_radius_m = {FENCE_M:g} }}",
+            f"leader = {formation.leader}",
+            f"height_m = {formation.height_m:g}",
+            *(f"{name} = {_value(value)}" for name, value in settings.items()),
             "",
             "[formation.slots]                   # [north, east, down] from the leader, m",
             *slots,
@@ -160,8 +160,9 @@ def _formation(star: Star) -> str:
 
 
 def _drone_file(scenario: Scenario, drone_id: int, sources: Sources, radio: RadioEnds | None) -> str:
-    start = sources.start
-    if start is None:
+    if sources.start is not None:
+        start = _value(sources.start)
+    else:
         announced = scenario.announced[drone_id]
         start = (
             f'{{ from = "local", offset_m = {_numbers(announced.position_m)}, '
@@ -230,6 +231,17 @@ body_from_camera = {{ rpy_deg = {_numbers(rpy)}, position_m = {_numbers(mount.po
 
 def _text(value: str) -> str:
     return json.dumps(value, ensure_ascii=False)  # of printable text, a TOML string as well
+
+
+def _value(value: object) -> str:
+    """A word, switch, number, or list or table of such, as TOML writes it in one line."""
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {_value(entry)}' for key, entry in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _text(value) if isinstance(value, str) else repr(value)
 
 
 def _numbers(values: Iterable[float], digits: int = 4) -> str:

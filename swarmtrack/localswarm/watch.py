@@ -113,7 +113,8 @@ class Watch:
         self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
         """Tenths of a second that an agent may pass over, publishing at its rate."""
         self._truth = SwarmTruth(scenario.world, scenario.cameras)
-        self._formation = None if scenario.star is None else FormationWatch(scenario, scenario.star)
+        slots = scenario.formation
+        self._formation = None if slots is None else FormationWatch(scenario, slots)
         self._last_start = math.nan
         self._known: dict[int, dict[int, float]] = {drone_id: {} for drone_id in scenario.members}
         self._waiting: deque[Statement] = deque()

@@ -24,6 +24,8 @@ from pydantic import Field, Strict, field_validator, model_validator
 from swarmtrack.config import CameraSection, Intrinsics, Lens, Mount, Start, mount_camera
 from swarmtrack.errors import SourceError, SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import Limits
+from swarmtrack.formation.plan import plan_faults
+from swarmtrack.formation_config import TeamFormation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.localswarm.truth_link import TruthAddress
@@ -33,6 +35,7 @@ from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.followed import KEPT_S, FollowedDrone
 from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA, HOVER_S, Scenario, ScenarioCamera, fly
 from swarmtrack.simulation.sensors import DetectorParameters
+from swarmtrack.simulation.star import TeamSlots
 from swarmtrack.simulation.world import World
 from swarmtrack.team_config import TeamOrigin
 from swarmtrack.toml.layers import Layers, Problem, Table, read_layers
@@ -41,6 +44,7 @@ from swarmtrack.toml.sections import (
     ParameterSection,
     Positive,
     Section,
+    Switch,
     Text,
     parameter_problems,
     validated,
@@ -48,6 +52,7 @@ from swarmtrack.toml.sections import (
 
 LINKS = ("link", "truth")
 TRUTH_SCHEMES = ("tcp", "udpin", "udpout")
+FORMATION_SHARE_HZ = 5.0  # without each other's velocities nothing holds
 
 
 class WorldSection(Section):
@@ -99,6 +104,32 @@ class WorldAgentsSection(Section):
 
     imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = 200.0
     tracks_hz: Annotated[Positive, Field(le=1000.0)] = 100.0
+    share_hz: Annotated[Number, Field(ge=2.0, le=10.0)] | None = Field(
+        default=None,
+        description="how often they tell how they move; in formation 5 Hz unless told, else never",
+    )
+
+
+class WorldFormationSection(TeamFormation):
+    """[formation]: as in the agents' configs. Their pilots engage them in the air, whoever those are."""
+
+    enabled: Switch = Field(default=True, description="false: the agents of followers fly nobody")
+    judged_from_s: Positive = Field(
+        default=30.0, description="from when on slots are judged, s of the flight"
+    )
+
+    def team_slots(self) -> TeamSlots | None:
+        plan = self.plan()
+        if plan is None:
+            return None
+        settings = {"enabled", "references", "ranging", "sure", "limits"}
+        return TeamSlots(
+            leader=plan.leader,
+            slots=plan.slots,
+            height_m=plan.height,
+            judged_from_s=self.judged_from_s,
+            settings=self.model_dump(include=settings, exclude_unset=True),
+        )
 
 
 class AirframeSection(Section):
@@ -149,6 +180,7 @@ class WorldFile(Section):
     world: WorldSection = Field(description="a table [world] with origin")
     camera: WorldCameraSection = WorldCameraSection()
     agents: WorldAgentsSection = WorldAgentsSection()
+    formation: WorldFormationSection = WorldFormationSection()
     detector: ParameterSection = ParameterSection()
     drone: tuple[OutsideDroneSection, ...] = Field(min_length=1, description="tables [[drone]], one each")
     intruder: tuple[PlannedFlight, ...] = ()
@@ -157,12 +189,12 @@ class WorldFile(Section):
 
 @dataclass(frozen=True, slots=True)
 class Outsider:
-    """What is known of one drone that others fly. start: drone.start of its agent's config, as TOML."""
+    """What is known of one drone that others fly. start: drone.start of its agent's config."""
 
     drone: FollowedDrone
     truth: TruthAddress
     link: str
-    start: str
+    start: Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +254,7 @@ def _shared(layers: Layers, file: WorldFile) -> Iterator[Problem]:
                 text = f"{kind}[{k}].id: {drone_id}, expected an ID that no other drone has"
                 yield layers.problem((kind, k, "id"), text)
             ids.add(drone_id)
+    yield from _formation_problems(layers, file)
     used: dict[str, str] = {}
     for k, drone in enumerate(file.drone):
         for name in LINKS:
@@ -235,27 +268,47 @@ def _shared(layers: Layers, file: WorldFile) -> Iterator[Problem]:
             used.setdefault(address, f"{name} of drone {drone.id}")
 
 
+def _formation_problems(layers: Layers, file: WorldFile) -> Iterator[Problem]:
+    """What the agents would refuse, and what could not be judged."""
+    plan = file.formation.plan()
+    if plan is None:
+        return
+
+    def wrong(key: tuple[str, ...], text: str) -> Problem:
+        return layers.problem(("formation", *key), f"{'.'.join(('formation', *key))}: {text}")
+
+    flying = {drone.id for drone in file.drone}
+    if set(plan.slots) != flying:
+        yield wrong(
+            ("slots",),
+            f"leader and slots of the drones {sorted(plan.slots)}, expected of {sorted(flying)}: each [[drone]] leads "
+            "or follows",
+        )
+        return
+    spans = {drone.id: _span(drone) for drone in file.drone}
+    if len(set(spans.values())) > 1:
+        yield wrong((), f"drones with spans of {sorted(set(spans.values()))} m, expected one span of all")
+    for fault in plan_faults(plan, max(spans.values())):
+        yield wrong(fault.key, fault.text)
+    if file.formation.judged_from_s >= file.world.seconds:
+        text = (
+            f"{file.formation.judged_from_s:g} s, expected less than world.seconds, {file.world.seconds:g} s"
+        )
+        yield wrong(("judged_from_s",), text)
+
+
+def _span(section: OutsideDroneSection) -> float:
+    return Airframe().span if section.airframe is None else section.airframe.span_m
+
+
 def _outsider(section: OutsideDroneSection, keep_s: float) -> Outsider:
     start = section.start or Start.model_validate({"from": "gps"})
     return Outsider(
         FollowedDrone(keep_s),
         TruthAddress(section.id, section.truth, section.system_id),
         section.link,
-        _inline(start.model_dump(exclude_unset=True, by_alias=True)),
+        start.model_dump(exclude_unset=True, by_alias=True),
     )
-
-
-def _inline(table: Table) -> str:
-    """A table of numbers, words and lists of numbers as TOML writes it in one line."""
-
-    def value(entry: object) -> str:
-        if isinstance(entry, str):
-            return f'"{entry}"'
-        if isinstance(entry, list | tuple):
-            return f"[{', '.join(map(value, entry))}]"
-        return repr(entry)
-
-    return f"{{ {', '.join(f'{key} = {value(entry)}' for key, entry in table.items())} }}"
 
 
 def _scenario(name: str, file: WorldFile, seed: int | None, outsiders: dict[int, Outsider]) -> Scenario:
@@ -264,6 +317,10 @@ def _scenario(name: str, file: WorldFile, seed: int | None, outsiders: dict[int,
     followed = {drone_id: outsider.drone for drone_id, outsider in outsiders.items()}
     spans = {drone.id: drone.airframe.span_m for drone in file.drone if drone.airframe is not None}
     camera, body_from_camera = file.camera.mounted()
+    formation = file.formation.team_slots()
+    share_hz = file.agents.share_hz
+    if share_hz is None and formation is not None and not file.formation.ranging:
+        share_hz = FORMATION_SHARE_HZ
     return Scenario(
         world=World(
             seed,
@@ -277,6 +334,8 @@ def _scenario(name: str, file: WorldFile, seed: int | None, outsiders: dict[int,
         cameras=(ScenarioCamera(camera, body_from_camera, file.camera.fps),),
         imu_rate_hz=file.agents.imu_rate_hz,
         tracks_hz=file.agents.tracks_hz,
+        share_hz=share_hz,
         detector=DetectorParameters(**file.detector.parameters),
         strangers=frozenset(drone.id for drone in file.intruder),
+        formation=formation,
     )

@@ -27,7 +27,7 @@ from swarmtrack.simulation.followed import FollowedDrone
 from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.response import ARDUPILOT, PX4, Response
 from swarmtrack.simulation.sensors import DetectorParameters
-from swarmtrack.simulation.star import Star
+from swarmtrack.simulation.star import Star, TeamSlots
 from swarmtrack.simulation.trajectory import (
     Coded,
     Facing,
@@ -173,8 +173,8 @@ class Scenario:
     camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an ArduPilot that was
     switched on at world time 0. All cameras of a drone stamp alike. announces: whether the drones tell each other
     anything; where they do not, all know `announced` from a file, and codes_s is when all sway by their codes [s].
-    share_hz: how often they tell how they move; None: never. star: who follows whom by sight; None: nobody. ghosts
-    are for detectors that are not shown pictures; the pictures have houses, poles and trees.
+    share_hz: how often they tell how they move; None: never. formation: who follows whom by sight; None: nobody.
+    ghosts are for detectors that are not shown pictures; the pictures have houses, poles and trees.
     """
 
     world: World
@@ -201,11 +201,16 @@ class Scenario:
     events: tuple[ScenarioEvent, ...] = ()
     radio: Radio = Radio()
     faults: tuple[ScenarioFault, ...] = ()
-    star: Star | None = None
+    formation: TeamSlots | None = None
 
     @property
     def seed(self) -> int:
         return self.world.seed
+
+    @property
+    def star(self) -> Star | None:
+        """The formation, where its leader is one of ours; None: nobody leads, or whom others fly."""
+        return self.formation if isinstance(self.formation, Star) else None
 
     @property
     def camera(self) -> PinholeCamera:

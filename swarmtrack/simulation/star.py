@@ -58,24 +58,34 @@ class Stick(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Star:
-    """slots: by drone, [north, east, down] m from the leader, its own included; height_m: of the leader's slot above
-    the ground. World times [s]: all take off, −inf: they hover from the beginning; followers are engaged; slots are
-    judged from; and the leader leaves everybody's view from then on, inf: never. sticks: between two the velocity is
-    linear."""
+class TeamSlots:
+    """Who leads, and where everybody is to be, whoever flies the leader.
+
+    slots: by drone, [north, east, down] m from the leader, its own included; height_m: of the leader's slot above the
+    ground. World times [s]: slots are judged from; and the leader leaves everybody's view from then on, inf: never.
+    settings: what else [formation] of the agents' configs says.
+    """
 
     leader: int
     slots: Mapping[int, Place]
     height_m: float
-    takes_off_s: float = -math.inf
-    engages_s: float
     judged_from_s: float
-    sticks: tuple[Stick, ...]
     leader_leaves_s: float = math.inf
+    settings: Mapping[str, object]
 
     @property
     def followers(self) -> list[int]:
         return [drone_id for drone_id in self.slots if drone_id != self.leader]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Star(TeamSlots):
+    """Followers around a leader with sticks, all simulated here. World times [s]: all take off, −inf: they hover from
+    the beginning; followers are engaged. sticks: between two the velocity is linear."""
+
+    takes_off_s: float = -math.inf
+    engages_s: float
+    sticks: tuple[Stick, ...]
 
     def height_of(self, drone_id: int) -> float:
         """m above the ground."""

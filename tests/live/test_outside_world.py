@@ -24,6 +24,7 @@ from support.places import DOCS, ROOT
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.agents import main as swarmtrack
+from swarmtrack.evaluation.swarm_verdict import BUSY
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, read_truth
 from swarmtrack.scenario_file import load_scenario
@@ -229,6 +230,73 @@ def test_a_world_file_that_is_wrong_is_wrong_usage(tmp_path):
     assert code == 2
     assert said == ""
     assert f"{world}:1: world.origin: missing, expected {{ lat_deg, lon_deg, alt_m }}" in complained
+
+
+# --- in formation -----------------------------------------------------------------------------------
+
+BEHIND = """
+about = "two on the ground, one behind the other"
+seconds = 200.0
+[camera]
+fps = 7.0
+[[drone]]
+id = 1
+position_m = [0.0, 0.0, -0.09]
+guided = true
+[[drone]]
+id = 2
+position_m = [-6.0, 0.0, -0.09]
+guided = true
+"""
+FORMATION = """
+[formation]
+leader = 1
+height_m = 6.0
+judged_from_s = 40.0
+slots = { 2 = [-6.0, 0.0, -1.0] }
+"""
+
+
+@pytest.mark.long
+def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
+    """docs/examples/formation_pilots.py at the ground stations' ports; two agents of ours, one of which flies."""
+    with others(tmp_path, BEHIND + "[expected]\n", seconds=76.0) as flying:
+        text = flying.world.read_text().replace("[agents]", f"{FORMATION}\n[agents]")
+        flying.world.write_text(text)
+        links = [flying.drones[n]["ground"] for n in ("1", "2")]
+        script = str(DOCS / "examples" / "formation_pilots.py")
+        pilots = subprocess.Popen(
+            [sys.executable, script, str(flying.world), *links, "--hover", "18"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        process = start(
+            tmp_path,
+            "--world",
+            str(flying.world),
+            "--detector",
+            "oracle",
+            "--json",
+            str(tmp_path / "out.json"),
+        )
+        try:
+            line = ""
+            while "correct" not in line and "nothing to judge yet" not in line:
+                line = process.stdout.readline()
+                assert line, process.communicate()[1]
+            told, complained = pilots.communicate("\n", timeout=PATIENCE)
+            said = process.stdout.read()
+            finish(process)
+        finally:
+            pilots.kill()
+    assert pilots.returncode == 0, complained
+    assert told.splitlines()[-1] == "all land"
+    verdict = json.loads((tmp_path / "out.json").read_text())
+    formation = verdict["formation"]
+    assert formation["followers"] == 1
+    assert formation["min_separation_m"] > 1.5
+    if verdict["machine_busy"] <= BUSY:
+        # The leader has flown 25 m off: who stays is lost.
+        assert formation["lost"] == 0, said
 
 
 # --- as the docs say ------------------------------------------------------------------------------

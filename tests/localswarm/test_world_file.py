@@ -86,8 +86,8 @@ def test_a_world_is_what_its_file_says(tmp_path):
 @pytest.mark.parametrize("path", sorted((CONFIGS / "worlds").glob("*.toml")), ids=lambda path: path.stem)
 def test_the_shipped_worlds_are_sound(path):
     world = load_world(path)
-    assert world.scenario.members == (1, 2)
-    assert [one.truth.system_id for one in world.outsiders.values()] == [1, 2]
+    assert world.scenario.members == tuple(range(1, len(world.outsiders) + 1))
+    assert [one.truth.system_id for one in world.outsiders.values()] == list(world.scenario.members)
 
 
 def test_an_airframe_of_another_span_has_the_same_shape(tmp_path):
@@ -138,6 +138,69 @@ def test_a_team_that_shares_its_motion_is_told_so_beside_its_origin(tmp_path):
     )
     team = load_config(files[1]).team
     assert (team.share, team.share_hz, team.origin) == ("velocity", 4.0, world.origin)
+
+
+FORMATION = """
+[formation]
+leader = 1
+height_m = 9.0
+judged_from_s = 20.0
+limits = { fence_radius_m = 40.0 }
+slots = { 2 = [-6.0, 0.0, 1.0] }
+
+[expected]
+"""
+
+
+def in_formation(*changes: tuple[str, str]) -> str:
+    text = WORLD.replace("airframe = { span_m = 1.0 }\n", "").replace("[expected]", FORMATION.strip())
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    return text
+
+
+def test_a_formation_of_the_world_is_that_of_its_agents_and_of_the_judge(tmp_path):
+    world = load_world(written(tmp_path, in_formation()))
+    formation = world.scenario.formation
+    assert (formation.leader, formation.followers, formation.height_m) == (1, [2], 9.0)
+    assert formation.judged_from_s == 20.0
+    assert world.scenario.star is None
+    sources = {
+        n: Sources(f"http://127.0.0.1:9/{n}", one.link, start=one.start) for n, one in world.outsiders.items()
+    }
+    files = write_configs(
+        tmp_path,
+        world.scenario,
+        team="blue",
+        tracker="mbm",
+        sources=sources,
+        simulator="…",
+        origin=world.origin,
+    )
+    config = load_config(files[2])
+    assert (config.team.share, config.team.share_hz) == ("velocity", 5.0)
+    assert config.formation.enabled
+    assert config.formation.limits.fence_radius_m == 40.0
+    assert config.formation.plan().slots == formation.slots
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ("slots = { 2 =", "slots = { 3 =", "formation.slots: leader and slots of the drones [1, 3], expected of [1, 2]"),
+        ("[-6.0, 0.0, 1.0]", "[-1.0, 0.0, 1.0]", "formation.slots.2: "),
+        ("system_id = 2", "system_id = 2\nairframe = { span_m = 1.0 }", "expected one span of all"),
+        ("judged_from_s = 20.0", "judged_from_s = 50.0", "formation.judged_from_s: 50 s, expected less than world.sec"),
+        ("leader = 1", "leadr = 1", 'formation.leadr: unknown key, did you mean "leader"?'),
+    ],
+)  # fmt: skip
+def test_a_formation_that_its_agents_would_refuse_is_refused_with_the_world(
+    tmp_path, before, after, expected
+):
+    with pytest.raises(ConfigError) as raised:
+        load_world(written(tmp_path, in_formation((before, after))))
+    assert expected in str(raised.value)
 
 
 @pytest.mark.parametrize(
