@@ -22,8 +22,8 @@ It is so no longer, and has to be shown again,
   no range, and nobody comes without growing;
 * when the own place has leapt: a leap that was not flown is a bend in which nothing moved, so that all were far off.
 
-A track that begins where one that was far off is expected, and as large, goes on with its fit: who turns to and fro
-loses the same house again and again.
+A track that begins where one that has ended is expected, and as large, goes on with its fit: who turns to and fro loses
+the same house again and again, and a detector that is not sure of it does so every second.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ FORGET_S, RECENT_S = 20.0, 0.7
 ATTITUDE_SIGMA: Final = 0.006
 # Of squared residuals over their variance: as large is their mean where the fit fits, and where it does of late.
 FITS, STILL_FITS = 2.0, 4.0
-# s: so long what was far off is remembered once its track has ended; and squared sigmas that a new one may be beside.
-REMEMBERED_S, SAME_PLACE = 15.0, 9.0
+# s: so long a fit is remembered once its track has ended, if it had so many looks; and squared sigmas that a new track
+# may be beside.
+REMEMBERED_S, REMEMBERED_LOOKS, SAME_PLACE = 15.0, 3, 9.0
 # Cosine: seen at a larger angle from where it was seen first, the fit begins again.
 TURNED: Final = 0.5
 # Sigmas that it may be nearer.
@@ -206,7 +207,7 @@ class FarOff:
         self._last: tuple[float, Array] | None = None
         """The last look's time [s] and own place."""
         self._gone: list[_Fit] = []
-        """Far off when their tracks ended."""
+        """Of tracks that have ended."""
 
     @property
     def tracks(self) -> frozenset[int]:
@@ -220,7 +221,8 @@ class FarOff:
                 self._fits, self._gone = {}, []
         self._last = look.t, look.camera
         seen = {key[1] for key in look.keys}
-        self._gone += [fit for track, fit in self._fits.items() if fit.far and track not in seen]
+        ended = [fit for track, fit in self._fits.items() if track not in seen]
+        self._gone += [fit for fit in ended if fit.looks >= REMEMBERED_LOOKS]
         self._gone = [fit for fit in self._gone if look.t - fit.t < REMEMBERED_S]
         self._fits = {track: fit for track, fit in self._fits.items() if track in seen}
         variances = 0.5 * np.trace(look.ray_cov, axis1=1, axis2=2) + ATTITUDE_SIGMA**2
@@ -235,7 +237,7 @@ class FarOff:
             self._fits[track] = fit
 
     def _taken_up(self, sight: _Sight) -> _Fit | None:
-        """What was far off where a new track begins; it is remembered no more."""
+        """What was seen where a new track begins; it is remembered no more."""
         for k, fit in enumerate(self._gone):
             seen = fit.projected(sight)
             if seen is None:

@@ -188,7 +188,7 @@ def test_a_formation_of_the_world_is_that_of_its_agents_and_of_the_judge(tmp_pat
 @pytest.mark.parametrize(
     ("before", "after", "expected"),
     [
-        ("slots = { 2 =", "slots = { 3 =", "formation.slots: leader and slots of the drones [1, 3], expected of [1, 2]"),
+        ("slots = { 2 =", "slots = { 3 =", "slots: leader and slots of the drones [1, 3], expected of [1, 2]"),
         ("[-6.0, 0.0, 1.0]", "[-1.0, 0.0, 1.0]", "formation.slots.2: "),
         ("system_id = 2", "system_id = 2\nairframe = { span_m = 1.0 }", "expected one span of all"),
         ("judged_from_s = 20.0", "judged_from_s = 50.0", "formation.judged_from_s: 50 s, expected less than world.sec"),

@@ -61,6 +61,10 @@ def watched(far, own, other, width_m, seconds, *, begins=0.0, seed=0, track=TRAC
     return told
 
 
+def hovers_near(t):
+    return np.array([6.0, 1.0, 0.0])
+
+
 def house(distance, aside=3.0):
     """Something of that size, m, so far north, that looks like a drone at 5 m; and where it is."""
     return DRONE_M * distance / 5.0, lambda t: np.array([distance, aside, 3.0])
@@ -77,8 +81,8 @@ def test_what_looks_near_and_is_not_is_found_out_by_whoever_flies_to_and_fro(dis
 @pytest.mark.parametrize("own", [to_and_fro, straight_on, still])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_drone_that_hovers_near_is_near(own, seed):
-    told = watched(FarOff(), own, lambda t: np.array([6.0, 1.0, 0.0]), DRONE_M, 4.0, seed=seed)
-    told += watched(FarOff(), to_and_fro, lambda t: np.array([6.0, 1.0, 0.0]), DRONE_M, 30.0, seed=seed)
+    told = watched(FarOff(), own, hovers_near, DRONE_M, 4.0, seed=seed)
+    told += watched(FarOff(), to_and_fro, hovers_near, DRONE_M, 30.0, seed=seed)
     assert not any(far for *_, far in told)
 
 
@@ -130,6 +134,25 @@ def test_a_track_that_begins_where_a_house_is_known_to_be_is_that_house():
     assert far.tracks == frozenset()
     told = watched(far, to_and_fro, where, width, 1.0, begins=21.0, track=9, sways=0.0)
     assert all(is_far for *_, is_far in told)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_house_that_is_lost_every_second_is_found_out_all_the_same(seed):
+    width, where = house(30.0)
+    far, told = FarOff(), []
+    for k in range(25):
+        told += watched(far, to_and_fro, where, width, 0.8, begins=float(k), seed=seed, track=k, sways=0.0)
+        far.observe(nobody(k + 0.8, to_and_fro(k + 0.8)))
+    assert sum(is_far for t, _, is_far in told if t > 15.0) > 0.8 * sum(t > 15.0 for t, *_ in told)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_near_drone_that_is_lost_every_second_is_near(seed):
+    far, told = FarOff(), []
+    for k in range(25):
+        told += watched(far, to_and_fro, hovers_near, DRONE_M, 0.8, begins=float(k), seed=seed, track=k)
+        far.observe(nobody(k + 0.8, to_and_fro(k + 0.8)))
+    assert not any(is_far for *_, is_far in told)
 
 
 def test_a_track_that_begins_beside_a_known_house_or_is_larger_is_not_that_house():
