@@ -139,17 +139,17 @@ def run(args: argparse.Namespace) -> None:
 
 def publish(out: Path, names: Sequence[str], seeds: int, processes: int) -> dict[str, Any]:
     """Fly, write formation.json and .md into `out`, and return what is in the JSON."""
-    rows = []
+    rows: dict[str, dict[str, Any]] = {}
     with report.progress(NAME, len(names) * seeds) as advance, ProcessPoolExecutor(processes) as pool:
         for name in names:
             flown = []
             for flight in pool.map(fly, [name] * seeds, range(seeds)):
                 flown.append(flight)
+                rows[name] = _row(name, flown)
+                # As far as it has come: hours of flights are not lost with the last of them.
+                report.write(out, NAME, {"rows": list(rows.values())}, _markdown(rows.values()))
                 advance(name)
-            rows.append(_row(name, flown))
-            # As far as it has come: hours of flights are not lost with the last of them.
-            report.write(out, NAME, {"rows": rows}, _markdown(rows))
-    return {"rows": rows}
+    return {"rows": list(rows.values())}
 
 
 def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:

@@ -18,9 +18,11 @@ from pymavlink import mavutil
 GUIDED, LOITER, LAND = 4, 5, 9
 DO_SET_MODE, ARM, TAKE_OFF = 176, 400, 22
 VELOCITY_AND_YAW_RATE = 0b010111000111
-CLIMBS_M_S, SQUARE_S, SQUARE_M_S = 2.0, 2.0, 0.8
+PATIENCE_S = 20.0
+CLIMBS_M_S = 2.0
 # s, and m/s to the north and to the east.
-LEGS = ((10.0, 1.5, 0.0), (2.5, 1.06, 1.06), (8.0, 0.0, 1.5), (8.0, 0.0, 0.0))
+SQUARE = ((2.0, 0.8, 0.0), (2.0, 0.0, 0.8), (2.0, -0.8, 0.0), (2.0, 0.0, -0.8), (3.0, 0.0, 0.0))
+AWAY = ((10.0, 1.5, 0.0), (2.5, 1.06, 1.06), (8.0, 0.0, 1.5), (8.0, 0.0, 0.0))
 
 
 class Pilot:
@@ -30,7 +32,8 @@ class Pilot:
         self.drone = drone
         self._link = mavutil.mavlink_connection(link, source_system=255)
         self._beat()
-        self._link.wait_heartbeat()
+        if self._link.wait_heartbeat(timeout=PATIENCE_S) is None:
+            raise SystemExit(f"drone {drone}: {link} is silent")
 
     def command(self, number: int, *values: float) -> bool:
         """Whether the autopilot accepts it."""
@@ -79,8 +82,11 @@ def main() -> None:
         "--hover", type=float, default=20.0, metavar="S", help="in LOITER: headings align in flight"
     )
     arguments = parser.parse_args()
-    world = tomllib.loads(arguments.world.read_text(encoding="utf-8"))
-    plan, drones = world["formation"], [drone["id"] for drone in world["drone"]]
+    try:
+        world = tomllib.loads(arguments.world.read_text(encoding="utf-8"))
+        plan, drones = world["formation"], [drone["id"] for drone in world["drone"]]
+    except (OSError, ValueError, KeyError) as error:
+        parser.error(f"{arguments.world}: {error!r}, expected a world file with [[drone]] and [formation]")
     if len(drones) != len(arguments.links):
         parser.error(
             f"{len(arguments.links)} links, expected {len(drones)}: one for each drone of {arguments.world}"
@@ -114,11 +120,10 @@ def main() -> None:
     for pilot in followers:
         pilot.change_mode(GUIDED)
     fly(3.0, leading=True)
-    for north, east in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        fly(SQUARE_S, SQUARE_M_S * north, SQUARE_M_S * east, leading=True)
-    fly(3.0, leading=True)
+    for seconds, north, east in SQUARE:
+        fly(seconds, north, east, leading=True)
     say("the leader flies off")
-    for seconds, north, east in LEGS:
+    for seconds, north, east in AWAY:
         fly(seconds, north, east, leading=True)
     say("all land")
     for pilot in followers:
