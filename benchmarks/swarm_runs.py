@@ -6,7 +6,7 @@ Two experiments, every run with real processes, one run after the other because 
 * size: the same scenario and the same rates with 3, 10 and 30 drones: how long from the last agent's start until all
   have everybody's announcement, and what an agent sends for it, its memory and its share of a core.
 
-    swarmtrack bench swarm [--seeds 20] --out DIR
+    swarmtrack bench swarm [--seeds 20] [--scenarios NAME …] --out DIR
 """
 
 from __future__ import annotations
@@ -51,12 +51,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_common(parser)
     add_tracker(parser)
     add_seeds(parser, Programme().seeds, QUICK.seeds)
+    scenarios = Programme().scenarios
+    parser.add_argument(
+        "--scenarios", nargs="+", choices=scenarios, metavar="NAME",
+        help=f"which of {', '.join(scenarios)}, and no other swarms (default: all, and swarms of many sizes)",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> None:
     programme = QUICK if args.quick else Programme()
     if args.seeds is not None:
         programme = replace(programme, seeds=args.seeds)
+    if args.scenarios is not None:
+        programme = replace(programme, scenarios=args.scenarios, sizes=())
     publish(args.out, programme, tracker=args.tracker)
 
 
@@ -147,14 +154,17 @@ def _size(flight: SwarmReport) -> dict[str, Any]:
 
 
 def _markdown(p: Programme, result: dict[str, Any]) -> str:
+    sizes = [
+        f"Scenario `{p.size_scenario}` with its rates, {p.size_seconds:g} s; means over the agents.",
+        _size_table(result["sizes"]),
+    ]
     return "\n\n".join(
         [
             "# Local swarms",
             f"{p.drones} drones, {p.seconds:g} s, {p.seeds} seeds a scenario, `--detector oracle`, tracker"
             f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
             _recognition_table(result["recognition"]),
-            f"Scenario `{p.size_scenario}` with its rates, {p.size_seconds:g} s; means over the agents.",
-            _size_table(result["sizes"]),
+            *(sizes if p.sizes else []),
             *(f"Lost: {line}" for line in result["lost"]),
         ]
     )
