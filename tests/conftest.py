@@ -17,6 +17,8 @@ from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
+from support.places import SHARED
+
 # A busy machine may take any time over an example.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
@@ -123,5 +125,7 @@ def yield_to_live_tests() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("shared") is not None and not SHARED.is_dir():
+        pytest.skip("../shared/data is absent")
     if "PYTEST_XDIST_WORKER" in os.environ and item.get_closest_marker("live") is None:
         yield_to_live_tests()

@@ -396,7 +396,8 @@ class Aboard(Observer):
         self.drone = onboard()
         self.identities = self.drone._identities
 
-    def sees(self, seconds, **pixels):
+    def sees(self, seconds, coasting=(), **pixels):
+        assert not coasting, "whoever is not detected is left out"
         for _ in range(round(seconds / SCAN_S)):
             self.t = round(self.t + SCAN_S, 6)
             self.drone.tell(ImuSample(self.t, np.zeros(3), NO_ACCEL))
