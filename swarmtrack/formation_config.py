@@ -192,10 +192,11 @@ def formation_problems(
     if section.enabled and drone_id != plan.leader and link.partition(":")[0] not in FLYABLE:
         text = f"{found(link)}, expected a MAVLink link, over which [formation] enabled = true could fly the drone"
         return [layers.problem(("autopilot", "link"), f"autopilot.link: {text}")]
-    return [_problem(layers, fault) for fault in plan_faults(plan, span)]
+    return [plan_problem(layers, fault) for fault in plan_faults(plan, span)]
 
 
-def _problem(layers: Layers, fault: PlanFault) -> Problem:
+def plan_problem(layers: Layers, fault: PlanFault) -> Problem:
+    """A fault, where it stands in [formation]."""
     key = ("formation", *fault.key)
     return layers.problem(key, f"{'.'.join(key)}: {fault.text}")
 

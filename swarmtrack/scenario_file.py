@@ -99,6 +99,7 @@ VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
 VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
 
 Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+ShareRate = Annotated[Number, Field(ge=2.0, le=10.0)]
 NotNegative = Annotated[Number, Field(ge=0.0)]
 DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
 DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_DRONES)]
@@ -178,7 +179,7 @@ class AgentsSection(Section):
         default=0.05, description="standard deviation of the measured starts, m per axis"
     )
     announce: Switch = Field(default=True, description="false: they tell each other nothing")
-    share_hz: Annotated[Number, Field(ge=2.0, le=10.0)] | None = Field(
+    share_hz: ShareRate | None = Field(
         default=None, description="how often they tell how they move; never unless told"
     )
     late: Annotated[int, Strict(), Field(ge=0)] = Field(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from swarmtrack.identity.assignment import HIDDEN_LOG_ODDS, Assignment
 from swarmtrack.identity.boxes import meet
 from swarmtrack.identity.names import Names
@@ -31,19 +33,20 @@ class OcclusionWatch:
         for held in self._names:
             since = self._names.alive[held.track_id].coasting_since
             if since is not None:
-                held.met |= self._near(held)
-                held.missed_alone &= t - since < ALONE_S and self._alone(held)
+                near = self._touching(held)
+                held.met |= self._drones(near)
+                held.missed_alone &= t - since < ALONE_S and not near
                 if t - since >= HIDDEN_S:
                     self._names.fire(held, Event.UNDETECTED)
                 continue
             alone, held.missed_alone = held.missed_alone, True
             if held.standing is Standing.HIDDEN:
                 self._names.fire(held, Event.DETECTED_AGAIN)
-                if not (alone and self._alone(held)):
+                if not alone or self._touching(held):
                     self._weaken(held)
                 self.verify(held, t)
             elif held.met:
-                still_near = held.met & self._near(held)
+                still_near = held.met & self._drones(self._touching(held))
                 if t - held.verified_t >= VERIFY_S or not still_near:
                     self.verify(held, t)
                     held.met = still_near
@@ -69,19 +72,12 @@ class OcclusionWatch:
         held.weaken(HIDDEN_LOG_ODDS)
         self._weighing.hide(held.track_id, HIDDEN_LOG_ODDS)
 
-    def _alone(self, held: Assignment) -> bool:
-        """Whether no other track, named or not, nearly touches this one."""
+    def _touching(self, held: Assignment) -> list[int]:
+        """The other tracks, named or not, that nearly touch this one."""
         own = self._names.alive[held.track_id]
         others = (track for track in self._names.alive.values() if track.camera == own.camera)
-        return not any(track.id != own.id and meet(own, track) for track in others)
+        return [track.id for track in others if track.id != own.id and meet(own, track)]
 
-    def _near(self, held: Assignment) -> set[int]:
-        """The drones whose tracks nearly touch this one."""
-        alive = self._names.alive
-        own = alive[held.track_id]
-        others = (
-            (other.drone_id, alive[other.track_id])
-            for other in self._names
-            if other.track_id != held.track_id
-        )
-        return {drone for drone, track in others if track.camera == own.camera and meet(own, track)}
+    def _drones(self, tracks: Iterable[int]) -> set[int]:
+        """Those that are named."""
+        return {name.drone_id for track in tracks if (name := self._names.of(track)) is not None}

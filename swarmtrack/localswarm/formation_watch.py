@@ -28,8 +28,8 @@ SEEN_S = 1.0
 class FormationWatch:
     """Told of each judged view; asked for the score after landing."""
 
-    def __init__(self, scenario: Scenario, slots: TeamSlots) -> None:
-        self._world, self._slots = scenario.world, slots
+    def __init__(self, scenario: Scenario, formation: TeamSlots) -> None:
+        self._world, self._formation = scenario.world, formation
         self._strangers = scenario.strangers
         self._leader_seen: dict[int, float] = {}
         self._glimpses: dict[tuple[int, int], int] = {}
@@ -37,9 +37,9 @@ class FormationWatch:
 
     def saw(self, observer: int, t: float, in_view: Collection[int]) -> None:
         """Whom an observer truly had in view at world time t [s], ten times per second."""
-        if observer == self._slots.leader:
+        if observer == self._formation.leader:
             return
-        if self._slots.leader in in_view:
+        if self._formation.leader in in_view:
             self._leader_seen[observer] = t
         for stranger in self._strangers & set(in_view):
             pair = observer, stranger
@@ -51,21 +51,21 @@ class FormationWatch:
         self, health: Mapping[int, Iterable[tuple[float, HealthMessage]]], seconds: float
     ) -> FormationScore:
         """health: by drone, with the world time at which it was heard."""
-        slots = self._slots
+        formation = self._formation
         times, places = self._flown(seconds)
-        team = [slots.leader, *slots.followers]
+        team = [formation.leader, *formation.followers]
         positions = np.stack([places[drone_id] for drone_id in team], axis=1)
-        ends = min(slots.leader_leaves_s, seconds)
-        places_beside = np.array([slots.slots[drone_id] for drone_id in team])
-        errors = slot_errors(times, positions, places_beside, slots.judged_from_s, ends)
+        ends = min(formation.leader_leaves_s, seconds)
+        slots = np.array([formation.slots[drone_id] for drone_id in team])
+        errors = slot_errors(times, positions, slots, formation.judged_from_s, ends)
         met = [
             nearest_pair(np.stack([places[observer], places[stranger]], axis=1)[times >= since])
             for (observer, stranger), since in self._known_from.items()
         ]
-        holds = (_holds(health.get(d, ()), slots.judged_from_s, ends) for d in slots.followers)
+        holds = (_holds(health.get(d, ()), formation.judged_from_s, ends) for d in formation.followers)
         gone = None
-        if math.isfinite(slots.leader_leaves_s):
-            left = max([slots.leader_leaves_s, *self._leader_seen.values()])
+        if math.isfinite(formation.leader_leaves_s):
+            left = max([formation.leader_leaves_s, *self._leader_seen.values()])
             gone = after_it_vanished(times, positions[:, 1:], left)
         errors = errors._replace(nearest=min([errors.nearest, *met]))
         return formation_score([errors], holds=sum(holds), gone=gone)

@@ -113,8 +113,8 @@ class Watch:
         self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
         """Tenths of a second that an agent may pass over, publishing at its rate."""
         self._truth = SwarmTruth(scenario.world, scenario.cameras)
-        slots = scenario.formation
-        self._formation = None if slots is None else FormationWatch(scenario, slots)
+        formation = scenario.formation
+        self._formation = None if formation is None else FormationWatch(scenario, formation)
         self._last_start = math.nan
         self._known: dict[int, dict[int, float]] = {drone_id: {} for drone_id in scenario.members}
         self._waiting: deque[Statement] = deque()

@@ -24,12 +24,12 @@ from pydantic import Field, Strict, field_validator, model_validator
 from swarmtrack.config import CameraSection, Intrinsics, Lens, Mount, Start, mount_camera
 from swarmtrack.errors import SourceError, SwarmtrackError
 from swarmtrack.evaluation.swarm_verdict import Limits
-from swarmtrack.formation.plan import plan_faults
-from swarmtrack.formation_config import TeamFormation
+from swarmtrack.formation.plan import FormationPlan, PlanFault, plan_faults, view_faults
+from swarmtrack.formation_config import TeamFormation, fields_of_view, plan_problem
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.localswarm.truth_link import TruthAddress
-from swarmtrack.scenario_file import DroneId, PlannedFlight
+from swarmtrack.scenario_file import DroneId, PlannedFlight, ShareRate
 from swarmtrack.sensors.mavlink.address import parse_address
 from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.followed import KEPT_S, FollowedDrone
@@ -104,7 +104,7 @@ class WorldAgentsSection(Section):
 
     imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = 200.0
     tracks_hz: Annotated[Positive, Field(le=1000.0)] = 100.0
-    share_hz: Annotated[Number, Field(ge=2.0, le=10.0)] | None = Field(
+    share_hz: ShareRate | None = Field(
         default=None,
         description="how often they tell how they move; in formation 5 Hz unless told, else never",
     )
@@ -122,13 +122,13 @@ class WorldFormationSection(TeamFormation):
         plan = self.plan()
         if plan is None:
             return None
-        settings = {"enabled", "references", "ranging", "sure", "limits"}
+        told_beside = {"leader", "slots", "height_m", "judged_from_s"}
         return TeamSlots(
             leader=plan.leader,
             slots=plan.slots,
             height_m=plan.height,
             judged_from_s=self.judged_from_s,
-            settings=self.model_dump(include=settings, exclude_unset=True),
+            settings=self.model_dump(exclude=told_beside, exclude_unset=True),
         )
 
 
@@ -271,30 +271,30 @@ def _shared(layers: Layers, file: WorldFile) -> Iterator[Problem]:
 def _formation_problems(layers: Layers, file: WorldFile) -> Iterator[Problem]:
     """What the agents would refuse, and what could not be judged."""
     plan = file.formation.plan()
-    if plan is None:
-        return
+    if plan is not None:
+        for fault in _formation_faults(file, plan):
+            yield plan_problem(layers, fault)
 
-    def wrong(key: tuple[str, ...], text: str) -> Problem:
-        return layers.problem(("formation", *key), f"{'.'.join(('formation', *key))}: {text}")
 
+def _formation_faults(file: WorldFile, plan: FormationPlan) -> Iterator[PlanFault]:
     flying = {drone.id for drone in file.drone}
     if set(plan.slots) != flying:
-        yield wrong(
+        yield PlanFault(
             ("slots",),
             f"leader and slots of the drones {sorted(plan.slots)}, expected of {sorted(flying)}: each [[drone]] leads "
             "or follows",
         )
         return
-    spans = {drone.id: _span(drone) for drone in file.drone}
-    if len(set(spans.values())) > 1:
-        yield wrong((), f"drones with spans of {sorted(set(spans.values()))} m, expected one span of all")
-    for fault in plan_faults(plan, max(spans.values())):
-        yield wrong(fault.key, fault.text)
-    if file.formation.judged_from_s >= file.world.seconds:
-        text = (
-            f"{file.formation.judged_from_s:g} s, expected less than world.seconds, {file.world.seconds:g} s"
-        )
-        yield wrong(("judged_from_s",), text)
+    spans = {_span(drone) for drone in file.drone}
+    if len(spans) > 1:
+        yield PlanFault((), f"drones with spans of {sorted(spans)} m, expected one span of all")
+    yield from plan_faults(plan, max(spans))
+    views, acceleration = fields_of_view([file.camera.mounted()]), file.formation.limits.acceleration_m_s2
+    for drone_id in plan.followers:
+        yield from view_faults(plan, drone_id, views, acceleration)
+    begins, ends = file.formation.judged_from_s, file.world.seconds
+    if begins >= ends:
+        yield PlanFault(("judged_from_s",), f"{begins:g} s, expected less than world.seconds, {ends:g} s")
 
 
 def _span(section: OutsideDroneSection) -> float:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from support.places import CONFIGS
-from swarmtrack.config import load_config
+from swarmtrack.config import DroneConfig, load_config
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.localswarm.configs import Sources, write_configs
-from swarmtrack.localswarm.world_file import check_alone, load_world
+from swarmtrack.localswarm.world_file import OutsideWorld, check_alone, load_world
 from swarmtrack.simulation.followed import FollowedDrone
 from swarmtrack.simulation.scenarios import CAMERA
 
@@ -97,22 +97,27 @@ def test_an_airframe_of_another_span_has_the_same_shape(tmp_path):
     assert large.outline() == pytest.approx(np.asarray(usual.outline()) / usual.span)
 
 
-def test_the_agents_configs_are_those_of_the_world(tmp_path):
-    world = load_world(written(tmp_path))
+def configs(folder: Path, world: OutsideWorld, **changes: float) -> list[DroneConfig]:
+    """Of the agents, in the order of their IDs; changes: of the world's scenario."""
     sources = {
         n: Sources(f"http://127.0.0.1:9/{n}", one.link, one.truth.system_id, one.start, 0.3)
         for n, one in world.outsiders.items()
     }
     files = write_configs(
-        tmp_path,
-        world.scenario,
+        folder,
+        replace(world.scenario, **changes),
         team="blue",
         tracker="mbm",
         sources=sources,
         simulator="…",
         origin=world.origin,
     )
-    first, second = (load_config(files[n]) for n in (1, 2))
+    return [load_config(files[n]) for n in sorted(files)]
+
+
+def test_the_agents_configs_are_those_of_the_world(tmp_path):
+    world = load_world(written(tmp_path))
+    first, second = configs(tmp_path, world)
     assert (first.autopilot.link, first.autopilot.system_id) == ("tcp:127.0.0.1:5762", None)
     assert (second.autopilot.link, second.autopilot.system_id) == ("udpin:127.0.0.1:14541", 2)
     assert first.drone.start.source == "gps"
@@ -124,19 +129,7 @@ def test_the_agents_configs_are_those_of_the_world(tmp_path):
 
 def test_a_team_that_shares_its_motion_is_told_so_beside_its_origin(tmp_path):
     world = load_world(written(tmp_path))
-    sources = {
-        n: Sources(f"http://127.0.0.1:9/{n}", one.link, start=one.start) for n, one in world.outsiders.items()
-    }
-    files = write_configs(
-        tmp_path,
-        replace(world.scenario, share_hz=4.0),
-        team="blue",
-        tracker="mbm",
-        sources=sources,
-        simulator="…",
-        origin=world.origin,
-    )
-    team = load_config(files[1]).team
+    team = configs(tmp_path, world, share_hz=4.0)[0].team
     assert (team.share, team.share_hz, team.origin) == ("velocity", 4.0, world.origin)
 
 
@@ -166,19 +159,7 @@ def test_a_formation_of_the_world_is_that_of_its_agents_and_of_the_judge(tmp_pat
     assert (formation.leader, formation.followers, formation.height_m) == (1, [2], 9.0)
     assert formation.judged_from_s == 20.0
     assert world.scenario.star is None
-    sources = {
-        n: Sources(f"http://127.0.0.1:9/{n}", one.link, start=one.start) for n, one in world.outsiders.items()
-    }
-    files = write_configs(
-        tmp_path,
-        world.scenario,
-        team="blue",
-        tracker="mbm",
-        sources=sources,
-        simulator="…",
-        origin=world.origin,
-    )
-    config = load_config(files[2])
+    config = configs(tmp_path, world)[1]
     assert (config.team.share, config.team.share_hz) == ("velocity", 5.0)
     assert config.formation.enabled
     assert config.formation.limits.fence_radius_m == 40.0
@@ -190,6 +171,7 @@ def test_a_formation_of_the_world_is_that_of_its_agents_and_of_the_judge(tmp_pat
     [
         ("slots = { 2 =", "slots = { 3 =", "slots: leader and slots of the drones [1, 3], expected of [1, 2]"),
         ("[-6.0, 0.0, 1.0]", "[-1.0, 0.0, 1.0]", "formation.slots.2: "),
+        ("[-6.0, 0.0, 1.0]", "[-6.0, 0.0, 5.0]", "formation.slots.2: "),
         ("system_id = 2", "system_id = 2\nairframe = { span_m = 1.0 }", "expected one span of all"),
         ("judged_from_s = 20.0", "judged_from_s = 50.0", "formation.judged_from_s: 50 s, expected less than world.sec"),
         ("leader = 1", "leadr = 1", 'formation.leadr: unknown key, did you mean "leader"?'),
