@@ -45,6 +45,10 @@ GROUPS = {
     "develop": {
         "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
         "train": ("swarmtrack.agents.train", "train a detector"),
+        "train-second-stage": (
+            "swarmtrack.agents.train_second_stage",
+            "train what looks at a detector's candidates again",
+        ),
         "label": ("swarmtrack.agents.label", "make training labels of a recorded flight"),
         "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
         "judge": (
@@ -98,9 +102,13 @@ def parse(words: list[str]) -> argparse.Namespace:
 
 
 def _listed() -> str:
-    lines = []
+    lines, width = [], max(map(len, COMMANDS))
     for group, commands in GROUPS.items():
-        lines += [f"{group}:", *(f"  {name:10} {summary}" for name, (_, summary) in commands.items()), ""]
+        lines += [
+            f"{group}:",
+            *(f"  {name:{width}} {summary}" for name, (_, summary) in commands.items()),
+            "",
+        ]
     return "\n".join(lines)
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_list, add_seed, count, positive
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
 
 if TYPE_CHECKING:
+    from swarmtrack.training.labelled_clips import Clip, Origin
     from swarmtrack.training.labelled_images import LabelledFrame
 
 NETWORKS = ("plain", "nano", "resnet34")
@@ -31,6 +32,11 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         "the .onnx file to write; the checkpoint (.pt) and the report (folder .report) go next to it",
         required=True,
     )
+    add_data(parser, every="of --clips, each N-th frame; of those held out, a fifth of these")
+
+
+def add_data(parser: argparse.ArgumentParser, *, every: str) -> None:
+    """What is learned from, and what is held out. every: the help of --every."""
     add_folder(parser, "--data", "labelled images: CSV, COCO or YOLO; without it all is procedural")
     add_folder(parser, "--clips", "labelled videos: NAME.mp4 and NAME_gt.csv, birds if the name says bird")
     parser.add_argument(
@@ -38,7 +44,7 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         type=count,
         default=10,
         metavar="N",
-        help="of --clips, each N-th frame; of those held out, a fifth of these (default: %(default)s)",
+        help=f"{every} (default: %(default)s)",
     )
     add_folder(parser, "--validate", "more labelled images, looked at but never trained on")
     add_list(parser, "--hold-out", "keep a scene for validation; may be repeated", "SCENE")
@@ -113,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.training.dataset import Recipe
 
     _check_files(args)
-    frames, validation = what_to_learn(args)
+    frames, validation = what_to_learn(split(args), args.every)
     settings = trainer.Settings(
         minutes=None if args.iterations else args.minutes or MINUTES,
         iterations=args.iterations,
@@ -155,8 +161,17 @@ def _check_files(args: argparse.Namespace) -> None:
         raise SourceError(f"--resume: {args.out.with_suffix('.pt')}: no such checkpoint")
 
 
-def what_to_learn(args: argparse.Namespace) -> tuple[list[LabelledFrame], list[LabelledFrame]]:
-    """What to train on, and what to validate on: of clips windows, and whole frames."""
+class Split(NamedTuple):
+    """Labelled images and clips to train on, and those held out; and where each clip was taken."""
+
+    images: list[LabelledFrame]
+    held_out_images: list[LabelledFrame]
+    clips: list[tuple[Clip, Origin]]
+    held_out_clips: list[tuple[Clip, Origin]]
+
+
+def split(args: argparse.Namespace) -> Split:
+    """What --data, --clips and --validate hold, as --hold-out and --hold-out-negatives part it."""
     from swarmtrack.training import labelled_clips
     from swarmtrack.training.labelled_images import held_out, load_frames
 
@@ -172,17 +187,26 @@ def what_to_learn(args: argparse.Namespace) -> tuple[list[LabelledFrame], list[L
     def is_kept(scene: str, source: str) -> bool:
         return scene in args.hold_out or (args.hold_out_negatives and held_out(scene, source))
 
-    training: list[LabelledFrame] = []
-    validation = list(load_frames(args.validate)) if args.validate else []
+    parts = Split([], list(load_frames(args.validate)) if args.validate else [], [], [])
     for frame in frames:
-        (validation if is_kept(frame.scene, frame.source) else training).append(frame)
+        kept = is_kept(frame.scene, frame.source)
+        (parts.held_out_images if kept else parts.images).append(frame)
     for clip in clips:
         origin = origins[clip.name]
-        if is_kept(origin.scene, origin.source):
-            validation += labelled_clips.labelled_frames(clip, origin, 5 * args.every)
-        else:
-            some = labelled_clips.labelled_frames(clip, origin, args.every)
-            training += (labelled_clips.window(frame) for frame in some)
+        kept = is_kept(origin.scene, origin.source)
+        (parts.held_out_clips if kept else parts.clips).append((clip, origin))
+    return parts
+
+
+def what_to_learn(parts: Split, every: int) -> tuple[list[LabelledFrame], list[LabelledFrame]]:
+    """What to train on, and what to validate on: of clips windows, and whole frames."""
+    from swarmtrack.training.labelled_clips import labelled_frames, window
+
+    training, validation = list(parts.images), list(parts.held_out_images)
+    for clip, origin in parts.held_out_clips:
+        validation += labelled_frames(clip, origin, 5 * every)
+    for clip, origin in parts.clips:
+        training += (window(frame) for frame in labelled_frames(clip, origin, every))
     return training, validation
 
 

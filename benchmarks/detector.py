@@ -73,6 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--input-scale", type=float, default=1.0, metavar="S", help="input px per image px")
     add_list(parser, "--scene", "of the images only this one", "NAME")
     parser.add_argument("--every", type=count, default=1, metavar="N", help="of the clips each N-th frame")
+    parser.add_argument(
+        "--second-stage",
+        default="auto",
+        metavar="STAGE",
+        help='what looks at candidates again: "auto", "none", "default", or an .onnx file (default: %(default)s)',
+    )
     add_flag(parser, "--motion", "of clips count what moved; their camera must stand")
     add_list(parser, "--scenario", "also a flight of the simulation, rendered", "NAME")
     add_folder(parser, "--frames-of", "clips of which each N-th frame counts as an image, if held out")
@@ -87,9 +93,14 @@ def run(args: argparse.Namespace) -> None:
     """Write detector.json, detector.md and detector.png into `args.out`."""
     plt = report.pyplot()
     detector = Detector(
-        args.model, score_threshold=LOWEST, input_scale=args.input_scale, look="whole", motion=args.motion
+        args.model,
+        score_threshold=LOWEST,
+        input_scale=args.input_scale,
+        second_stage=args.second_stage,
+        look="whole",
+        motion=args.motion,
     )
-    threshold = detector.description.score_threshold
+    threshold = detector.own_threshold
     sets = _look(
         detector,
         _frames(args, QUICK_EVERY if args.quick else args.every),
@@ -108,6 +119,7 @@ def run(args: argparse.Namespace) -> None:
         "head": detector.description.head,
         "data": args.data.name,
         "input_scale": args.input_scale,
+        "second_stage": args.second_stage,
         "motion": args.motion,
         **detector_score.summary(main, threshold),
         "threshold_of_090_recall": round(sure, 4),
@@ -116,7 +128,7 @@ def run(args: argparse.Namespace) -> None:
         "by_clip": _summaries(sets.clips, threshold),
         "by_size": [entry._asdict() for entry in detector_score.by_size(matches, threshold)],
         "by_distractor": _fired(main, {"threshold": threshold, "at_090_recall": sure}),
-        "ms_per_frame": _times(args.model, QUICK_REPEATS if args.quick else REPEATS),
+        "ms_per_frame": _times(args.model, args.second_stage, QUICK_REPEATS if args.quick else REPEATS),
         "file_mb": round(Path(detector.path).stat().st_size / 1e6, 3),
     }
     report.write(args.out, NAME, result, _markdown(result))
@@ -275,11 +287,11 @@ def _share(fired: tuple[int, int] | None) -> float | None:
     return None if fired is None else round(fired[0] / fired[1], 4)
 
 
-def _times(model: str, repeats: int) -> dict[str, dict[str, float]]:
+def _times(model: str, second_stage: str, repeats: int) -> dict[str, dict[str, float]]:
     """Milliseconds of a frame of noise, one thread: a picture that is neither empty nor kind to a cache."""
     times = {}
     for width, height in TIMED:
-        detector = Detector(model, look="whole")
+        detector = Detector(model, second_stage=second_stage, look="whole")
         image = np.random.default_rng(0).integers(0, 255, (height, width, 3)).astype(np.uint8)
         detector.warm_up(width, height)
         spent = []

@@ -395,6 +395,11 @@ class DetectorSection(Section):
     score_threshold: Probability | None = Field(
         default=None, description="overrides the model's own threshold"
     )
+    second_stage: Text = Field(
+        default="auto",
+        description='looks at each detection again: "default" for the shipped one, an .onnx file, or "none"; "auto": '
+        "the shipped one with the shipped model, else none",
+    )
     input_scale: Annotated[Positive, Field(le=4.0)] | None = Field(
         default=None,
         description="size of the detector's input relative to the image, for whole frames: below 1 is faster, above "
@@ -792,7 +797,10 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
         ("autopilot", "link", lambda link: _beside(link, ("tlog", "ulog", "file"), str(folder))),
         ("autopilot", "signing_key", lambda name: str(folder / Path(name).expanduser())),
         ("network", "keys", lambda name: str(folder / Path(name).expanduser())),
-        ("detector", "model", lambda name: str(folder / name) if name.endswith(".onnx") else name),
+        *(
+            ("detector", key, lambda name: str(folder / name) if name.endswith(".onnx") else name)
+            for key in ("model", "second_stage")
+        ),
     ]
     resolve_plan(table, folder)
     for section, key, resolve in rules:

@@ -143,8 +143,8 @@ class Detections:
 
     t: time of exposure; sequence: of the frame; centre (n, 2) [u, v]; size (n, 2) [w, h]; score (n,) in 0…1;
     covariance (n, 2, 2) px² of the centre, or None where the detector does not know. coverage: share of the image that
-    was looked at, 0…1; every track was. likeness (n,) in 0…1: the score by looks alone, whether it moves or not; None:
-    it is the score. camera: which of the drone's, by its place in the config.
+    was looked at, 0…1; every track was. likeness (n,) in 0…1: how much it looks like a drone, whether it moves or not;
+    None: it is the score. camera: which of the drone's, by its place in the config.
     """
 
     t: float

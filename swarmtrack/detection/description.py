@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
+from swarmtrack.detection import metadata
 from swarmtrack.errors import ModelError
 from swarmtrack.plain_text import plain
 from swarmtrack.relative.box_width import LIMITS, BoxWidth
 
-PREFIX = "swarmtrack."
 HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr")
 STRIDES = (8, 16, 32)  # of YOLO's three maps
 ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
@@ -24,15 +24,7 @@ FOREIGN_THRESHOLD = 0.25  # of nets that tell none: what Ultralytics' own predic
 DRONES = ("drone", "uav", "quadcopter", "quadrotor", "multirotor", "multicopter")
 LOOK_ALIKES = ("bird", "airplane", "aeroplane", "plane", "helicopter", "kite", "balloon")
 
-# Of metadata, which anybody may have written.
-LONGEST_ENTRY = 64 << 10  # characters: a thousand classes take half of it
-LONGEST_NAME, SHOWN = 64, 120  # characters
-COARSEST = 1024  # px of a stride
-LARGEST = 1e6
-UNREADABLE = (ValueError, TypeError, KeyError, SyntaxError, RecursionError, OverflowError, MemoryError)
-
 Shape = tuple[int, ...]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +48,8 @@ class Description:
 
     The net is fed scale · (pixel − mean), both in the order of its channels; pad_value 0…255. calibration (a, b): the
     probability that a detection is a drone is σ(a logit(score) + b). box_width: how wide its boxes are, where it says
-    so. source: who said all this; entries: our metadata as written.
+    so. second_stage: whether the shipped one (`second_stage`) was fitted to its scores. source: who said all this;
+    entries: our metadata as written.
     """
 
     head: str
@@ -72,6 +65,7 @@ class Description:
     pad_value: int = 114
     calibration: tuple[float, float] = (1.0, 0.0)
     box_width: BoxWidth | None = None
+    second_stage: bool = False
     source: str
     entries: Mapping[str, str]
 
@@ -85,7 +79,7 @@ class Trial(NamedTuple):
 
 def describe(path: str, written: Mapping[str, str], trial: Trial, declared: Declared) -> Description:
     """written: the file's metadata. Raises `ModelError` where something is missing or wrong, naming it."""
-    if any(key.startswith(PREFIX) for key in written):
+    if any(key.startswith(metadata.PREFIX) for key in written):
         description = _ours(path, written)
     elif written.get("author") == "Ultralytics" or {"names", "stride"} <= written.keys():
         description = _ultralytics(path, written, trial, declared)
@@ -98,127 +92,49 @@ def describe(path: str, written: Mapping[str, str], trial: Trial, declared: Decl
 
 
 def _ours(path: str, written: Mapping[str, str]) -> Description:
-    entries = {key.removeprefix(PREFIX): text for key, text in written.items() if key.startswith(PREFIX)}
-
-    def entry(key: str, parse: Callable[[str], T], expected: str, default: T | None = None) -> T:
-        if key not in entries:
-            if default is not None:
-                return default
-            raise ModelError(
-                f"{path}: metadata {PREFIX}{key} is missing (found {', '.join(sorted(written))}), expected {expected}"
-            )
-        try:
-            return parse(_bounded(entries[key]))
-        except UNREADABLE:
-            raise ModelError(
-                f"{path}: metadata {PREFIX}{key} is {_quoted(entries[key])}, expected {expected}"
-            ) from None
-
-    head = entry("head", _one_of(HEADS), f"one of {', '.join(HEADS)}")
+    ours = metadata.Metadata(path, written)
+    entry = ours.entry
+    head = entry("head", metadata.one_of(HEADS), f"one of {', '.join(HEADS)}")
     if head == "centernet":
-        entry("size_encoding", _one_of(["log_cells"]), "log_cells")
+        entry("size_encoding", metadata.one_of(["log_cells"]), "log_cells")
+    fitted = entry("second_stage", metadata.one_of(["default", "none"]), "default or none", "none")
     return Description(
         head=head,
-        stride=entry("stride", _pixels, f"a positive whole number of pixels, {COARSEST} at most"),
-        multiple=entry("multiple", _pixels, f"a positive whole number of pixels, {COARSEST} at most"),
-        names=entry("names", _names, "a JSON list of class names"),
-        score_threshold=entry("score_threshold", _fraction, "a number in 0…1"),
-        scale=entry("scale", _scale, "a number other than 0, or a JSON list of three"),
-        mean=entry("mean", _three, f"a JSON list of three numbers, none beyond {LARGEST:g}"),
-        channel_order=entry("channel_order", _one_of(["BGR", "RGB"]), "BGR or RGB"),
-        pad_value=entry("pad_value", _byte, "a whole number in 0…255"),
+        stride=entry(
+            "stride", metadata.pixels, f"a positive whole number of pixels, {metadata.COARSEST} at most"
+        ),
+        multiple=entry(
+            "multiple", metadata.pixels, f"a positive whole number of pixels, {metadata.COARSEST} at most"
+        ),
+        names=entry("names", metadata.names, "a JSON list of class names"),
+        score_threshold=entry("score_threshold", metadata.fraction, "a number in 0…1"),
+        scale=entry("scale", metadata.scale, "a number other than 0, or a JSON list of three"),
+        mean=entry("mean", metadata.three, f"a JSON list of three numbers, none beyond {metadata.LARGEST:g}"),
+        channel_order=entry("channel_order", metadata.one_of(["BGR", "RGB"]), "BGR or RGB"),
+        pad_value=entry("pad_value", metadata.byte, "a whole number in 0…255"),
         calibration=entry(
-            "calibration", _sigmoid, "a JSON list of two numbers, the first above 0", (1.0, 0.0)
+            "calibration", metadata.sigmoid, "a JSON list of two numbers, the first above 0", (1.0, 0.0)
         ),
         box_width=box_width_of(path, written),
+        second_stage=fitted == "default",
         source="its metadata",
-        entries=entries,
+        entries=ours.entries,
     )
 
 
 def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
     """What our metadata say of the widths of boxes; None where they say nothing. Raises `ModelError`."""
-    text = written.get(f"{PREFIX}box_width")
+    text = written.get(f"{metadata.PREFIX}box_width")
     if text is None:
         return None
     try:
-        return BoxWidth(**json.loads(_bounded(text)))
-    except UNREADABLE as error:
+        return BoxWidth(**json.loads(metadata.bounded(text)))
+    except metadata.UNREADABLE as error:
+        found, why = metadata.quoted(text), plain(str(error), metadata.SHOWN)
         raise ModelError(
-            f"{path}: metadata {PREFIX}box_width is {_quoted(text)} ({plain(str(error), SHOWN)}), expected a "
-            f"JSON object of {', '.join(LIMITS)}"
+            f"{path}: metadata {metadata.PREFIX}box_width is {found} ({why}), expected a JSON object of "
+            f"{', '.join(LIMITS)}"
         ) from None
-
-
-def _one_of(allowed: Sequence[str]) -> Callable[[str], str]:
-    def parse(text: str) -> str:
-        if text not in allowed:
-            raise ValueError(text)
-        return text
-
-    return parse
-
-
-def _bounded(text: str) -> str:
-    if len(text) > LONGEST_ENTRY:
-        raise ValueError("too long")
-    return text
-
-
-def _quoted(text: str) -> str:
-    return plain(repr(text[:SHOWN]), SHOWN)
-
-
-def _pixels(text: str) -> int:
-    if not 1 <= (value := int(text)) <= COARSEST:
-        raise ValueError(text)
-    return value
-
-
-def _byte(text: str) -> int:
-    if not 0 <= (value := int(text)) <= 255:
-        raise ValueError(text)
-    return value
-
-
-def _fraction(text: str) -> float:
-    if not 0 <= (value := float(text)) <= 1:
-        raise ValueError(text)
-    return value
-
-
-def _number(value: Any) -> float:
-    # NaN is within no bounds.
-    if not abs(number := float(value)) <= LARGEST:
-        raise ValueError(value)
-    return number
-
-
-def _sigmoid(text: str) -> tuple[float, float]:
-    a, b = (_number(value) for value in json.loads(text))
-    if a <= 0.0:  # the surest would be the least
-        raise ValueError(text)
-    return a, b
-
-
-def _three(text: str) -> tuple[float, float, float]:
-    x, y, z = (_number(value) for value in json.loads(text))
-    return x, y, z
-
-
-def _scale(text: str) -> tuple[float, float, float]:
-    value = json.loads(text)
-    scale = _three(text) if isinstance(value, list) else (_number(value),) * 3
-    if 0.0 in scale:  # it would see nothing, or the same in all pictures
-        raise ValueError(text)
-    return scale
-
-
-def _names(text: str) -> tuple[str, ...]:
-    names: Any = json.loads(text)
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise ValueError(text)
-    return tuple(plain(name, LONGEST_NAME) for name in names)
 
 
 # --- other people's nets ------------------------------------------------------------------------------
@@ -229,15 +145,17 @@ def _ultralytics(path: str, written: Mapping[str, str], trial: Trial, declared: 
     114."""
     task = written.get("task", "detect")
     if task != "detect":
-        raise ModelError(f"{path}: an Ultralytics net for task {_quoted(task)}, expected one for 'detect'")
+        raise ModelError(
+            f"{path}: an Ultralytics net for task {metadata.quoted(task)}, expected one for 'detect'"
+        )
     try:
-        named: Any = ast.literal_eval(_bounded(written["names"]))
-        names = tuple(plain(str(named[i]), LONGEST_NAME) for i in range(len(named)))
+        named: Any = ast.literal_eval(metadata.bounded(written["names"]))
+        names = tuple(plain(str(named[i]), metadata.LONGEST_NAME) for i in range(len(named)))
         if not names:
             raise ValueError("no names")
-        multiple = _pixels(str(int(float(written["stride"]))))
-    except UNREADABLE:
-        found = {key: _quoted(written.get(key, "")) for key in ("names", "stride")}
+        multiple = metadata.pixels(str(int(float(written["stride"]))))
+    except metadata.UNREADABLE:
+        found = {key: metadata.quoted(written.get(key, "")) for key in ("names", "stride")}
         raise ModelError(
             f"{path}: Ultralytics metadata are {found}, expected names like {{0: 'drone'}} and a stride"
         ) from None

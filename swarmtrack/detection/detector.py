@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.clock import Clock, SystemClock
-from swarmtrack.detection import motion_cue
+from swarmtrack.detection import motion_cue, second_stage
 from swarmtrack.detection.attention import AttentionParameters, AttentionWindows, Window, coverage
 from swarmtrack.detection.description import Declared, Description
 from swarmtrack.detection.expectation import Expectation
 from swarmtrack.detection.heads import Candidates, merged
-from swarmtrack.detection.model import model_path, open_session, runs_on
+from swarmtrack.detection.model import model_path, open_session, runs_on, second_stage_path
 from swarmtrack.detection.motion_cue import Comparison, MotionCue
 from swarmtrack.detection.net import TRIAL_SIZE, Net
+from swarmtrack.detection.second_stage import SecondStage
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array, Detections, Frame, LinkStatus
 
@@ -27,6 +28,8 @@ USUAL_ATTENTION = AttentionParameters()
 LATENCY_FRAMES = 256
 # px: sides of an image that make sense.
 SMALLEST, LARGEST = 8, 8192
+# Score from which on a candidate is looked at again, by the second stage or for what moved.
+LEAST = min(motion_cue.LEAST, second_stage.LEAST)
 
 
 class Percentiles(NamedTuple):
@@ -46,13 +49,17 @@ class Latency(NamedTuple):
     post: Percentiles
 
 
+NOBODY = np.empty((0, 6))
+
+
 class Look(NamedTuple):
-    """One look of the detector: at which windows of a frame, none where it cannot be used, and what to compare it
-    with."""
+    """One look of the detector: at which windows of a frame, none where it cannot be used, what to compare it with, and
+    where tracks are expected (n, 6), as `Expectation.boxes` says."""
 
     frame: Frame
     windows: tuple[Window, ...]
     comparison: Comparison | None
+    expected: Array = NOBODY
 
 
 class _Memory(NamedTuple):
@@ -68,9 +75,11 @@ class Detector:
     model: a shipped model's name or a file. score_threshold: instead of the model's own. input_scale: enlarge images
     before looking, for drones of few pixels (the time grows with its square). providers: ONNX Runtime's, by short name,
     best first; cache: folder of the engines that some of them compile. declared: what the file does not say of the net,
-    or says wrongly. look: "whole" frames, or "guided" by the tracks as `attention` says; "auto": guided where the whole
-    frame would be shrunk. motion: also ask what moved since an earlier frame (`motion_cue`). A model that cannot work
-    raises `ModelError` here; a bad frame later is counted and yields nothing.
+    or says wrongly. second_stage: which network looks at each candidate again; "auto" is the shipped one ("default"),
+    where it was fitted to the model's scores, else "none". look: "whole" frames, or "guided" by the tracks as
+    `attention` says; "auto": guided where the whole frame would be shrunk. motion: also ask what moved since an earlier
+    frame (`motion_cue`). A model that cannot work raises `ModelError` here; a bad frame later is counted and yields
+    nothing.
     """
 
     def __init__(
@@ -83,6 +92,7 @@ class Detector:
         providers: Sequence[str] = ("cpu",),
         cache: Path | None = None,
         declared: Declared = NOTHING_DECLARED,
+        second_stage: str | Path = "auto",
         look: Literal["auto", "whole", "guided"] = "auto",
         attention: AttentionParameters = USUAL_ATTENTION,
         motion: bool = False,
@@ -103,9 +113,14 @@ class Detector:
         self._clock = clock or SystemClock()
         self._session = open_session(self._path, threads, providers, cache)
         self._net = Net(self._path, self._session, declared, self._clock)
-        self.score_threshold = (
+        self._second = self._second_stage(second_stage, threads, providers, cache)
+        self.own_threshold = (self._second or self.description).score_threshold
+        """Score from which on detections are shown where nobody says otherwise."""
+        self.score_threshold = self.own_threshold if score_threshold is None else score_threshold
+        self._alone_threshold = (
             self.description.score_threshold if score_threshold is None else score_threshold
         )
+        """Likewise, of the first stage's score where a track is expected."""
         self._input_scale = input_scale
         self._look = look
         self._attention_parameters = attention
@@ -117,6 +132,18 @@ class Detector:
         self._trouble = ""
         # Once now, on a small image: a net whose outputs are not understood must not be discovered in flight.
         self.warm_up(*(self._net.fixed_size or TRIAL_SIZE))
+
+    def _second_stage(
+        self, which: str | Path, threads: int, providers: Sequence[str], cache: Path | None
+    ) -> SecondStage | None:
+        if which == "auto":
+            which = "default" if self.description.second_stage else "none"
+        if which == "none":
+            return None
+        try:
+            return SecondStage(second_stage_path(which), threads, providers, cache)
+        except ModelError as error:
+            raise ModelError(f"detector.second_stage: {error}") from error
 
     @property
     def path(self) -> Path:
@@ -147,14 +174,15 @@ class Detector:
         height, width = image.shape[:2]
         scale = self._net.scale_of(width, height, self._input_scale)
         windows = [Window(0, 0, width, height, scale)]
-        comparison = None
+        comparison, expected = None, NOBODY
         memory = self._memory(frame.camera)
         if expectation is not None:
+            expected = expectation.boxes(frame.t)
             if self._look == "guided" or (self._look == "auto" and scale < 1.0):
-                windows = memory.attention.next((width, height), scale, expectation.boxes(frame.t))
+                windows = memory.attention.next((width, height), scale, expected)
             if memory.motion is not None:
                 comparison = memory.motion.compare(frame.t, expectation)
-        return Look(frame, tuple(windows), comparison)
+        return Look(frame, tuple(windows), comparison, expected)
 
     def look(self, look: Look) -> Detections | None:
         """All drones in the windows of a planned look, best first, in pixels of the image as given.
@@ -168,7 +196,7 @@ class Detector:
             self._trouble = _unusable(frame.image)
             return None
         try:
-            found, score, seconds = self._look_through(look)
+            found, likeness, seconds = self._look_through(look)
         except ModelError as error:  # NaN from this image only: the next one may be fine
             self._broken += 1
             self._trouble = str(error)
@@ -185,9 +213,9 @@ class Detector:
             frame.sequence,
             found.centre,
             found.size,
-            score,
+            found.score,
             coverage=seen,
-            likeness=None if score is found.score else found.score,
+            likeness=likeness,
             camera=frame.camera,
         )
 
@@ -199,11 +227,12 @@ class Detector:
             memory = self._memories[camera] = _Memory(attention, MotionCue() if self._with_motion else None)
         return memory
 
-    def _look_through(self, look: Look) -> tuple[Candidates, Array, Array]:
-        """What is in the windows, in pixels of the image, its scores (n,) with the odds of motion, and the seconds (3,)
-        that it took."""
+    def _look_through(self, look: Look) -> tuple[Candidates, Array | None, Array]:
+        """What is in the windows, in pixels of the image, with its scores and their likeness as in `Detections`; and
+        the seconds (3,) that it took."""
         threshold, image = self.score_threshold, look.frame.image
-        least = threshold if look.comparison is None else min(threshold, motion_cue.LEAST)
+        alone = look.comparison is None and self._second is None
+        least = threshold if alone else min(threshold, LEAST)
         whole = (image.shape[1], image.shape[0])
         spent = np.zeros(3)
         parts = []
@@ -215,12 +244,31 @@ class Detector:
             spent += seconds
         found = parts[0] if len(parts) == 1 else merged(parts, limit=self._limit)
         began = self._clock.now()
-        score = found.score
+        likeness, shown_from = None, np.full(len(found.score), threshold)
+        if self._second is not None:
+            found, likeness, shown_from = self._look_again(self._second, look, found)
         motion = self._memory(look.frame.camera).motion
         if motion is not None:
-            found, score = motion.weigh(look.frame, found, threshold, look.comparison)
+            likeness = found.score if likeness is None else likeness
+            rows, score = motion.weigh(look.frame, found, shown_from, look.comparison)
+            found, likeness = found.take(rows)._replace(score=score), likeness[rows]
         spent[2] += self._clock.now() - began
-        return found, score, spent
+        return found, likeness, spent
+
+    def _look_again(
+        self, second: SecondStage, look: Look, found: Candidates
+    ) -> tuple[Candidates, Array, Array]:
+        """The candidates that may be shown with both stages' scores, best first; their likeness (n,), and the score
+        (n,) from which each is shown."""
+        found = found.take(slice(second_stage.MOST))
+        both = second.scores(look.frame.image, found)
+        alone = _near(look.expected, found.centre) & (found.score > both)
+        score = np.where(alone, found.score, both)
+        shown_from = np.where(alone, self._alone_threshold, self.score_threshold)
+        least = shown_from if look.comparison is None else np.minimum(shown_from, LEAST)
+        order = np.argsort(-score, kind="stable")
+        order = order[(score >= least)[order]]
+        return found._replace(score=score).take(order), second.likeness(both[order]), shown_from[order]
 
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""
@@ -243,7 +291,8 @@ class Detector:
         """One line and the counters for the health message; not ok while the newest frame could not be used."""
         latency = self.latency
         pace = f", {1e3 * latency.infer.p50:.1f} ms per frame" if self._frames else ""
-        text = self._trouble or f"{self._path.name} on {', '.join(self.providers)}{pace}"
+        stages = self._path.name if self._second is None else f"{self._path.name}, {self._second.path.name}"
+        text = self._trouble or f"{stages} on {', '.join(self.providers)}{pace}"
         counters = [
             ("frames", self._frames),
             ("windows", self._windows),
@@ -257,6 +306,14 @@ class Detector:
             for name, value in percentiles._asdict().items()
         ]
         return LinkStatus("detector", not self._trouble, text, (*counters, *times))
+
+
+def _near(expected: Array, centre: Array) -> NDArray[np.bool_]:
+    """(n,) whether points (n, 2) lie where one of the tracks (m, 6) may be: within 3 σ and half its box."""
+    half = expected[:, 2:4] + 0.5 * np.nan_to_num(expected[:, 4:6])
+    apart = np.abs(centre[:, None] - expected[None, :, :2])
+    within = np.asarray((apart <= half).all(axis=2), np.bool_)
+    return np.asarray(within.any(axis=1))
 
 
 def _unusable(image: NDArray[np.uint8]) -> str:

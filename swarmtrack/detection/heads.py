@@ -34,7 +34,7 @@ class Candidates(NamedTuple):
     score: Array
     label: NDArray[np.intp]
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | list[int]) -> Candidates:
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | list[int] | slice) -> Candidates:
         return Candidates(self.centre[rows], self.size[rows], self.score[rows], self.label[rows])
 
 

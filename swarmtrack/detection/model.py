@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import onnxruntime as ort
@@ -37,12 +38,22 @@ ENGINE_CACHES: dict[str, dict[str, str]] = {
 }
 ELEMENTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 """Types of input that a net may have."""
+TRIAL_S, COMPILING_S = 30.0, 1200.0  # s for the first answer; where an accelerator compiles the net before
+
+T = TypeVar("T")
 
 
 def model_path(model: str | Path) -> Path:
     """The file of a shipped model's name, or the path itself."""
     if str(model) in SHIPPED:
         return Path(str(resources.files("swarmtrack.detection") / "models" / f"{model}.onnx"))
+    return Path(model)
+
+
+def second_stage_path(model: str | Path) -> Path:
+    """Of a second stage, likewise."""
+    if str(model) in SHIPPED:
+        return Path(str(resources.files("swarmtrack.detection") / "models" / "second_stage.onnx"))
     return Path(model)
 
 
@@ -107,6 +118,35 @@ def runs_on(session: ort.InferenceSession) -> tuple[str, ...]:
     """The providers that really run a session, by short name, the first one first."""
     short = {long: name for name, long in PROVIDERS.items()}
     return tuple(short.get(long, long) for long in session.get_providers())
+
+
+def trial_limit(session: ort.InferenceSession) -> float:
+    """s for the first answer of a session."""
+    return (
+        TRIAL_S if runs_on(session) == ("cpu",) else COMPILING_S
+    )  # accelerators compile it first, some for minutes
+
+
+def first_answer(path: Path, ask: Callable[[ort.RunOptions], T], *, limit_s: float, what: str) -> T:
+    """What a net from anybody answers when it is asked for the first time; `ModelError` where it cannot, or runs for
+    ever. what: it is asked."""
+    options = ort.RunOptions()
+    ending = threading.Timer(limit_s, setattr, (options, "terminate", True))
+    ending.daemon = True
+    ending.start()
+    try:
+        return ask(options)
+    except ModelError:
+        raise
+    except Exception as error:  # ONNX Runtime's exceptions have no common base but this
+        if options.terminate:
+            raise ModelError(
+                f"{path}: no answer within {limit_s:g} s to {what}, expected a detector that is fast enough for a "
+                "flight"
+            ) from None
+        raise ModelError(f"{path}: cannot run on {what}: {error}") from error
+    finally:
+        ending.cancel()
 
 
 def check_input(path: Path, session: ort.InferenceSession) -> tuple[int, int] | None:

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.detection.heads import Candidates
@@ -87,14 +88,15 @@ class MotionCue:
         return None if pixels_then is None else Comparison(earlier.grey, pixels_then)
 
     def weigh(
-        self, frame: Frame, found: Candidates, threshold: float, comparison: Comparison | None
-    ) -> tuple[Candidates, Array]:
-        """What the net scores `threshold` or more, and what motion makes sure; and the scores (n,) with the odds of
-        motion, best first. Without a comparison it is `found`. The frame is kept for those to come."""
+        self, frame: Frame, found: Candidates, threshold: float | Array, comparison: Comparison | None
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Which of the candidates score their threshold, one or (n,), or are made sure by motion, best first (rows
+        (n,)); and their scores (n,) with the odds of motion. Without a comparison it is all of them, as they are. The
+        frame is kept for those to come."""
         grey = _grey(frame.image)
         self._keep(frame.t, grey)
         if comparison is None:
-            return found, found.score
+            return np.arange(len(found.score)), found.score
         ratio = np.ones(len(found.score))
         if grey.shape == comparison.grey.shape:  # else the camera has changed its size just now
             then = _moved_into(comparison.grey, grey, comparison.pixels_then)
@@ -103,10 +105,10 @@ class MotionCue:
             ratio = np.array([_ratio(changes, *box) for box in boxes])
         odds = found.score / np.maximum(1.0 - found.score, 1e-9) * ratio
         score = np.where(ratio > 1.0, odds / (1.0 + odds), found.score)
-        shown = (found.score >= threshold) | (score >= max(threshold, SURE))
+        shown = (found.score >= threshold) | (score >= np.maximum(threshold, SURE))
         order = np.argsort(-score, kind="stable")
         order = order[shown[order]]
-        return found.take(order), score[order]
+        return order, score[order]
 
     def _keep(self, t: float, grey: Image) -> None:
         """For the frames to come. A clock that went back, or an image of another size, starts again."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,12 +15,11 @@ from swarmtrack.detection import letterbox
 from swarmtrack.detection.description import Declared, Description, Trial, describe
 from swarmtrack.detection.heads import Candidates, Output, read, suppress
 from swarmtrack.detection.letterbox import Letterbox
-from swarmtrack.detection.model import ELEMENTS, check_input, runs_on
+from swarmtrack.detection.model import ELEMENTS, check_input, first_answer, trial_limit
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Image
 
 TRIAL_SIZE = (96, 64)  # px, where the net's input may have any size
-TRIAL_S, COMPILING_S = 30.0, 1200.0  # s for the first answer; where an accelerator compiles the net before
 SURELY = 1e-6  # a score is not nearer to 0 or 1 than that
 
 
@@ -103,25 +101,13 @@ class Net:
     def _try_out(self) -> Trial:
         """An empty image, before anything is known of the net but its input."""
         width, height = self.fixed_size or TRIAL_SIZE
-        # A net may run for ever. Accelerators compile it first, some for minutes.
-        limit = TRIAL_S if runs_on(self._session) == ("cpu",) else COMPILING_S
-        options = ort.RunOptions()
-        ending = threading.Timer(limit, setattr, (options, "terminate", True))
-        ending.daemon = True
-        ending.start()
-        try:
-            outputs = self._answer(np.zeros((1, 3, height, width), self._element), options)
-        except ModelError:
-            raise
-        except Exception as error:  # ONNX Runtime's exceptions have no common base but this
-            if options.terminate:
-                raise ModelError(
-                    f"{self._path}: no answer within {limit:g} s to an empty image of {width}x{height}, expected a "
-                    "detector that is fast enough for a flight"
-                ) from None
-            raise ModelError(f"{self._path}: cannot run on an input of {width}x{height}: {error}") from error
-        finally:
-            ending.cancel()
+        empty = np.zeros((1, 3, height, width), self._element)
+        outputs = first_answer(
+            self._path,
+            lambda options: self._answer(empty, options),
+            limit_s=trial_limit(self._session),
+            what=f"an empty image of {width}x{height}",
+        )
         return Trial((width, height), tuple(tuple(output.shape) for output in outputs))
 
     def _letterbox(self, width: int, height: int, scale: float) -> Letterbox:

@@ -342,7 +342,7 @@ FAULTS: dict[str, Fault] = {
     ),
     # --- detector
     "detector.model": Fault(
-        F, "{reason}", "copy the model again (compare sizes), or correct detector.model; docs/detector.md"
+        F, "{reason}", "copy the model again (compare sizes), or correct [detector]; docs/detector.md"
     ),
     "detector.provider": Fault(
         F, "{reason}", "install the ONNX Runtime build with that provider, or add \"cpu\" to detector.providers"

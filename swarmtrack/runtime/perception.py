@@ -112,6 +112,7 @@ def detector_of(section: DetectorSection, clock: Clock) -> Detector:
     return Detector(
         section.model,
         score_threshold=section.score_threshold,
+        second_stage=section.second_stage,
         input_scale=section.input_scale or usual_scale,
         threads=section.threads,
         providers=section.providers,

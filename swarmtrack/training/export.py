@@ -34,23 +34,6 @@ def export(network: nn.Module, path: Path, metadata: Mapping[str, str]) -> None:
 
     The file appears whole or not at all: whoever reads `path` meanwhile sees the old one.
     """
-    deployed = _Deployed(network).eval()
-    partial = path.with_suffix(".partial")
-    free = {0: "batch", 2: "height", 3: "width"}
-    with warnings.catch_warnings():
-        # The newer exporter fixes sizes that must stay free; that the older one is on its way out is known.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        torch.onnx.export(
-            deployed,
-            (torch.zeros(1, 3, 2 * COARSEST, 3 * COARSEST),),
-            str(partial),
-            input_names=["images"],
-            output_names=["heat", "offset", "size"],
-            opset_version=OPSET,
-            dynamo=False,
-            dynamic_axes=dict.fromkeys(("images", "heat", "offset", "size"), free),
-        )
-    model = onnx.load(str(partial))
     ours = {
         "head": "centernet",
         "stride": str(STRIDE),
@@ -63,7 +46,41 @@ def export(network: nn.Module, path: Path, metadata: Mapping[str, str]) -> None:
         "pad_value": "114",
         "score_threshold": "0.3",
     }
-    for key, value in {**ours, **metadata}.items():
+    free = {0: "batch", 2: "height", 3: "width"}
+    write_onnx(
+        _Deployed(network).eval(),
+        torch.zeros(1, 3, 2 * COARSEST, 3 * COARSEST),
+        path,
+        dict.fromkeys(("images", "heat", "offset", "size"), free),
+        {**ours, **metadata},
+    )
+
+
+def write_onnx(
+    deployed: nn.Module,
+    example: Tensor,
+    path: Path,
+    free: Mapping[str, Mapping[int, str]],
+    metadata: Mapping[str, str],
+) -> None:
+    """Write a net with one input. free: axes of any length by name of the input, which comes first, and the outputs."""
+    partial = path.with_suffix(".partial")
+    with warnings.catch_warnings():
+        # The newer exporter fixes sizes that must stay free; that the older one is on its way out is known.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        names = list(free)
+        torch.onnx.export(
+            deployed,
+            (example,),
+            str(partial),
+            input_names=names[:1],
+            output_names=names[1:],
+            opset_version=OPSET,
+            dynamo=False,
+            dynamic_axes=free,
+        )
+    model = onnx.load(str(partial))
+    for key, value in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = f"swarmtrack.{key}", value
     onnx.save(model, str(partial))

@@ -182,7 +182,7 @@ class _Training:
         total.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), 10.0)
         self._optimizer.step()
-        _average_into(self._average, self._network, min(AVERAGING, (1 + run.steps) / (10 + run.steps)))
+        average_into(self._average, self._network, min(AVERAGING, (1 + run.steps) / (10 + run.steps)))
         run.steps += 1
         run.images += len(images)
         return [heat.item(), offset.item(), size.item()]
@@ -267,7 +267,7 @@ def _pictures(images: torch.Tensor) -> torch.Tensor:
 
 
 @torch.no_grad()
-def _average_into(average: torch.nn.Module, network: torch.nn.Module, memory: float) -> None:
+def average_into(average: torch.nn.Module, network: torch.nn.Module, memory: float) -> None:
     """average ← memory · average + (1 − memory) · network, running statistics of batch norm included."""
     theirs = network.state_dict()
     for name, value in average.state_dict().items():

@@ -17,8 +17,8 @@ SURE_RECALL = 0.9  # at whose threshold the images without drones are counted th
 
 
 def look(model: Path, frames: Sequence[LabelledFrame]) -> list[ScoredImage]:
-    """What the exported net finds in each image, whole."""
-    detector = Detector(str(model), score_threshold=LOWEST, look="whole")
+    """What the exported net finds in each image, whole, by itself."""
+    detector = Detector(str(model), score_threshold=LOWEST, second_stage="none", look="whole")
     looks = []
     for frame in frames:
         found = detector.look(detector.plan(Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA)))

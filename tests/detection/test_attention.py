@@ -192,9 +192,9 @@ def test_what_a_shrunk_frame_hides_a_guided_look_finds_where_it_is():
     there = [(300.0, 200.0), (900.0, 500.0)]
     frame = sky_with(there, size=16.0)
     boxes = np.array([box_of(*centre, size=16.0) for centre in there])
-    whole = Detector(input_scale=0.25, look="whole")
+    whole = Detector(input_scale=0.25, second_stage="none", look="whole")
     missed = whole.look(whole.plan(frame, Tracks(boxes)))
-    guided = Detector(input_scale=0.25)
+    guided = Detector(input_scale=0.25, second_stage="none")
     found = guided.look(guided.plan(frame, Tracks(boxes)))
     assert len(missed.score) < 2
     assert len(found.score) == 2

@@ -172,7 +172,7 @@ def test_outputs_of_no_known_head_are_shown_with_what_is_known(tmp_path):
 
 def test_what_runs_is_reported_and_what_is_missing_is_skipped(tmp_path):
     detector = Detector(providers=("tensorrt", "cuda", "cpu"), cache=tmp_path / "engines")
-    assert detector.status().text.startswith("default.onnx on cpu")
+    assert detector.status().text.startswith("default.onnx, second_stage.onnx on cpu")
     with pytest.raises(ModelError, match=r"none of cuda is installed here, only cpu"):
         Detector(providers=("cuda",))
 

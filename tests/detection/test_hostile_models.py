@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from support.mutants import MUTANTS, mutants
-from swarmtrack.detection import net
-from swarmtrack.detection.description import LONGEST_ENTRY, Declared, Trial, describe
+from swarmtrack.detection import model as model_file
+from swarmtrack.detection.description import Declared, Trial, describe
 from swarmtrack.detection.detector import Detector
+from swarmtrack.detection.metadata import LONGEST_ENTRY
 from swarmtrack.detection.model import metadata_of, model_path
 from swarmtrack.errors import ModelError
 
@@ -106,7 +107,7 @@ def test_any_mutation_of_good_metadata_is_read_or_refused(count, good, trial):
 def test_a_net_that_never_answers_is_given_up(tmp_path, monkeypatch):
     onnx = pytest.importorskip("onnx", reason="makes nets: needs onnx, of the extra dev")
     helper = onnx.helper
-    monkeypatch.setattr(net, "TRIAL_S", 0.3)
+    monkeypatch.setattr(model_file, "TRIAL_S", 0.3)
 
     def value(name, shape=(), kind=onnx.TensorProto.FLOAT):
         return helper.make_tensor_value_info(name, kind, shape)

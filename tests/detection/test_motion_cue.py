@@ -76,8 +76,8 @@ def weighed(then, now, found, pixels_then=same_place):
     cue = MotionCue()
     keep(cue, 1.0, then)
     comparison = cue.compare(1.1, Turned(pixels_then))
-    shown, score = cue.weigh(frame(1.1, now), found, THRESHOLD, comparison)
-    return shown._replace(score=score)
+    rows, score = cue.weigh(frame(1.1, now), found, THRESHOLD, comparison)
+    return found.take(rows)._replace(score=score)
 
 
 def test_a_weak_candidate_that_moved_is_shown_and_one_that_stands_still_is_as_weak_as_before():

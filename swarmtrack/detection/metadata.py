@@ -1,0 +1,122 @@
+"""What is written in a model's file beside the net: text by key, which anybody may have written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
+
+from swarmtrack.errors import ModelError
+from swarmtrack.plain_text import plain
+
+PREFIX = "swarmtrack."
+LONGEST_ENTRY = 64 << 10  # characters: a thousand classes take half of it
+LONGEST_NAME, SHOWN = 64, 120  # characters
+COARSEST = 1024  # px of a stride
+LARGEST = 1e6
+UNREADABLE = (ValueError, TypeError, KeyError, SyntaxError, RecursionError, OverflowError, MemoryError)
+
+T = TypeVar("T")
+
+
+class Metadata:
+    """Our entries of a file, by their keys without `PREFIX`."""
+
+    def __init__(self, path: str, written: Mapping[str, str]) -> None:
+        self._path = path
+        self._present = ", ".join(sorted(written))
+        self.entries = {
+            key.removeprefix(PREFIX): text for key, text in written.items() if key.startswith(PREFIX)
+        }
+
+    def entry(self, key: str, parse: Callable[[str], T], expected: str, default: T | None = None) -> T:
+        """What an entry says; where it is missing, the default. Raises `ModelError` where it cannot be read, or is
+        missing and has none."""
+        if key not in self.entries:
+            if default is not None:
+                return default
+            raise ModelError(
+                f"{self._path}: metadata {PREFIX}{key} is missing (found {self._present}), expected {expected}"
+            )
+        try:
+            return parse(bounded(self.entries[key]))
+        except UNREADABLE:
+            raise ModelError(
+                f"{self._path}: metadata {PREFIX}{key} is {quoted(self.entries[key])}, expected {expected}"
+            ) from None
+
+
+def one_of(allowed: Sequence[str]) -> Callable[[str], str]:
+    def parse(text: str) -> str:
+        if text not in allowed:
+            raise ValueError(text)
+        return text
+
+    return parse
+
+
+def bounded(text: str) -> str:
+    if len(text) > LONGEST_ENTRY:
+        raise ValueError("too long")
+    return text
+
+
+def quoted(text: str) -> str:
+    return plain(repr(text[:SHOWN]), SHOWN)
+
+
+def pixels(text: str) -> int:
+    if not 1 <= (value := int(text)) <= COARSEST:
+        raise ValueError(text)
+    return value
+
+
+def byte(text: str) -> int:
+    if not 0 <= (value := int(text)) <= 255:
+        raise ValueError(text)
+    return value
+
+
+def fraction(text: str) -> float:
+    if not 0 <= (value := float(text)) <= 1:
+        raise ValueError(text)
+    return value
+
+
+def number(value: Any) -> float:
+    # NaN is within no bounds.
+    if not abs(result := float(value)) <= LARGEST:
+        raise ValueError(value)
+    return result
+
+
+def sigmoid(text: str) -> tuple[float, float]:
+    a, b = two(text)
+    if a <= 0.0:  # the surest would be the least
+        raise ValueError(text)
+    return a, b
+
+
+def two(text: str) -> tuple[float, float]:
+    x, y = (number(value) for value in json.loads(text))
+    return x, y
+
+
+def three(text: str) -> tuple[float, float, float]:
+    x, y, z = (number(value) for value in json.loads(text))
+    return x, y, z
+
+
+def scale(text: str) -> tuple[float, float, float]:
+    value = json.loads(text)
+    factors = three(text) if isinstance(value, list) else (number(value),) * 3
+    if 0.0 in factors:  # it would see nothing, or the same in all pictures
+        raise ValueError(text)
+    return factors
+
+
+def names(text: str) -> tuple[str, ...]:
+    listed: Any = json.loads(text)
+    if not isinstance(listed, list) or not listed or not all(isinstance(name, str) for name in listed):
+        raise ValueError(text)
+    return tuple(plain(name, LONGEST_NAME) for name in listed)

@@ -1,0 +1,146 @@
+"""A second stage: a small network that looks at one candidate at a time, and only says whether it is a drone.
+
+Theory of operation. A detector answers for every cell of a picture, and has little to spend on any one of them. Of its
+candidates, a dozen at most, the second stage is shown each one alone: a square around the centre, scaled with the box,
+so that a drone fills it whether it is near or far. It answers how much likelier than before this is a drone, as log
+odds, which are added to those of the detector:
+
+    logit(score') = logit(score) + weight · log_odds + offset
+
+What a track is confirmed by, its likeness, is lower than that by a number of log odds, the doubt (`likeness`). Where a
+track is expected the score does not fall below the detector's own: that something is still there is one question, and
+what it is another.
+
+Two stages are how R-CNN (Girshick et al. 2014) and the cascade of Viola & Jones (2001) are built. weight and offset are
+fitted to candidates that neither stage was trained on, and stand in the file. It works with the boxes of any detector.
+`docs/decisions/0039-two-stages.md` has what it brought.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from swarmtrack.detection import metadata
+from swarmtrack.detection.heads import Candidates
+from swarmtrack.detection.metadata import Metadata
+from swarmtrack.detection.model import ELEMENTS, first_answer, open_session, trial_limit
+from swarmtrack.errors import ModelError
+from swarmtrack.messages import Array, Image
+
+HEAD = "second_stage"
+LEAST = 0.15  # score from which on a candidate is looked at again
+MOST = 16  # candidates of one frame: the best
+SMALLEST = 8.0  # px of the image: no square is smaller
+LARGEST_SIDE = 256  # px of its input
+SURELY = 1e-6  # a score is not nearer to 0 or 1 than that
+
+
+class SecondStage:
+    """A classifier's session and how to talk to it. One that cannot be understood raises `ModelError` here."""
+
+    def __init__(
+        self, path: Path, threads: int = 1, providers: Sequence[str] = ("cpu",), cache: Path | None = None
+    ) -> None:
+        self.path = path
+        self._session = open_session(path, threads, providers, cache)
+        entry = Metadata(str(path), self._session.get_modelmeta().custom_metadata_map).entry
+        entry("head", metadata.one_of([HEAD]), HEAD)
+        self.around = entry("around", _positive, "a positive number")
+        """Side of the square that it is shown, in longer sides of the box."""
+        self.weight, self.offset = entry("fusion", metadata.two, "a JSON list of two numbers")
+        self.score_threshold = entry("score_threshold", metadata.fraction, "a number in 0…1")
+        """Of both stages' score: from which on a detection is shown."""
+        self._doubt = entry("doubt", metadata.number, f"a number, none beyond {metadata.LARGEST:g}")
+        self._input, self._side, self._element = self._check_input()
+        empty: NDArray[Any] = np.zeros((1, 3, self._side, self._side), self._element)
+        first_answer(
+            path,
+            lambda options: self._answer(empty, options),
+            limit_s=trial_limit(self._session),
+            what="an empty square",
+        )
+
+    def scores(self, image: Image, found: Candidates) -> Array:
+        """(n,) of both stages, for `MOST` candidates in an image at most."""
+        if not len(found.score):
+            return found.score
+        log_odds = self.log_odds(image, found.centre, found.size)
+        return _probability(_logit(found.score) + self.weight * log_odds + self.offset)
+
+    def likeness(self, score: Array) -> Array:
+        """Of scores (n,) of both stages: how much it looks like a drone, where that is to say who is one. A detection
+        is shown on a suspicion, a track is confirmed on more: the log odds are lower by what the file calls doubt."""
+        return _probability(_logit(score) - self._doubt)
+
+    def log_odds(self, image: Image, centre: Array, size: Array) -> Array:
+        """(n,) of being a drone, of what lies at boxes (n, 2), (n, 2) px of an image."""
+        squares = [
+            square(image, where, self.around * max(side, SMALLEST), self._side)
+            for where, side in zip(centre, size.max(axis=1).tolist(), strict=True)
+        ]
+        return self._answer(np.asarray(cv2.dnn.blobFromImages(squares), self._element))
+
+    def _answer(self, squares: NDArray[Any], options: ort.RunOptions | None = None) -> Array:
+        answer = np.asarray(self._session.run(None, {self._input: squares}, options)[0], float)
+        if answer.shape != (len(squares),) or not np.isfinite(answer).all():
+            raise ModelError(
+                f"{self.path}: answered NaN or {answer.shape} to {len(squares)} squares, expected a number of each"
+            )
+        return answer
+
+    def _check_input(self) -> tuple[str, int, type]:
+        """Name, side and type of the only input: (n, 3, side, side)."""
+        inputs = self._session.get_inputs()
+        shape = inputs[0].shape if len(inputs) == 1 else []
+        sides = shape[2:] if len(shape) == 4 and shape[1] == 3 and not isinstance(shape[0], int) else []
+        good = len(sides) == 2 and sides[0] == sides[1] and isinstance(sides[0], int)
+        if not good or not 8 <= sides[0] <= LARGEST_SIDE or inputs[0].type not in ELEMENTS:
+            found = "; ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs) or "none"
+            raise ModelError(
+                f"{self.path}: inputs are {found}; expected one of shape [n, 3, side, side], {LARGEST_SIDE} px at most"
+            )
+        return inputs[0].name, sides[0], ELEMENTS[inputs[0].type]
+
+
+def square(image: Image, centre: Array, side: float, pixels: int) -> Image:
+    """(pixels, pixels, 3) BGR: what lies within a square of `side` px around a centre (2,) of the image, (h, w) grey or
+    (h, w, 3) BGR; beyond its edges as at them."""
+    scale = pixels / side
+    low = np.floor(np.asarray(centre) - side / 2 - 2).astype(int)
+    high = np.ceil(np.asarray(centre) + side / 2 + 3).astype(int)
+    height, width = image.shape[:2]
+    x0, y0 = np.clip(low, 0, [width - 1, height - 1])
+    x1, y1 = np.clip(high, [x0 + 1, y0 + 1], [width, height])
+    part = image[y0:y1, x0:x1]
+    if part.ndim == 2 or part.shape[2] == 1:
+        part = np.asarray(cv2.cvtColor(np.ascontiguousarray(part), cv2.COLOR_GRAY2BGR), np.uint8)
+    if scale < 0.7:
+        part = np.asarray(cv2.GaussianBlur(part, (0, 0), 0.35 / scale), np.uint8)
+    shift = (pixels - 1) / 2 - scale * (np.asarray(centre) - [x0, y0])
+    how = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
+    seen = cv2.warpAffine(
+        part, how, (pixels, pixels), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(seen, np.uint8)
+
+
+def _logit(score: Array) -> Array:
+    clipped = np.clip(score, SURELY, 1.0 - SURELY)
+    return np.asarray(np.log(clipped / (1.0 - clipped)))
+
+
+def _probability(log_odds: Array) -> Array:
+    return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
+
+
+def _positive(text: str) -> float:
+    if not 0.0 < (value := metadata.number(text)) <= 16.0:
+        raise ValueError(text)
+    return value

@@ -1,0 +1,138 @@
+"""What a detector takes for drones in labelled pictures, cut out around each: a second stage learns from these.
+
+A detector shows its candidates in whole frames that are shrunk, as they are, or in windows that are enlarged, and its
+boxes are tighter there: so it looks at each picture in one of several scales.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.detection.net import Net
+from swarmtrack.detection.second_stage import LEAST, SMALLEST, square
+from swarmtrack.evaluation.detector_score import by_centre
+from swarmtrack.training.dataset import TrainingSample
+from swarmtrack.training.labelled_images import Boxes, LabelledFrame
+from swarmtrack.training.simulated_pictures import SIMULATED
+
+DRONE, OTHER, DRAWN = "drone", "other", "drawn"
+# Scales of the pictures, and how often each is taken.
+SCALES = ((1.0, 0.4), (0.5, 0.1), (1.5, 0.15), (2.0, 0.15), (3.0, 0.2))
+WINDOW = 320  # px of input: side of what is looked at where the scale is above 1
+ROOM = 64  # px of the image that are added to it
+SEEN = 24  # candidates of a picture
+PER_PICTURE = (3, 1)  # that are wrong: the best, and others
+BESIDE = 0.3  # of its longer side: a second candidate for one drone that is further off than that is wrong
+KEPT = 96  # px: side of what is kept of each
+KEPT_AROUND = 2.4  # longer sides of its box that this shows
+DRAWN_ROOM = (
+    2.1  # of a picture that is drawn, candidates so far from its edges are taken, in longer sides of the box
+)
+
+
+class Candidate(NamedTuple):
+    """picture (KEPT, KEPT, 3) BGR; kind: `DRONE`, what else was labelled there, or `OTHER`; source: the clip; score: of
+    the detector, 0 for what it overlooked."""
+
+    picture: NDArray[np.uint8]
+    kind: str
+    source: str
+    score: float
+
+
+class CandidateSource:
+    """Looks for candidates with one detector, in scales drawn at random."""
+
+    def __init__(self, net: Net, rng: np.random.Generator) -> None:
+        self._net, self._rng = net, rng
+        self._scales, self._chances = zip(*SCALES, strict=True)
+
+    def of_frames(self, frames: Iterable[LabelledFrame]) -> Iterator[Candidate]:
+        for frame in frames:
+            yield from self._look(frame, self._scale())
+
+    def of_whole_frames(self, frames: Iterable[LabelledFrame]) -> Iterator[Candidate]:
+        """As they are: to fit the scores of both stages to each other."""
+        for frame in frames:
+            yield from self._look(frame, 1.0)
+
+    def of_drawn(self, samples: Iterable[TrainingSample]) -> Iterator[Candidate]:
+        for sample in samples:
+            frame = LabelledFrame(DRAWN, DRAWN, DRAWN, sample.image, sample.drones, sample.others)
+            yield from self._look(frame, self._scale(), sample.doubtful)
+
+    def _scale(self) -> float:
+        return float(self._rng.choice(self._scales, p=self._chances))
+
+    def _look(self, frame: LabelledFrame, scale: float, doubtful: Boxes | None = None) -> Iterator[Candidate]:
+        """doubtful: what may be a drone and is left out."""
+        rng, drawn = self._rng, frame.source == DRAWN
+        corner, part = (np.zeros(2, int), frame.image) if drawn else self._part(frame, scale)
+        found, _ = self._net.look(part, scale, LEAST, SEEN)
+        labels = np.concatenate([frame.drones, frame.distractors])
+        kinds = (DRONE,) * len(frame.drones) + (frame.kinds or (OTHER,) * len(frame.distractors))
+        boxes = np.concatenate([found.centre + corner, found.size], axis=1)
+        hits = [_hit(box, labels) for box in boxes]
+        first = {hit: row for row, hit in reversed(list(enumerate(hits)))}
+        wrong = [
+            row
+            for row, (box, hit) in enumerate(zip(boxes, hits, strict=True))
+            if (hit < 0 and (doubtful is None or _hit(box, doubtful) < 0))
+            or (hit >= 0 and first[hit] != row and _apart(boxes[first[hit]], box) > BESIDE)
+        ]
+        best, others = PER_PICTURE
+        wrong = wrong[:best] + rng.permutation(wrong[best:])[:others].astype(int).tolist()
+        for row, (box, hit) in enumerate(zip(boxes, hits, strict=True)):
+            if row in wrong:
+                yield from self._cut(frame, box, OTHER, float(found.score[row]))
+            elif hit >= 0 and first[hit] == row:
+                yield from self._cut(frame, box, kinds[hit], float(found.score[row]))
+        if frame.source == SIMULATED:  # its labels are tighter than any detector's boxes
+            return
+        high = corner + np.array(part.shape[1::-1])
+        for row in sorted(set(range(len(labels))) - set(hits)):
+            box = labels[row]
+            if ((box[:2] >= corner) & (box[:2] < high)).all() and (not drawn or rng.random() < 0.5):
+                yield from self._cut(frame, box, kinds[row], 0.0)
+
+    def _part(self, frame: LabelledFrame, scale: float) -> tuple[NDArray[np.int_], NDArray[np.uint8]]:
+        """What is looked at in this scale, mostly around something labelled; and its top left corner, px."""
+        shown = np.array(frame.image.shape[1::-1])
+        if scale <= 1.0:
+            return np.zeros(2, int), frame.image
+        rng, labels = self._rng, np.concatenate([frame.drones, frame.distractors])
+        side = int(min(WINDOW / scale + ROOM, *shown))
+        middle = rng.uniform(0.0, shown)
+        if len(labels) and rng.random() < 0.8:
+            middle = labels[rng.integers(len(labels)), :2] + rng.uniform(-0.3, 0.3, 2) * side
+        x, y = np.clip(middle - side / 2, 0, shown - side).astype(int).tolist()
+        return np.array([x, y]), frame.image[y : y + side, x : x + side]
+
+    def _cut(
+        self, frame: LabelledFrame, box: NDArray[np.float64], kind: str, score: float
+    ) -> Iterator[Candidate]:
+        side = max(float(box[2:].max()), SMALLEST)
+        room = DRAWN_ROOM / 2 * side
+        drawn = frame.source == DRAWN
+        low, high = box[:2] - room, box[:2] + room
+        if drawn and ((low < 0).any() or (high > frame.image.shape[1::-1]).any()):
+            return
+        yield Candidate(square(frame.image, box[:2], KEPT_AROUND * side, KEPT), kind, frame.source, score)
+
+
+def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Between the centres of two boxes, in longer sides of the first."""
+    return float(np.hypot(*(other[:2] - one[:2])) / one[2:].max())
+
+
+def _hit(box: NDArray[np.float64], labels: Boxes) -> int:
+    """Which label a candidate means, −1: none."""
+    if not len(labels):
+        return -1
+    quality = by_centre(box, labels)
+    best = int(quality.argmax())
+    return best if quality[best] > 0 else -1

@@ -1,0 +1,292 @@
+"""Trains a second stage (`swarmtrack.detection.second_stage`): a classifier of a detector's candidates.
+
+Theory of operation. A training first collects candidates, in labelled pictures, clips and drawn pictures
+(`candidates`), then learns to tell their kinds apart: drones, each kind of look-alike, and all else. Half of a batch
+are drones. What is no drone is taken by kind, then by clip, and only then by frame, so that no long clip outweighs
+others. Each is turned, enlarged, and photographed anew each time. Last, what the stage says of candidates that were
+held out is fitted beside the detector's own scores by logistic regression.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+from torch import Tensor, nn
+from torch.nn import functional
+
+from swarmtrack.clock import SystemClock
+from swarmtrack.detection.second_stage import HEAD, SURELY
+from swarmtrack.evaluation.detector_score import Matches
+from swarmtrack.training import render
+from swarmtrack.training.candidates import DRAWN, DRONE, KEPT, KEPT_AROUND, OTHER, Candidate
+from swarmtrack.training.export import write_onnx
+from swarmtrack.training.feeding import TrainingError
+from swarmtrack.training.layers import convolution
+from swarmtrack.training.simulated_pictures import SIMULATED
+from swarmtrack.training.trainer import REPORT_PERIOD, average_into
+
+SIDE = 64  # px of its input
+AROUND = 1.6  # longer sides of the box that it is shown
+AVERAGING = 0.998  # per step
+WARM_UP = 200  # steps until the full learning rate
+WEIGHT_DECAY = 0.05
+SMOOTHING = 0.02  # of the labels: some are wrong
+FEWEST = 20  # held-out candidates of drones, and of what is none, that scores can be fitted to
+UNFITTED = (0.7, -1.0)  # weight and offset where nothing was held out
+GHOST = 4.0  # drones overlooked that are as bad as one ghost
+DOUBT = 1.3  # log odds by which what confirms a track is below the score
+KEEPS = 0.99  # of the held-out drones that the detector found: how many pass the threshold
+THRESHOLDS = (0.1, 0.4)  # at least, and at most
+
+
+@dataclass(frozen=True, slots=True)
+class StageSettings:
+    """How it is trained. drawn, simulated: shares of a kind's candidates that are of such pictures, if it has any."""
+
+    iterations: int = 4000
+    seed: int = 0
+    batch: int = 96
+    learning_rate: float = 2e-3
+    drawn: float = 0.3
+    simulated: float = 0.15
+
+
+Chances = NDArray[np.float64]
+
+
+class Fusion(NamedTuple):
+    """logit(score') = logit(score) + weight · log_odds + offset."""
+
+    weight: float
+    offset: float
+
+
+class Trained(NamedTuple):
+    """fusion; alone, together: average precision of the detector's scores on candidates that were held out, and of both
+    stages' scores; None where none were."""
+
+    fusion: Fusion
+    alone: float | None
+    together: float | None
+
+
+class Classifier(nn.Module):
+    """forward: squares (n, 3, SIDE, SIDE), 0…255 → logits (n, kinds), drones first."""
+
+    def __init__(self, kinds: int, widths: tuple[int, ...] = (16, 32, 56, 80)) -> None:
+        super().__init__()
+        layers: list[nn.Module] = [convolution(3, widths[0], stride=2), nn.ReLU()]
+        for inputs, width in pairwise(widths):
+            layers += [convolution(inputs, width, stride=2), nn.ReLU(), convolution(width, width), nn.ReLU()]
+        self.features = nn.Sequential(*layers)
+        self.dropout = nn.Dropout(0.3)
+        self.kinds = nn.Linear(2 * widths[-1], kinds)
+
+    def forward(self, squares: Tensor) -> Tensor:
+        y = self.features(squares / 255 - 0.5)
+        pooled = torch.cat([y.mean(dim=(2, 3)), y.amax(dim=(2, 3))], dim=1)
+        return cast(Tensor, self.kinds(self.dropout(pooled)))
+
+
+class _InFlight(nn.Module):
+    """As it flies: log odds (n,) of being a drone, as the mean of a look at each square and one at its mirror image."""
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, squares: Tensor) -> Tensor:
+        logits = self.network(torch.cat([squares, squares.flip(3)]))
+        log_odds = logits[:, 0] - torch.logsumexp(logits[:, 1:], dim=1)
+        return log_odds.reshape(2, -1).mean(dim=0)
+
+
+class _Pools:
+    """Candidates by kind and source, and batches of them."""
+
+    def __init__(
+        self, candidates: Iterable[Candidate], settings: StageSettings, rng: np.random.Generator
+    ) -> None:
+        self._settings, self._rng = settings, rng
+        self._pools: dict[str, dict[str, list[Candidate]]] = {}
+        for candidate in candidates:
+            self._pools.setdefault(candidate.kind, {}).setdefault(candidate.source, []).append(candidate)
+        self.kinds = [DRONE, *sorted(self._pools.keys() - {DRONE})]
+        if len(self.kinds) < 2 or DRONE not in self._pools:
+            raise TrainingError(
+                f"candidates are {', '.join(self._pools) or 'none'}, expected drones and what is none"
+            )
+
+        others = max(len(self.kinds) - 2, 1)
+        weights = np.array([{DRONE: 4.0, OTHER: 2.0}.get(kind, 2.0 / others) for kind in self.kinds])
+        self._shares = weights / weights.sum()
+        """Of the kinds: half are drones, a quarter is nothing that flies."""
+        self._groups = {kind: self._grouped(pool) for kind, pool in self._pools.items()}
+
+    def batch(self) -> tuple[Tensor, Tensor]:
+        """Squares (n, 3, SIDE, SIDE) and kinds (n,), by their place in `kinds`."""
+        rng, size = self._rng, self._settings.batch
+        kinds = rng.choice(len(self.kinds), size, p=self._shares)
+        squares = [augmented(rng, self._pick(self.kinds[kind]).picture) for kind in kinds]
+        return _as_input(squares), torch.from_numpy(kinds)
+
+    def _pick(self, kind: str) -> Candidate:
+        rng, pool = self._rng, self._pools[kind]
+        groups, chances = self._groups[kind]
+        sources = groups[rng.choice(len(groups), p=chances)]
+        some = pool[sources[rng.integers(len(sources))]]
+        return some[rng.integers(len(some))]
+
+    def _grouped(self, sources: Iterable[str]) -> tuple[list[list[str]], Chances]:
+        """The clips, what is drawn and what is simulated, as far as there are any, and how often each is taken."""
+        told = self._settings
+        shares = {DRAWN: told.drawn, SIMULATED: told.simulated}
+        clips = [source for source in sources if source not in shares]
+        groups = [([made], share) for made, share in shares.items() if made in sources]
+        if clips:
+            groups.append((clips, 1.0 - told.drawn - told.simulated))
+        chances = np.array([share for _, share in groups])
+        return [names for names, _ in groups], chances / chances.sum()
+
+
+def train(
+    candidates: Iterable[Candidate],
+    validation: Sequence[Candidate],
+    settings: StageSettings,
+    out: Path,
+    metadata: dict[str, str],
+) -> Trained:
+    """Train on candidates, fit the scores on those held out, and write `out` (ONNX)."""
+    torch.manual_seed(settings.seed)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    pools = _Pools(candidates, settings, np.random.default_rng(settings.seed))
+    network, average = (Classifier(len(pools.kinds)) for _ in range(2))
+    average.load_state_dict(network.state_dict())
+    optimizer = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=WEIGHT_DECAY)
+    clock = SystemClock()
+    began = reported = clock.now()
+    for step in range(settings.iterations):
+        fall = 0.5 + 0.5 * math.cos(math.pi * step / settings.iterations)
+        for group in optimizer.param_groups:
+            group["lr"] = settings.learning_rate * min(1.0, (step + 1) / WARM_UP) * fall
+        squares, kinds = pools.batch()
+        loss = functional.cross_entropy(network(squares), kinds, label_smoothing=SMOOTHING)
+        if not torch.isfinite(loss):
+            raise TrainingError(f"step {step}: the loss is {loss.item()}; lower --learning-rate")
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        average_into(average, network, min(AVERAGING, (1 + step) / (10 + step)))
+        if clock.now() - reported > REPORT_PERIOD:
+            reported = clock.now()
+            minutes, done = (reported - began) / 60, (step + 1) / settings.iterations
+            print(f"{minutes:5.1f} min  {done:4.0%}  loss {loss.item():.3f}", file=sys.stderr, flush=True)
+    deployed = _InFlight(average).eval()
+    log_odds = _log_odds(deployed, validation)
+    fusion = fit(validation, log_odds)
+    together = _odds(validation) + fusion.weight * log_odds + fusion.offset
+    told = {
+        "head": HEAD,
+        "around": str(AROUND),
+        "fusion": json.dumps([round(number, 4) for number in fusion]),
+        "doubt": str(DOUBT),
+        "score_threshold": f"{_threshold(validation, together):.3f}",
+        "kinds": json.dumps(pools.kinds),
+        "recipe": json.dumps(asdict(settings)),
+    }
+    free = {name: {0: "candidates"} for name in ("squares", "log_odds")}
+    write_onnx(deployed, torch.zeros(2, 3, SIDE, SIDE), out, free, {**told, **metadata})
+    if not validation:
+        return Trained(fusion, None, None)
+    alone = _odds(validation)
+    return Trained(fusion, *(_average_precision(validation, odds) for odds in (alone, together)))
+
+
+def fit(validation: Sequence[Candidate], log_odds: NDArray[np.float64]) -> Fusion:
+    """Weight and offset by maximum likelihood, what is no drone counting `GHOST` times as much as drones; of candidates
+    (n) that the detector found, and what the stage says of them (n,)."""
+    seen = np.array([candidate.score > 0.0 for candidate in validation], np.bool_)
+    drone = np.array([candidate.kind == DRONE for candidate in validation], np.bool_)
+    if min((seen & drone).sum(), (seen & ~drone).sum()) < FEWEST:
+        return Fusion(*UNFITTED)
+    odds, x, y = _odds(validation)[seen], log_odds[seen], drone[seen]
+    weights = np.where(y, 1.0 / y.sum(), GHOST / (~y).sum())
+
+    def surprise(p: NDArray[np.float64]) -> float:
+        z = p[0] * (odds + p[1] * x + p[2])
+        return float((weights * (np.logaddexp(0.0, z) - y * z)).sum())
+
+    bounds = [(1e-3, 1e3), (0.0, 1e2), (None, None)]
+    _, weight, offset = minimize(surprise, np.array([1.0, *UNFITTED]), bounds=bounds).x.tolist()
+    return Fusion(weight, offset)
+
+
+def _odds(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
+    """Logits (n,) of the detector's scores."""
+    score = np.array([candidate.score for candidate in candidates])
+    return np.asarray(logit(np.clip(score, SURELY, 1 - SURELY)))
+
+
+def _threshold(candidates: Sequence[Candidate], odds: NDArray[np.float64]) -> float:
+    """The score from which on a detection is shown."""
+    drones = [candidate.kind == DRONE and candidate.score > 0.0 for candidate in candidates]
+    if sum(drones) < FEWEST:
+        return THRESHOLDS[1]
+    return float(np.clip(expit(np.quantile(odds[drones], 1.0 - KEEPS)), *THRESHOLDS))
+
+
+def _average_precision(candidates: Sequence[Candidate], odds: NDArray[np.float64]) -> float:
+    """Of these candidates by odds (n,); drones that the detector overlooked are missed."""
+    seen = np.array([candidate.score > 0.0 for candidate in candidates], np.bool_)
+    drone = np.array([candidate.kind == DRONE for candidate in candidates], np.bool_)
+    order = np.flatnonzero(seen)[np.argsort(-odds[seen], kind="stable")]
+    unknown = np.full(len(order), np.nan)
+    return Matches(odds[order], drone[order], unknown, unknown, np.zeros(drone.sum()), 1).average_precision()
+
+
+def augmented(rng: np.random.Generator, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(SIDE, SIDE, 3): the middle of a candidate's picture as another camera might have shown it."""
+    scale = SIDE / KEPT * KEPT_AROUND / AROUND * math.exp(rng.uniform(math.log(0.8), math.log(1.25)))
+    middle = (KEPT - 1) / 2
+    turn = cv2.getRotationMatrix2D((middle, middle), rng.normal(0.0, 8.0), scale)
+    shift = (SIDE - 1) / 2 - middle + rng.normal(0.0, 2.5, 2)
+    turn = turn + np.column_stack([np.zeros((2, 2)), shift])
+    seen = cv2.warpAffine(picture, turn, (SIDE, SIDE), borderMode=cv2.BORDER_REPLICATE)
+    if rng.random() < 0.5:
+        seen = seen[:, ::-1]
+    if rng.random() < 0.2:
+        few = int(rng.integers(SIDE // 4, SIDE * 3 // 4))
+        fewer = cv2.resize(seen, (few, few), interpolation=cv2.INTER_AREA)
+        seen = cv2.resize(fewer, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
+    return render.photograph(rng, np.asarray(seen, np.float32))
+
+
+def _as_input(squares: Sequence[NDArray[np.uint8]]) -> Tensor:
+    return torch.from_numpy(np.stack(squares)).permute(0, 3, 1, 2).float()
+
+
+@torch.no_grad()
+def _log_odds(deployed: nn.Module, candidates: Sequence[Candidate]) -> NDArray[np.float64]:
+    """(n,) of these, as the agent will see them."""
+    scale = SIDE / KEPT * KEPT_AROUND / AROUND
+    shift = (SIDE - 1) / 2 - scale * (KEPT - 1) / 2
+    how = np.array([[scale, 0.0, shift], [0.0, scale, shift]])
+    squares = [
+        np.asarray(cv2.warpAffine(candidate.picture, how, (SIDE, SIDE)), np.uint8) for candidate in candidates
+    ]
+    parts = [deployed(_as_input(squares[i : i + 256])) for i in range(0, len(squares), 256)]
+    return torch.cat(parts).double().numpy() if parts else np.empty(0)
