@@ -47,7 +47,7 @@ SMOOTHING = 0.02  # of the labels: some are wrong
 FEWEST = 20  # held-out candidates of drones, and of what is none, that scores can be fitted to
 UNFITTED = (0.7, -1.0)  # weight and offset where nothing was held out
 GHOST = 4.0  # drones overlooked that are as bad as one ghost
-DOUBT = 1.3  # log odds by which what confirms a track is below the score
+DOUBT = 0.2  # log odds by which what confirms a track is below the score
 KEEPS = 0.99  # of the held-out drones that the detector found: how many pass the threshold
 THRESHOLDS = (0.1, 0.4)  # at least, and at most
 
