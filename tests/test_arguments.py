@@ -86,7 +86,7 @@ def test_the_help_has_every_command_once_and_in_a_group(capsys):
     with pytest.raises(SystemExit):
         swarmtrack.parse(["--help"])
     said = capsys.readouterr().out
-    listed = re.findall(r"^  (\w+) {2,}[a-z]", said.partition("options:")[0], re.MULTILINE)
+    listed = re.findall(r"^  ([\w-]+) +[a-z]", said.partition("options:")[0], re.MULTILINE)
     assert listed == list(swarmtrack.COMMANDS)
     assert [
         line[:-1] for line in said.splitlines() if line in {f"{group}:" for group in swarmtrack.GROUPS}

@@ -121,9 +121,8 @@ def test_what_is_held_out_is_validated_on_in_whole_frames_and_never_trained_on(t
         "V_DRONE_003",
         "--hold-out-negatives",
     ]
-    training, validation = train.what_to_learn(
-        options(train.add_arguments, "--out", tmp_path / "m.onnx", *chosen)
-    )
+    told = options(train.add_arguments, "--out", tmp_path / "m.onnx", *chosen)
+    training, validation = train.what_to_learn(train.split(told), told.every)
     kept = {frame.source for frame in validation}
     assert kept - {"rendered"} == {n for n in names if held_out("negative", n)} | {"V_DRONE_003"}
     assert not kept & {frame.source for frame in training if frame.is_window}
