@@ -41,8 +41,8 @@ class Percentiles(NamedTuple):
 
 
 class Latency(NamedTuple):
-    """Of the last `LATENCY_FRAMES` frames. pre: letterbox and layout; infer: the net; post: decoding and
-    suppression."""
+    """Of the last `LATENCY_FRAMES` frames. pre: letterbox and layout; infer: the net; post: decoding,
+    suppression, the second stage and what moved."""
 
     pre: Percentiles
     infer: Percentiles
@@ -177,8 +177,10 @@ class Detector:
         comparison, expected = None, NOBODY
         memory = self._memory(frame.camera)
         if expectation is not None:
-            expected = expectation.boxes(frame.t)
-            if self._look == "guided" or (self._look == "auto" and scale < 1.0):
+            guided = self._look == "guided" or (self._look == "auto" and scale < 1.0)
+            if guided or self._second is not None:
+                expected = expectation.boxes(frame.t)
+            if guided:
                 windows = memory.attention.next((width, height), scale, expected)
             if memory.motion is not None:
                 comparison = memory.motion.compare(frame.t, expectation)
@@ -260,15 +262,18 @@ class Detector:
     ) -> tuple[Candidates, Array, Array]:
         """The candidates that may be shown with both stages' scores, best first; their likeness (n,), and the score
         (n,) from which each is shown."""
-        found = found.take(slice(second_stage.MOST))
-        both = second.scores(look.frame.image, found)
-        alone = _near(look.expected, found.centre) & (found.score > both)
+        both = second.scores(look.frame.image, found.take(slice(second_stage.MOST)))
+        likeness = np.concatenate([second.likeness(both), found.score[len(both) :]])
+        both = np.concatenate([both, found.score[len(both) :]])
+        # In a crowd the last ones are not looked at again; and whom a track expects need not look like a drone.
+        unasked = np.arange(len(both)) >= second_stage.MOST
+        alone = unasked | (_near(look.expected, found.centre) & (found.score > both))
         score = np.where(alone, found.score, both)
         shown_from = np.where(alone, self._alone_threshold, self.score_threshold)
         least = shown_from if look.comparison is None else np.minimum(shown_from, LEAST)
         order = np.argsort(-score, kind="stable")
         order = order[(score >= least)[order]]
-        return found._replace(score=score).take(order), second.likeness(both[order]), shown_from[order]
+        return found._replace(score=score).take(order), likeness[order], shown_from[order]
 
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""

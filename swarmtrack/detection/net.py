@@ -16,11 +16,11 @@ from swarmtrack.detection.description import Declared, Description, Trial, descr
 from swarmtrack.detection.heads import Candidates, Output, read, suppress
 from swarmtrack.detection.letterbox import Letterbox
 from swarmtrack.detection.model import ELEMENTS, check_input, first_answer, trial_limit
+from swarmtrack.detection.odds import logit, probability
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Image
 
 TRIAL_SIZE = (96, 64)  # px, where the net's input may have any size
-SURELY = 1e-6  # a score is not nearer to 0 or 1 than that
 
 
 class Seconds(NamedTuple):
@@ -121,13 +121,11 @@ class Net:
         a, b = self.description.calibration
         if (a, b) == (1.0, 0.0):
             return score
-        clipped = np.clip(score, SURELY, 1.0 - SURELY)
-        return np.asarray(1.0 / (1.0 + np.exp(-a * np.log(clipped / (1.0 - clipped)) - b)))
+        return probability(a * logit(score) + b)
 
     def _raw(self, threshold: float) -> float:
         """The net's score that is calibrated to this threshold."""
         a, b = self.description.calibration
         if (a, b) == (1.0, 0.0):
             return threshold
-        clipped = min(max(threshold, SURELY), 1.0 - SURELY)
-        return float(1.0 / (1.0 + np.exp(-(np.log(clipped / (1.0 - clipped)) - b) / a)))
+        return float(probability((logit(threshold) - b) / a))

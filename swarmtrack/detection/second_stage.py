@@ -31,15 +31,16 @@ from swarmtrack.detection import metadata
 from swarmtrack.detection.heads import Candidates
 from swarmtrack.detection.metadata import Metadata
 from swarmtrack.detection.model import ELEMENTS, first_answer, open_session, trial_limit
+from swarmtrack.detection.odds import logit, probability
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array, Image
 
 HEAD = "second_stage"
 LEAST = 0.15  # score from which on a candidate is looked at again
-MOST = 16  # candidates of one frame: the best
+MOST = 16  # candidates of one frame that are looked at again: the best
 SMALLEST = 8.0  # px of the image: no square is smaller
+WIDEST = 16.0  # longer sides of a box that it may be shown
 LARGEST_SIDE = 256  # px of its input
-SURELY = 1e-6  # a score is not nearer to 0 or 1 than that
 
 
 class SecondStage:
@@ -52,7 +53,7 @@ class SecondStage:
         self._session = open_session(path, threads, providers, cache)
         entry = Metadata(str(path), self._session.get_modelmeta().custom_metadata_map).entry
         entry("head", metadata.one_of([HEAD]), HEAD)
-        self.around = entry("around", _positive, "a positive number")
+        self.around = entry("around", _extent, f"a positive number, {WIDEST:g} at most")
         """Side of the square that it is shown, in longer sides of the box."""
         self.weight, self.offset = entry("fusion", metadata.two, "a JSON list of two numbers")
         self.score_threshold = entry("score_threshold", metadata.fraction, "a number in 0…1")
@@ -68,16 +69,16 @@ class SecondStage:
         )
 
     def scores(self, image: Image, found: Candidates) -> Array:
-        """(n,) of both stages, for `MOST` candidates in an image at most."""
+        """(n,) of both stages, for candidates (n) in an image."""
         if not len(found.score):
             return found.score
         log_odds = self.log_odds(image, found.centre, found.size)
-        return _probability(_logit(found.score) + self.weight * log_odds + self.offset)
+        return probability(logit(found.score) + self.weight * log_odds + self.offset)
 
     def likeness(self, score: Array) -> Array:
         """Of scores (n,) of both stages: how much it looks like a drone, where that is to say who is one. A detection
         is shown on a suspicion, a track is confirmed on more: the log odds are lower by what the file calls doubt."""
-        return _probability(_logit(score) - self._doubt)
+        return probability(logit(score) - self._doubt)
 
     def log_odds(self, image: Image, centre: Array, size: Array) -> Array:
         """(n,) of being a drone, of what lies at boxes (n, 2), (n, 2) px of an image."""
@@ -131,16 +132,7 @@ def square(image: Image, centre: Array, side: float, pixels: int) -> Image:
     return np.asarray(seen, np.uint8)
 
 
-def _logit(score: Array) -> Array:
-    clipped = np.clip(score, SURELY, 1.0 - SURELY)
-    return np.asarray(np.log(clipped / (1.0 - clipped)))
-
-
-def _probability(log_odds: Array) -> Array:
-    return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
-
-
-def _positive(text: str) -> float:
-    if not 0.0 < (value := metadata.number(text)) <= 16.0:
+def _extent(text: str) -> float:
+    if not 0.0 < (value := metadata.number(text)) <= WIDEST:
         raise ValueError(text)
     return value

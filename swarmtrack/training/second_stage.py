@@ -23,12 +23,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import expit, logit
 from torch import Tensor, nn
 from torch.nn import functional
 
 from swarmtrack.clock import SystemClock
-from swarmtrack.detection.second_stage import HEAD, SURELY
+from swarmtrack.detection.odds import logit, probability
+from swarmtrack.detection.second_stage import HEAD, square
 from swarmtrack.evaluation.detector_score import Matches
 from swarmtrack.training import render
 from swarmtrack.training.candidates import DRAWN, DRONE, KEPT, KEPT_AROUND, OTHER, Candidate
@@ -129,7 +129,6 @@ class _Pools:
             raise TrainingError(
                 f"candidates are {', '.join(self._pools) or 'none'}, expected drones and what is none"
             )
-
         others = max(len(self.kinds) - 2, 1)
         weights = np.array([{DRONE: 4.0, OTHER: 2.0}.get(kind, 2.0 / others) for kind in self.kinds])
         self._shares = weights / weights.sum()
@@ -196,15 +195,16 @@ def train(
             minutes, done = (reported - began) / 60, (step + 1) / settings.iterations
             print(f"{minutes:5.1f} min  {done:4.0%}  loss {loss.item():.3f}", file=sys.stderr, flush=True)
     deployed = _InFlight(average).eval()
+    held_out = _held_out(validation)
     log_odds = _log_odds(deployed, validation)
     fusion = fit(validation, log_odds)
-    together = _odds(validation) + fusion.weight * log_odds + fusion.offset
+    together = held_out.odds + fusion.weight * log_odds + fusion.offset
     told = {
         "head": HEAD,
         "around": str(AROUND),
         "fusion": json.dumps([round(number, 4) for number in fusion]),
         "doubt": str(DOUBT),
-        "score_threshold": f"{_threshold(validation, together):.3f}",
+        "score_threshold": f"{_threshold(held_out, together):.3f}",
         "kinds": json.dumps(pools.kinds),
         "recipe": json.dumps(asdict(settings)),
     }
@@ -212,18 +212,16 @@ def train(
     write_onnx(deployed, torch.zeros(2, 3, SIDE, SIDE), out, free, {**told, **metadata})
     if not validation:
         return Trained(fusion, None, None)
-    alone = _odds(validation)
-    return Trained(fusion, *(_average_precision(validation, odds) for odds in (alone, together)))
+    return Trained(fusion, *(_average_precision(held_out, odds) for odds in (held_out.odds, together)))
 
 
 def fit(validation: Sequence[Candidate], log_odds: NDArray[np.float64]) -> Fusion:
     """Weight and offset by maximum likelihood, what is no drone counting `GHOST` times as much as drones; of candidates
     (n) that the detector found, and what the stage says of them (n,)."""
-    seen = np.array([candidate.score > 0.0 for candidate in validation], np.bool_)
-    drone = np.array([candidate.kind == DRONE for candidate in validation], np.bool_)
+    seen, drone, odds = _held_out(validation)
     if min((seen & drone).sum(), (seen & ~drone).sum()) < FEWEST:
         return Fusion(*UNFITTED)
-    odds, x, y = _odds(validation)[seen], log_odds[seen], drone[seen]
+    odds, x, y = odds[seen], log_odds[seen], drone[seen]
     weights = np.where(y, 1.0 / y.sum(), GHOST / (~y).sum())
 
     def surprise(p: NDArray[np.float64]) -> float:
@@ -235,24 +233,31 @@ def fit(validation: Sequence[Candidate], log_odds: NDArray[np.float64]) -> Fusio
     return Fusion(weight, offset)
 
 
-def _odds(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
-    """Logits (n,) of the detector's scores."""
+class _HeldOut(NamedTuple):
+    """Of n candidates: whether the detector found them, whether they are drones, and the logits of its scores."""
+
+    seen: NDArray[np.bool_]
+    drone: NDArray[np.bool_]
+    odds: NDArray[np.float64]
+
+
+def _held_out(candidates: Sequence[Candidate]) -> _HeldOut:
     score = np.array([candidate.score for candidate in candidates])
-    return np.asarray(logit(np.clip(score, SURELY, 1 - SURELY)))
-
-
-def _threshold(candidates: Sequence[Candidate], odds: NDArray[np.float64]) -> float:
-    """The score from which on a detection is shown."""
-    drones = [candidate.kind == DRONE and candidate.score > 0.0 for candidate in candidates]
-    if sum(drones) < FEWEST:
-        return THRESHOLDS[1]
-    return float(np.clip(expit(np.quantile(odds[drones], 1.0 - KEEPS)), *THRESHOLDS))
-
-
-def _average_precision(candidates: Sequence[Candidate], odds: NDArray[np.float64]) -> float:
-    """Of these candidates by odds (n,); drones that the detector overlooked are missed."""
-    seen = np.array([candidate.score > 0.0 for candidate in candidates], np.bool_)
     drone = np.array([candidate.kind == DRONE for candidate in candidates], np.bool_)
+    return _HeldOut(score > 0.0, drone, logit(score))
+
+
+def _threshold(held_out: _HeldOut, odds: NDArray[np.float64]) -> float:
+    """The score from which on a detection is shown; odds (n,): of both stages."""
+    drones = odds[held_out.seen & held_out.drone]
+    if len(drones) < FEWEST:
+        return THRESHOLDS[1]
+    return float(np.clip(probability(float(np.quantile(drones, 1.0 - KEEPS))), *THRESHOLDS))
+
+
+def _average_precision(held_out: _HeldOut, odds: NDArray[np.float64]) -> float:
+    """By odds (n,); drones that the detector overlooked are missed."""
+    seen, drone, _ = held_out
     order = np.flatnonzero(seen)[np.argsort(-odds[seen], kind="stable")]
     unknown = np.full(len(order), np.nan)
     return Matches(odds[order], drone[order], unknown, unknown, np.zeros(drone.sum()), 1).average_precision()
@@ -282,11 +287,7 @@ def _as_input(squares: Sequence[NDArray[np.uint8]]) -> Tensor:
 @torch.no_grad()
 def _log_odds(deployed: nn.Module, candidates: Sequence[Candidate]) -> NDArray[np.float64]:
     """(n,) of these, as the agent will see them."""
-    scale = SIDE / KEPT * KEPT_AROUND / AROUND
-    shift = (SIDE - 1) / 2 - scale * (KEPT - 1) / 2
-    how = np.array([[scale, 0.0, shift], [0.0, scale, shift]])
-    squares = [
-        np.asarray(cv2.warpAffine(candidate.picture, how, (SIDE, SIDE)), np.uint8) for candidate in candidates
-    ]
+    middle, side = np.full(2, (KEPT - 1) / 2), KEPT * AROUND / KEPT_AROUND
+    squares = [square(candidate.picture, middle, side, SIDE) for candidate in candidates]
     parts = [deployed(_as_input(squares[i : i + 256])) for i in range(0, len(squares), 256)]
     return torch.cat(parts).double().numpy() if parts else np.empty(0)

@@ -9,6 +9,7 @@ import pytest
 from scipy.special import expit, logit
 
 from support.places import SHARED
+from swarmtrack.detection import second_stage
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.heads import Candidates
 from swarmtrack.detection.second_stage import SecondStage, square
@@ -131,6 +132,16 @@ def test_what_is_followed_is_shown_as_before_and_looks_no_more_like_a_drone(tmp_
     assert seen.score == pytest.approx(alone.score)
     assert seen.likeness[0] < 1e-6
     assert len(detector.look(detector.plan(frame, Tracks(elsewhere)))) == 0
+
+
+def test_of_a_crowd_those_that_are_not_asked_about_are_shown_as_before(tmp_path, monkeypatch):
+    frame = sky_with_a_drone()
+    alone = look(Detector(second_stage="none"), frame)
+    never = stage_net(tmp_path / "never.onnx", gain=0.0, written={"fusion": "[1.0, -20.0]"})
+    monkeypatch.setattr(second_stage, "MOST", 0)
+    seen = look(Detector(second_stage=never), frame)
+    assert seen.score == pytest.approx(alone.score)
+    assert seen.likeness == pytest.approx(alone.score)
 
 
 def test_the_shipped_stage_goes_with_the_shipped_model_and_with_no_other_unless_told(tmp_path):

@@ -9,6 +9,7 @@ from scipy.special import expit
 from support.labelled_pictures import data_directory
 from swarmtrack.agents.main import main
 from swarmtrack.detection.detector import Detector
+from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training.candidates import DRONE, KEPT, OTHER, Candidate, CandidateSource
 from swarmtrack.training.dataset import Recipe, SampleSource
 from swarmtrack.training.labelled_images import LabelledFrame, load_frames
@@ -97,7 +98,12 @@ def test_a_training_of_a_few_steps_writes_a_stage_that_flies_and_is_the_same_twi
         assert train("--data", data, "--out", path, "--licence", "CC0-1.0") == 0
     assert weights(out[0]) == weights(out[1])
     assert "candidates to train on" in capsys.readouterr().err
-    assert Detector(second_stage=out[0]).look is not None
+    detector = Detector(second_stage=out[0], score_threshold=0.01)
+    image = load_frames(data)[0].image
+    seen = detector.look(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
+    alone = Detector(second_stage="none", score_threshold=0.01)
+    assert len(seen.likeness) >= 1
+    assert seen.score[0] != alone.look(alone.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))).score[0]
 
 
 @pytest.mark.parametrize(
