@@ -262,18 +262,14 @@ class Detector:
     ) -> tuple[Candidates, Array, Array]:
         """The candidates that may be shown with both stages' scores, best first; their likeness (n,), and the score
         (n,) from which each is shown."""
-        both = second.scores(look.frame.image, found.take(slice(second_stage.MOST)))
-        likeness = np.concatenate([second.likeness(both), found.score[len(both) :]])
-        both = np.concatenate([both, found.score[len(both) :]])
-        # In a crowd the last ones are not looked at again; and whom a track expects need not look like a drone.
-        unasked = np.arange(len(both)) >= second_stage.MOST
-        alone = unasked | (_near(look.expected, found.centre) & (found.score > both))
+        both = second.scores(look.frame.image, found)
+        alone = _near(look.expected, found.centre) & (found.score > both)
         score = np.where(alone, found.score, both)
         shown_from = np.where(alone, self._alone_threshold, self.score_threshold)
         least = shown_from if look.comparison is None else np.minimum(shown_from, LEAST)
         order = np.argsort(-score, kind="stable")
         order = order[(score >= least)[order]]
-        return found._replace(score=score).take(order), likeness[order], shown_from[order]
+        return found._replace(score=score).take(order), second.likeness(both[order]), shown_from[order]
 
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""

@@ -69,10 +69,11 @@ class SecondStage:
         )
 
     def scores(self, image: Image, found: Candidates) -> Array:
-        """(n,) of both stages, for candidates (n) in an image."""
-        if not len(found.score):
-            return found.score
-        log_odds = self.log_odds(image, found.centre, found.size)
+        """(n,) of both stages, for candidates (n) in an image, best first. In a crowd the last are not asked about:
+        nothing speaks for them or against."""
+        log_odds = np.zeros(len(found.score))
+        if len(log_odds):
+            log_odds[:MOST] = self.log_odds(image, found.centre[:MOST], found.size[:MOST])
         return probability(logit(found.score) + self.weight * log_odds + self.offset)
 
     def likeness(self, score: Array) -> Array:

@@ -134,14 +134,12 @@ def test_what_is_followed_is_shown_as_before_and_looks_no_more_like_a_drone(tmp_
     assert len(detector.look(detector.plan(frame, Tracks(elsewhere)))) == 0
 
 
-def test_of_a_crowd_those_that_are_not_asked_about_are_shown_as_before(tmp_path, monkeypatch):
-    frame = sky_with_a_drone()
-    alone = look(Detector(second_stage="none"), frame)
-    never = stage_net(tmp_path / "never.onnx", gain=0.0, written={"fusion": "[1.0, -20.0]"})
-    monkeypatch.setattr(second_stage, "MOST", 0)
-    seen = look(Detector(second_stage=never), frame)
-    assert seen.score == pytest.approx(alone.score)
-    assert seen.likeness == pytest.approx(alone.score)
+def test_of_a_crowd_the_last_are_not_asked_about_and_not_lost(tmp_path):
+    stage = SecondStage(stage_net(tmp_path / "stage.onnx"))
+    bright = np.full((100, 200), 228, np.uint8)
+    score = stage.scores(bright, candidates(*((5 * i, 50, 8, 0.6) for i in range(second_stage.MOST + 3))))
+    assert score[: second_stage.MOST] == pytest.approx(expit(logit(0.6) + 2.0 + 0.5))
+    assert score[second_stage.MOST :] == pytest.approx(expit(logit(0.6) + 0.5))
 
 
 def test_the_shipped_stage_goes_with_the_shipped_model_and_with_no_other_unless_told(tmp_path):
