@@ -98,6 +98,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.rotating_observer",
         "what the gyro is worth to an observer that turns",
     ),
+    "scenery": (
+        "swarmtrack.benchmarks.scenery",
+        "what is taken for a drone among houses, poles and trees, in drawn flights",
+    ),
     "seams": (
         "swarmtrack.benchmarks.seams",
         "tracks that go over from one camera of a drone to the next",

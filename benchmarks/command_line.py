@@ -41,6 +41,15 @@ def add_processes(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_second_stage(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--second-stage",
+        default="auto",
+        metavar="STAGE",
+        help='what looks at candidates again: "auto", "none", "default", or an .onnx file (default: %(default)s)',
+    )
+
+
 def add_clips(parser: argparse.ArgumentParser, **more: Any) -> None:
     """DATA: labelled clips."""
     add_folder(parser, "data", "a folder with pairs of NAME.mp4 and NAME_gt.csv", "DATA", **more)

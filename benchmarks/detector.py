@@ -25,7 +25,7 @@ import numpy as np
 
 from swarmtrack.arguments import add_flag, add_folder, add_list, count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.command_line import add_common, add_second_stage
 from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import Expectation, PixelMapping
@@ -73,12 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--input-scale", type=float, default=1.0, metavar="S", help="input px per image px")
     add_list(parser, "--scene", "of the images only this one", "NAME")
     parser.add_argument("--every", type=count, default=1, metavar="N", help="of the clips each N-th frame")
-    parser.add_argument(
-        "--second-stage",
-        default="auto",
-        metavar="STAGE",
-        help='what looks at candidates again: "auto", "none", "default", or an .onnx file (default: %(default)s)',
-    )
+    add_second_stage(parser)
     add_flag(parser, "--motion", "of clips count what moved; their camera must stand")
     add_list(parser, "--scenario", "also a flight of the simulation, rendered", "NAME")
     add_folder(parser, "--frames-of", "clips of which each N-th frame counts as an image, if held out")

@@ -37,12 +37,9 @@ from swarmtrack.arguments import add_flag, count
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.errands.judge import SIGMAS, FlightJudge, FlightRecord
-from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, VirtualSwarm
-from swarmtrack.clock import SystemClock
-from swarmtrack.config import DetectorSection
-from swarmtrack.detection.expectation import PerceivedExpectation
+from swarmtrack.benchmarks.virtual_swarm import Eyes, VirtualSwarm
 from swarmtrack.evaluation.intervals import Interval, fraction_interval
-from swarmtrack.messages import Array, Detections, Frame, StampKind
+from swarmtrack.messages import Array
 from swarmtrack.scenario_file import load_scenario
 from swarmtrack.simulation.scenarios import Scenario
 
@@ -86,7 +83,7 @@ def scenario_of_seed(p: Programme, seed: int) -> Scenario:
 def fly(p: Programme, told: bool, seed: int) -> FlightRecord:
     """One flight, as fast as it computes; the same arguments give the same flight. told: see `VirtualSwarm`."""
     scenario = scenario_of_seed(p, seed)
-    eyes = rendered_eyes(scenario) if p.rendered else None
+    eyes = _eyes(scenario) if p.rendered else None
     swarm = VirtualSwarm(scenario, tracker=p.tracker, eyes=eyes, camera_clocks_told=told)
     judge = FlightJudge(scenario, swarm)
     for scan in swarm.fly(scenario.seconds):
@@ -94,24 +91,11 @@ def fly(p: Programme, told: bool, seed: int) -> FlightRecord:
     return judge.record(seed, scenario.fps)
 
 
-def rendered_eyes(scenario: Scenario) -> Eyes:
-    """Drawn pictures, and the detector of each drone's agent, which looks where that drone expects something."""
-    from swarmtrack.runtime.perception import detector_of  # noqa: PLC0415
-    from swarmtrack.simulation.rendering import Renderer  # noqa: PLC0415
+def _eyes(scenario: Scenario) -> Eyes:
+    # What draws and detects takes 80 MB, which flights without pictures do not pay.
+    from swarmtrack.benchmarks.rendered_eyes import rendered_eyes  # noqa: PLC0415
 
-    renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
-    detectors = {d: detector_of(DetectorSection(), SystemClock()) for d in scenario.members}
-
-    def eyes(seen: Exposure) -> Detections:
-        image = renderer.image(seen.drone_id, seen.t, seen.sequence)
-        frame = Frame(seen.stamp, 0.0, seen.sequence, image, StampKind.EXPOSURE)
-        detector = detectors[seen.drone_id]
-        found = detector.look(detector.plan(frame, PerceivedExpectation(seen.perceived)))
-        if found is None:
-            raise report.BenchmarkError(detector.status().text)
-        return found
-
-    return eyes
+    return rendered_eyes(scenario)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

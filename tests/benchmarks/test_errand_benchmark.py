@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from swarmtrack.benchmarks import rendered_eyes
 from swarmtrack.benchmarks.errands import benchmark
 from swarmtrack.benchmarks.errands.benchmark import Programme, fly, scenario_of_seed, summary
 from swarmtrack.benchmarks.errands.judge import ClockRecord, FlightJudge
@@ -109,8 +110,8 @@ def test_in_drawn_pictures_the_agents_detector_looks_where_its_drone_expects_a_t
     in_the_air = 15.0
     box = SwarmTruth(scenario.world, scenario.cameras).view(1, in_the_air).in_view[2]
     expected = np.array([[*box[:2], 5.0, 5.0, *box[2:]]])
-    monkeypatch.setattr(benchmark, "PerceivedExpectation", Expects)
-    eyes = benchmark.rendered_eyes(scenario)
+    monkeypatch.setattr(rendered_eyes, "PerceivedExpectation", Expects)
+    eyes = rendered_eyes.rendered_eyes(scenario)
     whole, near = (
         eyes(Exposure(1, k, in_the_air, in_the_air + 0.05, boxes))
         for k, boxes in enumerate((np.empty((0, 6)), expected))

@@ -1,0 +1,32 @@
+"""What drones of a virtual swarm see in drawn pictures, with the detector of an agent."""
+
+from __future__ import annotations
+
+from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes
+from swarmtrack.clock import SystemClock
+from swarmtrack.config import DetectorSection
+from swarmtrack.detection.expectation import PerceivedExpectation
+from swarmtrack.messages import Detections, Frame, StampKind
+from swarmtrack.runtime.perception import detector_of
+from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.simulation.scenarios import Scenario
+
+USUAL_SECTION = DetectorSection()
+
+
+def rendered_eyes(scenario: Scenario, section: DetectorSection = USUAL_SECTION) -> Eyes:
+    """The detector of each drone's agent, which looks where that drone expects something."""
+    renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+    detectors = {d: detector_of(section, SystemClock()) for d in scenario.members}
+
+    def eyes(seen: Exposure) -> Detections:
+        image = renderer.image(seen.drone_id, seen.t, seen.sequence)
+        frame = Frame(seen.stamp, 0.0, seen.sequence, image, StampKind.EXPOSURE)
+        detector = detectors[seen.drone_id]
+        found = detector.look(detector.plan(frame, PerceivedExpectation(seen.perceived)))
+        if found is None:
+            raise BenchmarkError(detector.status().text)
+        return found
+
+    return eyes

@@ -1,0 +1,276 @@
+"""What an agent takes for a drone among houses, poles and trees: drawn flights, whose cameras fly and turn.
+
+Every drone of a scenario looks at drawn pictures with the detector of an agent, tracks, and names its teammates. The
+confirmed tracks are set beside the truth ten times a second, as `swarmtrack sim` does. Nothing moves in these worlds
+but drones. So a track in the picture that is on none of them, seen or hidden, is on something that stands still.
+
+    swarmtrack bench scenery [--seeds 20] [--scenarios NAME ...] [--fps 7] [--second-stage STAGE] --out DIR
+
+* standing: such tracks, by how long they were confirmed. scenery.png shows what the longest of them were on.
+* recall, precision: of (observer, drone in view, tenth of a second) those with a confirmed track; of all confirmed
+  tracks in the picture, those on a drone.
+* identified: the time that it took, as in `evaluation/swarm_score.py`, median and slowest of all observers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import multiprocessing
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from swarmtrack.arguments import positive
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import (
+    add_common,
+    add_processes,
+    add_second_stage,
+    add_seeds,
+    add_tracker,
+)
+from swarmtrack.benchmarks.identity import recognition
+from swarmtrack.benchmarks.rendered_eyes import rendered_eyes
+from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
+from swarmtrack.config import DetectorSection
+from swarmtrack.evaluation.intervals import fraction_interval
+from swarmtrack.evaluation.swarm_score import MIN_HIT_RADIUS, RATE_HZ, Glance, NamedTrack, SwarmScore
+from swarmtrack.messages import Image
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.tracking import DEFAULT_TRACKER
+
+NAME = "scenery"
+SCENARIOS = ("hover-triangle", "crossing", "fast-yaw", "errand")
+SEEDS, QUICK_SEEDS = 20, 2
+SECONDS, QUICK_SECONDS = 20.0, 8.0
+FPS = 7.0  # drawing and detecting cost 30 ms per frame
+LONG_S = 2.0
+SHOWN = 12  # tracks, of which there are pictures
+PICTURE_PX = 96
+LOOKS_PX = 4 * PICTURE_PX
+
+
+@dataclasses.dataclass(slots=True)
+class Standing:
+    """A confirmed track on no drone: by whom, since when [s, world time], for how long [s], and where then [px]."""
+
+    observer: int
+    since: float
+    u: float
+    v: float
+    seconds: float = 0.0
+
+
+class Flight(NamedTuple):
+    """What came of one. tracks: glances at confirmed tracks in the picture; observed_s: of all observers."""
+
+    seed: int
+    score: SwarmScore
+    standing: tuple[Standing, ...]
+    tracks: int
+    observed_s: float
+
+
+@dataclasses.dataclass(slots=True)
+class Watch:
+    """Takes glances as they come, each observer's in order."""
+
+    scenario: Scenario
+    standing: dict[tuple[int, int], Standing] = dataclasses.field(default_factory=dict)
+    tracks: int = 0
+    glances: int = 0
+
+    def see(self, glance: Glance) -> None:
+        self.glances += 1
+        for track in glance.tracks or ():
+            if not self._in_picture(track):
+                continue
+            self.tracks += 1
+            if not _on_a_drone(track, glance):
+                key = (glance.observer, track.id)
+                first = Standing(glance.observer, glance.t, track.u, track.v)
+                self.standing.setdefault(key, first).seconds += 1.0 / RATE_HZ
+
+    def _in_picture(self, track: NamedTrack) -> bool:
+        low, high = self.scenario.cameras[track.camera].lens.ideal_bounds
+        return bool(((low < (track.u, track.v)) & ((track.u, track.v) < high)).all())
+
+
+def _on_a_drone(track: NamedTrack, glance: Glance) -> bool:
+    for drone_id in (*glance.in_view, *glance.hidden):
+        box = glance.box(drone_id, track.camera)
+        if box is not None and np.hypot(track.u - box[0], track.v - box[1]) < max(
+            MIN_HIT_RADIUS, 0.5 * box[2:].max()
+        ):
+            return True
+    return False
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Programme:
+    """How it is flown and looked at. second_stage: as in [detector] of a config."""
+
+    seeds: int = SEEDS
+    seconds: float = SECONDS
+    fps: float = FPS
+    tracker: str = DEFAULT_TRACKER
+    second_stage: str = "auto"
+
+
+def scenario_of_seed(p: Programme, name: str, seed: int) -> Scenario:
+    scenario = load_scenario(name, seed=seed)
+    cameras = tuple(dataclasses.replace(camera, fps=p.fps) for camera in scenario.cameras)
+    return dataclasses.replace(scenario, cameras=cameras)
+
+
+def fly(p: Programme, name: str, seed: int) -> Flight:
+    """One flight, as fast as it computes; the same arguments give the same flight."""
+    cv2.setNumThreads(1)  # a flight on each core
+    flown = scenario_of_seed(p, name, seed)
+    eyes = rendered_eyes(flown, DetectorSection(second_stage=p.second_stage))
+    swarm, watch = VirtualSwarm(flown, tracker=p.tracker, eyes=eyes), Watch(flown)
+    score = recognition.judge(swarm, flown, p.seconds, watch.see).score
+    return Flight(seed, score, tuple(watch.standing.values()), watch.tracks, watch.glances / RATE_HZ)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_tracker(parser)
+    add_seeds(parser, SEEDS, QUICK_SEEDS)
+    parser.add_argument(
+        "--scenarios",
+        nargs="+",
+        default=list(SCENARIOS),
+        metavar="NAME",
+        help=f"shipped ones, or files (default: {' '.join(SCENARIOS)})",
+    )
+    parser.add_argument(
+        "--fps", type=positive, default=FPS, metavar="F", help="of the cameras (default: %(default)g)"
+    )
+    add_second_stage(parser)
+    add_processes(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    programme = Programme(
+        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
+        seconds=QUICK_SECONDS if args.quick else SECONDS,
+        fps=args.fps,
+        tracker=args.tracker,
+        second_stage=args.second_stage,
+    )
+    publish(args.out, programme, args.scenarios, processes=args.processes)
+
+
+def publish(
+    out: Path, p: Programme, scenarios: Sequence[str], *, processes: int | None = None
+) -> dict[str, Any]:
+    """Fly everything, write scenery.json, .md and .png into `out` after each scenario."""
+    plt = report.pyplot()
+    rows: dict[str, Any] = {}
+    result = dataclasses.asdict(p) | {"scenarios": rows}
+    longest: list[tuple[str, int, Standing]] = []
+    with (
+        multiprocessing.get_context("spawn").Pool(processes) as pool,
+        report.progress(NAME, len(scenarios) * p.seeds) as advance,
+    ):
+        for scenario in scenarios:
+            flights: list[Flight] = []
+            for flight in pool.imap(partial(fly, p, scenario), range(1, p.seeds + 1)):
+                flights.append(flight)
+                longest += [(scenario, flight.seed, standing) for standing in flight.standing]
+                advance(scenario)
+            rows[scenario] = summary(flights)
+            longest = sorted(longest, key=lambda each: -each[2].seconds)[:SHOWN]
+            report.write(out, NAME, result, _markdown(result))
+    _plot(plt, out / f"{NAME}.png", p, longest)
+    return result
+
+
+def summary(flights: Sequence[Flight]) -> dict[str, Any]:
+    """The columns of one row of the table."""
+    times = [standing.seconds for flight in flights for standing in flight.standing]
+    minutes = sum(flight.observed_s for flight in flights) / 60.0
+    tracks = np.array([flight.tracks for flight in flights], float)
+    on_nothing = np.array([sum(s.seconds for s in flight.standing) * RATE_HZ for flight in flights])
+    samples = np.array([flight.score.samples for flight in flights], float)
+    recall = np.nan_to_num([flight.score.recall for flight in flights]) * samples
+    named = [seconds for flight in flights for seconds in flight.score.time_to_identify_s.values()]
+    wrong = np.nan_to_num([flight.score.wrong for flight in flights]) * samples
+    return {
+        "minutes": minutes,
+        "standing": len(times),
+        "standing_per_minute": len(times) / minutes,
+        "standing_long": sum(seconds > LONG_S for seconds in times),
+        "standing_longest_s": max(times, default=0.0),
+        "recall": fraction_interval(recall, samples)._asdict(),
+        "precision": fraction_interval(tracks - on_nothing, tracks)._asdict(),
+        "identified_median_s": float(np.median(named)) if named else None,
+        "identified_slowest_s": max(named, default=None),
+        "wrong": fraction_interval(wrong, samples)._asdict(),
+    }
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    def percent(interval: dict[str, float]) -> str:
+        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
+        return f"{value:.2f} ({low:.2f} … {high:.2f})"
+
+    header = [
+        "", "minutes", "standing, per minute", f"longer than {LONG_S:g} s", "longest, s", "recall, %",
+        "precision, %", "identified after, s: median, slowest", "wrong names, %",
+    ]  # fmt: skip
+    rows = [
+        [
+            name,
+            report.number(row["minutes"], 1),
+            f"{row['standing']}, {report.number(row['standing_per_minute'])}",
+            str(row["standing_long"]),
+            report.number(row["standing_longest_s"], 1),
+            percent(row["recall"]),
+            percent(row["precision"]),
+            ", ".join("–" if s is None else f"{s:.1f}" for s in _identified(row)),
+            percent(row["wrong"]),
+        ]
+        for name, row in result["scenarios"].items()
+    ]
+    return (
+        f"# Confirmed tracks among houses, poles and trees\n\n{result['seeds']} flights of {result['seconds']:g} s,"
+        f" {result['fps']:g} frames/s, tracker `{result['tracker']}`, second stage `{result['second_stage']}`;"
+        f" shares with 95 % intervals over flights.\n\n{report.table(header, rows)}\n"
+    )
+
+
+def _identified(row: dict[str, Any]) -> tuple[float | None, float | None]:
+    return row["identified_median_s"], row["identified_slowest_s"]
+
+
+def _plot(plt: Any, path: Path, p: Programme, longest: Sequence[tuple[str, int, Standing]]) -> None:
+    """What the tracks were on that stood for longest."""
+    figure, axes = plt.subplots(3, SHOWN // 3, figsize=(11.0, 9.0), layout="constrained")
+    for spot in axes.flat:
+        spot.axis("off")
+    for spot, (name, seed, standing) in zip(axes.flat, longest, strict=False):
+        spot.imshow(cv2.cvtColor(picture_of(p, name, seed, standing), cv2.COLOR_BGR2RGB))
+        whose = f"{name}, seed {seed}, drone {standing.observer}"
+        spot.set_title(f"{whose}\n{standing.seconds:.1f} s", fontsize=9)
+    if not longest:
+        figure.suptitle("no confirmed track but on drones")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def picture_of(p: Programme, name: str, seed: int, standing: Standing) -> Image:
+    """(LOOKS_PX, LOOKS_PX, 3) BGR: where a track was when it was confirmed, in the middle."""
+    scenario = scenario_of_seed(p, name, seed)
+    renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+    image = renderer.image(standing.observer, standing.since, round(standing.since * p.fps))
+    part = np.asarray(cv2.getRectSubPix(image, (PICTURE_PX, PICTURE_PX), (standing.u, standing.v)), np.uint8)
+    return np.asarray(cv2.resize(part, (LOOKS_PX, LOOKS_PX), interpolation=cv2.INTER_NEAREST), np.uint8)
