@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING, NamedTuple
 
-from swarmtrack.arguments import add_file, add_flag, add_folder, add_list, add_seed, count, positive
+from swarmtrack.agents.training_arguments import add_data, split_of
+from swarmtrack.arguments import add_file, add_flag, add_seed, count, positive
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
-
-if TYPE_CHECKING:
-    from swarmtrack.training.labelled_clips import Clip, Origin
-    from swarmtrack.training.labelled_images import LabelledFrame
 
 NETWORKS = ("plain", "nano", "resnet34")
 MINUTES = 150.0
@@ -33,25 +29,6 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         required=True,
     )
     add_data(parser, every="of --clips, each N-th frame; of those held out, a fifth of these")
-
-
-def add_data(parser: argparse.ArgumentParser, *, every: str) -> None:
-    """What is learned from, and what is held out. every: the help of --every."""
-    add_folder(parser, "--data", "labelled images: CSV, COCO or YOLO; without it all is procedural")
-    add_folder(parser, "--clips", "labelled videos: NAME.mp4 and NAME_gt.csv, birds if the name says bird")
-    parser.add_argument(
-        "--every",
-        type=count,
-        default=10,
-        metavar="N",
-        help=f"{every} (default: %(default)s)",
-    )
-    add_folder(parser, "--validate", "more labelled images, looked at but never trained on")
-    add_list(parser, "--hold-out", "keep a scene for validation; may be repeated", "SCENE")
-    add_flag(parser, "--hold-out-negatives", "keep a third of the clips without drones for validation")
-    parser.add_argument(
-        "--licence", default="", metavar="TEXT", help="licence of the training data, written into the model"
-    )
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
@@ -117,9 +94,10 @@ def run(args: argparse.Namespace) -> int:
         raise ModelError(f"train: {error.name} is missing, install swarmtrack[train]") from error
     from swarmtrack.training import training_report
     from swarmtrack.training.dataset import Recipe
+    from swarmtrack.training.split import what_to_learn
 
     _check_files(args)
-    frames, validation = what_to_learn(split(args), args.every)
+    frames, validation = what_to_learn(split_of(args), args.every)
     settings = trainer.Settings(
         minutes=None if args.iterations else args.minutes or MINUTES,
         iterations=args.iterations,
@@ -159,55 +137,6 @@ def _check_files(args: argparse.Namespace) -> None:
         raise SourceError("--resume and --start: expected one of them, both say where to begin")
     if args.resume and not args.out.with_suffix(".pt").is_file():
         raise SourceError(f"--resume: {args.out.with_suffix('.pt')}: no such checkpoint")
-
-
-class Split(NamedTuple):
-    """Labelled images and clips to train on, and those held out; and where each clip was taken."""
-
-    images: list[LabelledFrame]
-    held_out_images: list[LabelledFrame]
-    clips: list[tuple[Clip, Origin]]
-    held_out_clips: list[tuple[Clip, Origin]]
-
-
-def split(args: argparse.Namespace) -> Split:
-    """What --data, --clips and --validate hold, as --hold-out and --hold-out-negatives part it."""
-    from swarmtrack.training import labelled_clips
-    from swarmtrack.training.labelled_images import held_out, load_frames
-
-    frames = load_frames(args.data) if args.data else []
-    clips = labelled_clips.find_clips(args.clips) if args.clips else []
-    origins = labelled_clips.origins(clips, frames)
-    scenes = {frame.scene for frame in frames} | {origin.scene for origin in origins.values()}
-    for name in args.hold_out:
-        if name not in scenes:
-            known = ", ".join(sorted(scenes)) or "--data, which is missing"
-            raise SourceError(f"--hold-out {name}: expected one of {known}")
-
-    def is_kept(scene: str, source: str) -> bool:
-        return scene in args.hold_out or (args.hold_out_negatives and held_out(scene, source))
-
-    parts = Split([], list(load_frames(args.validate)) if args.validate else [], [], [])
-    for frame in frames:
-        kept = is_kept(frame.scene, frame.source)
-        (parts.held_out_images if kept else parts.images).append(frame)
-    for clip in clips:
-        origin = origins[clip.name]
-        kept = is_kept(origin.scene, origin.source)
-        (parts.held_out_clips if kept else parts.clips).append((clip, origin))
-    return parts
-
-
-def what_to_learn(parts: Split, every: int) -> tuple[list[LabelledFrame], list[LabelledFrame]]:
-    """What to train on, and what to validate on: of clips windows, and whole frames."""
-    from swarmtrack.training.labelled_clips import labelled_frames, window
-
-    training, validation = list(parts.images), list(parts.held_out_images)
-    for clip, origin in parts.held_out_clips:
-        validation += labelled_frames(clip, origin, 5 * every)
-    for clip, origin in parts.clips:
-        training += (window(frame) for frame in labelled_frames(clip, origin, every))
-    return training, validation
 
 
 def _device(wanted: str) -> str:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, TypeVar
 
-from swarmtrack.agents.train import Split, add_data, split, what_to_learn
+from swarmtrack.agents.training_arguments import add_data, split_of
 from swarmtrack.arguments import add_file, add_seed, count, positive
 from swarmtrack.errors import ModelError, SourceError
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from swarmtrack.training.candidates import Candidate, CandidateSource
     from swarmtrack.training.labelled_clips import Clip, Origin
     from swarmtrack.training.labelled_images import LabelledFrame
+    from swarmtrack.training.split import Split
 
 T = TypeVar("T")
 
@@ -68,12 +69,13 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.detection.detector import Detector
     from swarmtrack.training.candidates import CandidateSource
     from swarmtrack.training.dataset import data_hash
+    from swarmtrack.training.split import what_to_learn
 
     if not args.out.parent.is_dir():
         raise SourceError(f"--out {args.out}: its folder does not exist")
     detector = Detector(args.detector, look="whole", second_stage="none")
     source = CandidateSource(detector.net, np.random.default_rng((args.seed, 1)))
-    parts = split(args)
+    parts = split_of(args)
     windows, _ = what_to_learn(parts._replace(held_out_clips=[]), args.every)
     training = list(_candidates(args, source, parts, windows))
     held_out = list(source.of_whole_frames(_whole(parts.held_out_images, parts.held_out_clips, args.every)))
