@@ -1,15 +1,20 @@
 """How wide a detector draws its boxes: on drawn drones of known span and distance, and on labelled real ones.
 
-Drones of 0.3 to 0.8 m fly away from a camera until they are some pixels wide, turning and banking, in front of drawn
-skies, hills and houses. The detector looks as an agent's does. Of each box its width is set beside that of the span at
-that distance, and `calibration/box_width.py` fits
+Drones of 0.3 to 0.8 m and five shapes fly away from a camera until they are some pixels wide, turning and banking, in
+front of drawn skies, hills and houses. The detector looks as an agent's does, with its second stage. Of each box its
+width is set beside that of the span at that distance, and `calibration/box_width.py` fits
 
     width = factor · span + padding,    with errors of its logarithm: from drone to drone, wandering, white
 
-Drawn drones are all of one shape. So the errors that a model should state are the larger ones of drawn drones and of
-real ones (`--clips`; without, those of the default), where the label's width stands for the drone's.
+Nobody measured the real drones of `--clips`. There the width of the label stands for the drone's, or what differs from
+the sky where that is smooth (`dataset.cut_out`). The errors that a model should state are the larger ones of drawn
+drones and of real ones beside what is visible (without `--clips`: those of the default).
 
-    swarmtrack bench box-width [--model FILE] [--clips DATA] [--write] --out DIR
+    swarmtrack bench box-width [--model FILE] [--second-stage FILE] [--clips DATA] [--write] --out DIR
+
+Ranges are off, where the width alone tells them and an agent believes what is fitted here, by a mean over drones, by a
+scatter from drone to drone, and by one within a flight, all of their logarithm. --write writes what is to be stated
+into the file that widths are of: the second stage's where that tells spans.
 """
 
 from __future__ import annotations
@@ -22,34 +27,54 @@ import multiprocessing
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.arguments import add_flag, add_folder
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
-from swarmtrack.benchmarks.trackers.clips import look
-from swarmtrack.calibration.box_width import WidthFit, Widths, fit_box_width, level_width
+from swarmtrack.benchmarks.command_line import add_common, add_processes, add_second_stage, add_seeds
+from swarmtrack.benchmarks.trackers.clips import frames
+from swarmtrack.calibration.box_width import (
+    FEWEST_OF_DRONE,
+    OTHER_THING,
+    WidthFit,
+    Widths,
+    fit_box_width,
+    level_width,
+)
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import DetectorSection
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import PixelMapping
 from swarmtrack.detection.model import model_path
+from swarmtrack.detection.second_stage import SecondStage
 from swarmtrack.evaluation.clip_score import TrackPoints, match_hits
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Frame, StampKind
-from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.relative.box_width import LEAST_DRONE, BoxWidth
 from swarmtrack.runtime.perception import detector_of
 from swarmtrack.simulation.airframe import Airframe
 from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA
 from swarmtrack.simulation.world import World
+from swarmtrack.training.dataset import cut_out
 from swarmtrack.training.labelled_clips import drone_clips, read_truth
 
 NAME = "box-width"
-SEEDS, QUICK_SEEDS = 24, 4
+SEEDS, QUICK_SEEDS = 30, 5
+USUAL = Airframe()
+SHAPES = {
+    "usual": USUAL,
+    "racer": dataclasses.replace(
+        USUAL, body_length=0.12, body_width=0.07, body_top=-0.04, body_bottom=0.035, legs_z=0.04
+    ),
+    "small rotors": dataclasses.replace(USUAL, rotor_radius=0.075),
+    "tall": dataclasses.replace(USUAL, body_top=-0.08, body_bottom=0.09, legs_z=0.16),
+    "long": dataclasses.replace(USUAL, body_length=0.32, body_width=0.08),
+}
+"""Of drawn drones, by turns."""
 SECONDS, FPS = 20.0, 10.0
 SPANS_M = (0.3, 0.8)
 NEAREST_PX, NARROWEST_PX = 110.0, 10.0
@@ -107,14 +132,15 @@ class LastBox:
         return lambda pixels: pixels
 
 
-def fly(model: str, seed: int) -> Widths:
+def fly(model: str, second_stage: str, seed: int) -> Widths:
     """One flight of one drone."""
     chance = np.random.default_rng((seed, 18))
+    shape = list(SHAPES.values())[seed % len(SHAPES)]
     span = math.exp(chance.uniform(*np.log(SPANS_M)))
     flown = FlyingAway(span, chance)
-    world = World(seed, {OBSERVER: Hovering(), SEEN: flown}, {SEEN: Airframe().scaled(span)})
+    world = World(seed, {OBSERVER: Hovering(), SEEN: flown}, {SEEN: shape.scaled(span)})
     renderer = Renderer(world, CAMERA, BODY_FROM_CAMERA)
-    detector = detector_of(DetectorSection(model=model), SystemClock())
+    detector = detector_of(DetectorSection(model=model, second_stage=second_stage), SystemClock())
     expected, rows = LastBox(), []
     camera = world.pose(OBSERVER, 0.0) @ BODY_FROM_CAMERA
     for k in range(int(SECONDS * FPS)):
@@ -135,23 +161,73 @@ def fly(model: str, seed: int) -> Widths:
     return Widths(*np.array(rows).reshape(-1, 3).T)
 
 
-def on_clips(data: Path, model: str, *, limit: int | None = None) -> list[Widths]:
-    """Real drones, beside the width of their labels."""
-    detector = Detector(model)
-    drones = []
+class RealWidths(NamedTuple):
+    """Of the same drones, beside the widths of their labels, and beside what is visible of them."""
+
+    labels: list[Widths]
+    visible: list[Widths]
+
+
+def on_clips(data: Path, detector: Detector, *, limit: int | None = None) -> RealWidths:
+    """Real drones."""
+    found = RealWidths([], [])
     for clip in drone_clips(data)[:limit]:
-        rows: dict[int, list[tuple[float, float, float]]] = {}
+        labels: dict[int, list[tuple[float, float, float]]] = {}
+        visible: dict[int, list[tuple[float, float, float]]] = {}
         truth = read_truth(clip.truth)
-        for seen in look(clip, detector):
-            labelled = truth.get(seen.sequence)
-            if labelled is None:
+        for frame in frames(clip):
+            labelled, seen = truth.get(frame.sequence), detector.look(detector.plan(frame))
+            if labelled is None or seen is None:
                 continue
             boxes = TrackPoints(np.arange(len(seen)), seen.centre)
             for row, column, _ in zip(*match_hits(labelled, boxes), strict=True):
-                width = (seen.sequence / clip.fps, labelled.size[row, 0], seen.size[column, 0])
-                rows.setdefault(int(labelled.id[row]), []).append(width)
-        drones += [Widths(*np.array(table).T) for table in rows.values()]
-    return drones
+                drone, width = int(labelled.id[row]), float(seen.size[column, 0])
+                labels.setdefault(drone, []).append((frame.t, float(labelled.size[row, 0]), width))
+                cut = cut_out(frame.image, np.concatenate([labelled.centre[row], labelled.size[row]]))
+                if cut is not None:
+                    visible.setdefault(drone, []).append((frame.t, float(cut.tight[2]), width))
+        for tables, kept in ((labels, found.labels), (visible, found.visible)):
+            kept += [Widths(*np.array(table).T) for table in tables.values()]
+    return found
+
+
+def telling(detector: Detector) -> SecondStage | None:
+    """What makes boxes as wide as spans; None where the detector draws them alone."""
+    second = detector.second_stage
+    return second if second is not None and second.tells_spans else None
+
+
+def answered(detector: Detector, drones: Sequence[Widths]) -> list[Widths]:
+    """The same with spans instead of boxes, as the second stage answers them, if it tells any."""
+    if (second := telling(detector)) is None:
+        return list(drones)
+    drawn, told = detector.description.box_width or BoxWidth(), second.box_width
+    spans = [(drone.box_px - drawn.padding_px) / drawn.factor for drone in drones]
+    return [
+        drone._replace(box_px=np.maximum(told.factor * span + told.padding_px, 1.0))
+        for drone, span in zip(drones, spans, strict=True)
+    ]
+
+
+class RangeErrors(NamedTuple):
+    """Of ln(distance) by the width of a box alone: the mean over drones, from drone to drone, within one."""
+
+    bias: float
+    drone: float
+    within: float
+
+
+def range_errors(drones: Sequence[Widths], believed: BoxWidth) -> RangeErrors:
+    """Where boxes are believed to be so wide; without boxes of something else."""
+    off = []
+    for drone in drones:
+        span = np.maximum(drone.box_px - believed.padding_px, LEAST_DRONE * drone.box_px) / believed.factor
+        error = np.log(drone.span_px / span)
+        off.append(error[np.abs(error) < OTHER_THING])
+    off = [errors for errors in off if len(errors) >= FEWEST_OF_DRONE]
+    means = [float(errors.mean()) for errors in off]
+    within = math.sqrt(float(np.mean([errors.var() for errors in off])))
+    return RangeErrors(float(np.mean(means)), float(np.std(means)), within)
 
 
 def stated(drawn: WidthFit, real: BoxWidth) -> BoxWidth:
@@ -170,6 +246,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", default="default", metavar="FILE", help='"default" or an .onnx file (default: %(default)s)'
     )
+    add_second_stage(parser)
     add_folder(parser, "--clips", "labelled clips of real drones: pairs of NAME.mp4 and NAME_gt.csv")
     add_flag(parser, "--write", "write what was found into the model's metadata")
 
@@ -179,6 +256,7 @@ def run(args: argparse.Namespace) -> None:
         args.out,
         args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
         model=args.model,
+        second_stage=args.second_stage,
         clips=args.clips,
         clip_limit=2 if args.quick else None,
         processes=args.processes,
@@ -187,7 +265,10 @@ def run(args: argparse.Namespace) -> None:
         # Only who writes models needs the package `onnx`.
         from swarmtrack.training.annotation import annotate  # noqa: PLC0415
 
-        annotate(model_path(args.model), {"box_width": json.dumps(result["stated"])})
+        detector = Detector(args.model, second_stage=args.second_stage)
+        second = telling(detector)
+        path = detector.path if second is None else second.path
+        annotate(path, {"box_width": json.dumps(result["stated"])})
 
 
 def publish(
@@ -195,6 +276,7 @@ def publish(
     seeds: int,
     *,
     model: str = "default",
+    second_stage: str = "auto",
     clips: Path | None = None,
     clip_limit: int | None = None,
     processes: int | None = None,
@@ -206,40 +288,62 @@ def publish(
         multiprocessing.get_context("spawn").Pool(processes) as pool,
         report.progress(NAME, seeds) as advance,
     ):
-        for flight in pool.imap(partial(fly, model), range(1, seeds + 1)):
+        for flight in pool.imap(partial(fly, model, second_stage), range(1, seeds + 1)):
             flights.append(flight)
             advance("")
+    detector = Detector(model, second_stage=second_stage)
+    flights = answered(detector, flights)
     drawn = fit_box_width(flights)
-    real = None if clips is None else fit_box_width(on_clips(clips, model, limit=clip_limit))
+    rows = {"drawn": _record(drawn, flights)}
+    real = BoxWidth()
+    if clips is not None:
+        seen = RealWidths(*(answered(detector, some) for some in on_clips(clips, detector, limit=clip_limit)))
+        real = (by_sight := fit_box_width(seen.visible)).width
+        rows |= {
+            "labels": _record(fit_box_width(seen.labels), seen.labels),
+            "visible": _record(by_sight, seen.visible),
+        }
+    second = detector.second_stage
     result = {
         "model": model_path(model).name,
-        "drawn": _record(drawn),
-        "real": None if real is None else _record(real),
-        "stated": dataclasses.asdict(stated(drawn, BoxWidth() if real is None else real.width)),
+        "second_stage": None if second is None else second.path.name,
+        "of": "a box" if telling(detector) is None else "a span as the second stage answers it",
+        "rows": rows,
+        "stated": dataclasses.asdict(stated(drawn, real)),
     }
     report.write(out, NAME, result, _markdown(result))
     _plot(plt, out / f"{NAME}.png", flights, drawn.width)
     return result
 
 
-def _record(found: WidthFit) -> dict[str, Any]:
-    return {"boxes": found.boxes, "drones": found.drones, **dataclasses.asdict(found.width)}
+def _record(found: WidthFit, drones: Sequence[Widths]) -> dict[str, Any]:
+    return {
+        "boxes": found.boxes,
+        "drones": found.drones,
+        **dataclasses.asdict(found.width),
+        "ranges": range_errors(drones, found.width)._asdict(),
+    }
 
 
 def _markdown(result: dict[str, Any]) -> str:
-    names = {"drawn": "drawn drones, beside the span", "real": "real drones, beside the label"}
+    names = {
+        "drawn": "drawn drones, beside the span",
+        "labels": "real drones, beside the label",
+        "visible": "… beside what is visible",
+    }
     rows = [
-        [words, str(row["drones"]), str(row["boxes"]), *_numbers(row)]
-        for key, words in names.items()
-        if (row := result[key]) is not None
+        [names[key], str(row["drones"]), str(row["boxes"]), *_numbers(row), *_ranges(row["ranges"])]
+        for key, row in result["rows"].items()
     ]
-    rows.append(["for the metadata", "", "", *_numbers(result["stated"])])
+    rows.append(["for the metadata", "", "", *_numbers(result["stated"]), "", "", ""])
     header = [
         "", "drones", "boxes", "factor", "padding, px", "drone to drone, %", "wandering, %", "within, s", "white, %",
+        "ranges: bias, %", "drone to drone, %", "within one, %",
     ]  # fmt: skip
     words = (
-        f"`{result['model']}`, looking as an agent does at drawn drones, and at whole frames of real ones. Width of a "
-        "box = factor · width + padding; errors of its logarithm."
+        f"`{result['model']}`, second stage `{result['second_stage']}`, looking as an agent does at drawn drones of "
+        f"{len(SHAPES)} shapes, and at whole frames of real ones. Width of {result['of']} = factor · width + padding; "
+        "errors of its logarithm, and of that of the distance that it tells."
     )
     return "\n\n".join(["# How wide boxes are", words, report.table(header, rows)])
 
@@ -253,6 +357,10 @@ def _numbers(row: dict[str, float]) -> list[str]:
         report.number(row["wander_s"], 1),
         report.number(100.0 * row["white_sigma"], 0),
     ]
+
+
+def _ranges(errors: dict[str, float]) -> list[str]:
+    return [report.number(100.0 * errors[key], 1) for key in ("bias", "drone", "within")]
 
 
 def _plot(plt: Any, path: Path, flights: Sequence[Widths], width: BoxWidth) -> None:

@@ -7,7 +7,7 @@ flight. Scores: see `swarmtrack.evaluation.clip_score`.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -52,22 +52,23 @@ def play_clips(folder: Path, trackers: Sequence[str]) -> list[ClipRow]:
     return rows
 
 
-def look(clip: Clip, detector: Detector) -> list[Detections]:
-    """What the detector finds in each frame."""
+def frames(clip: Clip) -> Iterator[Frame]:
+    """As far as they can be decoded."""
     capture = cv2.VideoCapture(str(clip.video))
-    seen = []
     try:
         for number in range(clip.frames):
             decoded, image = capture.read()
             if not decoded:
                 break
-            frame = Frame(number / clip.fps, 0.0, number, image.astype(np.uint8, copy=False), StampKind.MEDIA)
-            found = detector.look(detector.plan(frame))
-            if found is not None:
-                seen.append(found)
+            yield Frame(number / clip.fps, 0.0, number, image.astype(np.uint8, copy=False), StampKind.MEDIA)
     finally:
         capture.release()
-    return seen
+
+
+def look(clip: Clip, detector: Detector) -> list[Detections]:
+    """What the detector finds in each frame."""
+    looks = (detector.look(detector.plan(frame)) for frame in frames(clip))
+    return [found for found in looks if found is not None]
 
 
 def follow(clip: Clip, seen: Sequence[Detections], tracker: str) -> ClipRow:

@@ -7,7 +7,6 @@ and the shapes of the outputs. A net that none of them explains is refused in a 
 from __future__ import annotations
 
 import ast
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ from typing import Any, NamedTuple
 from swarmtrack.detection import metadata
 from swarmtrack.errors import ModelError
 from swarmtrack.plain_text import plain
-from swarmtrack.relative.box_width import LIMITS, BoxWidth
+from swarmtrack.relative.box_width import BoxWidth
 
 HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr")
 STRIDES = (8, 16, 32)  # of YOLO's three maps
@@ -115,26 +114,11 @@ def _ours(path: str, written: Mapping[str, str]) -> Description:
         calibration=entry(
             "calibration", metadata.sigmoid, "a JSON list of two numbers, the first above 0", (1.0, 0.0)
         ),
-        box_width=box_width_of(path, written),
+        box_width=metadata.box_width_of(path, written),
         second_stage=fitted == "default",
         source="its metadata",
         entries=ours.entries,
     )
-
-
-def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
-    """What our metadata say of the widths of boxes; None where they say nothing. Raises `ModelError`."""
-    text = written.get(f"{metadata.PREFIX}box_width")
-    if text is None:
-        return None
-    try:
-        return BoxWidth(**json.loads(metadata.bounded(text)))
-    except metadata.UNREADABLE as error:
-        found, why = metadata.quoted(text), plain(str(error), metadata.SHOWN)
-        raise ModelError(
-            f"{path}: metadata {metadata.PREFIX}box_width is {found} ({why}), expected a JSON object of "
-            f"{', '.join(LIMITS)}"
-        ) from None
 
 
 # --- other people's nets ------------------------------------------------------------------------------

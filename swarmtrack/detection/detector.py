@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -21,6 +22,7 @@ from swarmtrack.detection.net import TRIAL_SIZE, Net
 from swarmtrack.detection.second_stage import SecondStage
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array, Detections, Frame, LinkStatus
+from swarmtrack.relative.box_width import BoxWidth
 
 NOTHING_DECLARED = Declared()
 USUAL_ATTENTION = AttentionParameters()
@@ -60,6 +62,16 @@ class Look(NamedTuple):
     windows: tuple[Window, ...]
     comparison: Comparison | None
     expected: Array = NOBODY
+
+
+class _LookedAgain(NamedTuple):
+    """found: the candidates that may be shown with both stages' scores, best first. Of each (n,): its likeness, the
+    score from which it is shown, and what its box is to be resized by."""
+
+    found: Candidates
+    likeness: Array
+    shown_from: Array
+    resize: Array
 
 
 class _Memory(NamedTuple):
@@ -113,6 +125,7 @@ class Detector:
         self._clock = clock or SystemClock()
         self._session = open_session(self._path, threads, providers, cache)
         self._net = Net(self._path, self._session, declared, self._clock)
+        self._drawn = self.description.box_width or BoxWidth()
         self._second = self._second_stage(second_stage, threads, providers, cache)
         self.own_threshold = (self._second or self.description).score_threshold
         """Score from which on detections are shown where nobody says otherwise."""
@@ -159,6 +172,19 @@ class Detector:
     def description(self) -> Description:
         """What is known of the net, and who said it."""
         return self._net.description
+
+    @property
+    def second_stage(self) -> SecondStage | None:
+        """What looks at candidates again."""
+        return self._second
+
+    @property
+    def box_width(self) -> BoxWidth | None:
+        """How wide the boxes of its detections are beside drones; None where nobody says it."""
+        if self._second is None or not self._second.tells_spans:
+            return self.description.box_width
+        drawn = self._drawn
+        return replace(self._second.box_width, factor=drawn.factor, padding_px=drawn.padding_px)
 
     @property
     def providers(self) -> tuple[str, ...]:
@@ -246,30 +272,32 @@ class Detector:
             spent += seconds
         found = parts[0] if len(parts) == 1 else merged(parts, limit=self._limit)
         began = self._clock.now()
-        likeness, shown_from = None, np.full(len(found.score), threshold)
+        likeness, shown_from, resize = None, np.full(len(found.score), threshold), np.ones(len(found.score))
         if self._second is not None:
-            found, likeness, shown_from = self._look_again(self._second, look, found)
+            found, likeness, shown_from, resize = self._look_again(self._second, look, found)
         motion = self._memory(look.frame.camera).motion
         if motion is not None:
             likeness = found.score if likeness is None else likeness
             rows, score = motion.weigh(look.frame, found, shown_from, look.comparison)
-            found, likeness = found.take(rows)._replace(score=score), likeness[rows]
+            found, likeness, resize = found.take(rows)._replace(score=score), likeness[rows], resize[rows]
+        found = found._replace(size=found.size * resize[:, None])
         spent[2] += self._clock.now() - began
         return found, likeness, spent
 
-    def _look_again(
-        self, second: SecondStage, look: Look, found: Candidates
-    ) -> tuple[Candidates, Array, Array]:
-        """The candidates that may be shown with both stages' scores, best first; their likeness (n,), and the score
-        (n,) from which each is shown."""
-        both = second.scores(look.frame.image, found)
-        alone = _near(look.expected, found.centre) & (found.score > both)
-        score = np.where(alone, found.score, both)
+    def _look_again(self, second: SecondStage, look: Look, found: Candidates) -> _LookedAgain:
+        judged = second.judge(look.frame.image, found, self._drawn)
+        alone = _near(look.expected, found.centre) & (found.score > judged.score)
+        score = np.where(alone, found.score, judged.score)
         shown_from = np.where(alone, self._alone_threshold, self.score_threshold)
         least = shown_from if look.comparison is None else np.minimum(shown_from, LEAST)
         order = np.argsort(-score, kind="stable")
         order = order[(score >= least)[order]]
-        return found._replace(score=score).take(order), second.likeness(both[order]), shown_from[order]
+        return _LookedAgain(
+            found._replace(score=score).take(order),
+            second.likeness(judged.score[order]),
+            shown_from[order],
+            judged.resize[order],
+        )
 
     def warm_up(self, width: int, height: int) -> None:
         """Look at two empty images, so that the first real one does not pay for memory and kernels."""

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from swarmtrack.errors import ModelError
 from swarmtrack.plain_text import plain
+from swarmtrack.relative.box_width import LIMITS, BoxWidth
 
 PREFIX = "swarmtrack."
 LONGEST_ENTRY = 64 << 10  # characters: a thousand classes take half of it
@@ -120,3 +121,18 @@ def names(text: str) -> tuple[str, ...]:
     if not isinstance(listed, list) or not listed or not all(isinstance(name, str) for name in listed):
         raise ValueError(text)
     return tuple(plain(name, LONGEST_NAME) for name in listed)
+
+
+def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
+    """What our metadata say of the widths of boxes; None where they say nothing. Raises `ModelError`."""
+    text = written.get(f"{PREFIX}box_width")
+    if text is None:
+        return None
+    try:
+        return BoxWidth(**json.loads(bounded(text)))
+    except UNREADABLE as error:
+        found, why = quoted(text), plain(str(error), SHOWN)
+        raise ModelError(
+            f"{path}: metadata {PREFIX}box_width is {found} ({why}), expected a JSON object of "
+            f"{', '.join(LIMITS)}"
+        ) from None

@@ -1,4 +1,4 @@
-"""A second stage: a small network that looks at one candidate at a time, and only says whether it is a drone.
+"""A second stage: a small network that looks at one candidate at a time, and says whether it is a drone, and how wide.
 
 Theory of operation. A detector answers for every cell of a picture, and has little to spend on any one of them. Of its
 candidates, a dozen at most, the second stage is shown each one alone: a square around the centre, scaled with the box,
@@ -11,6 +11,10 @@ What a track is confirmed by, its likeness, is lower than that by a number of lo
 track is expected the score does not fall below the detector's own: that something is still there is one question, and
 what it is another.
 
+It may also answer how wide the drone's span is, if it stands level across the view, as a share of the square's side.
+Then boxes are made as wide as the detector says that it draws a drone of such a span. So they mean what they did, and
+tell distances better: by how much boxes are too wide or too narrow differs from drone to drone, spans by less.
+
 Two stages are how R-CNN (Girshick et al. 2014) and the cascade of Viola & Jones (2001) are built. weight and offset are
 fitted to candidates that neither stage was trained on, and stand in the file. It works with the boxes of any detector.
 `docs/decisions/0039-two-stages.md` has what it brought.
@@ -20,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -29,11 +33,12 @@ from numpy.typing import NDArray
 
 from swarmtrack.detection import metadata
 from swarmtrack.detection.heads import Candidates
-from swarmtrack.detection.metadata import Metadata
+from swarmtrack.detection.metadata import Metadata, box_width_of
 from swarmtrack.detection.model import ELEMENTS, first_answer, open_session, trial_limit
 from swarmtrack.detection.odds import logit, probability
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array, Image
+from swarmtrack.relative.box_width import BoxWidth
 
 HEAD = "second_stage"
 LEAST = 0.15  # score from which on a candidate is looked at again
@@ -41,6 +46,25 @@ MOST = 16  # candidates of one frame that are looked at again: the best
 SMALLEST = 8.0  # px of the image: no square is smaller
 WIDEST = 16.0  # longer sides of a box that it may be shown
 LARGEST_SIDE = 256  # px of its input
+RESIZED = 3.0  # times: a box becomes no wider than so often itself, and no narrower
+
+
+AS_ANSWERED = BoxWidth(factor=1.0)
+
+
+class Judged(NamedTuple):
+    """Of n candidates. score (n,) of both stages; resize (n,): what each box is multiplied by to be as wide as one
+    around a drone of its span; ones where that is not told."""
+
+    score: Array
+    resize: Array
+
+
+class _Answer(NamedTuple):
+    """About n squares: log odds (n,), and spans (n,) as shares of their sides, where the net tells them."""
+
+    log_odds: Array
+    span: Array | None
 
 
 class SecondStage:
@@ -51,7 +75,8 @@ class SecondStage:
     ) -> None:
         self.path = path
         self._session = open_session(path, threads, providers, cache)
-        entry = Metadata(str(path), self._session.get_modelmeta().custom_metadata_map).entry
+        written = self._session.get_modelmeta().custom_metadata_map
+        entry = Metadata(str(path), written).entry
         entry("head", metadata.one_of([HEAD]), HEAD)
         self.around = entry("around", _extent, f"a positive number, {WIDEST:g} at most")
         """Side of the square that it is shown, in longer sides of the box."""
@@ -59,6 +84,9 @@ class SecondStage:
         self.score_threshold = entry("score_threshold", metadata.fraction, "a number in 0…1")
         """Of both stages' score: from which on a detection is shown."""
         self._doubt = entry("doubt", metadata.number, f"a number, none beyond {metadata.LARGEST:g}")
+        self.tells_spans = len(self._session.get_outputs()) > 1
+        self.box_width = box_width_of(str(path), written) or AS_ANSWERED
+        """How wide spans are as it answers them, beside the true ones, and how far they are off."""
         self._input, self._side, self._element = self._check_input()
         empty: NDArray[Any] = np.zeros((1, 3, self._side, self._side), self._element)
         first_answer(
@@ -68,34 +96,42 @@ class SecondStage:
             what="an empty square",
         )
 
-    def scores(self, image: Image, found: Candidates) -> Array:
-        """(n,) of both stages, for candidates (n) in an image, best first. In a crowd the last are not asked about:
-        nothing speaks for them or against."""
-        log_odds = np.zeros(len(found.score))
+    def judge(self, image: Image, found: Candidates, drawn: BoxWidth) -> Judged:
+        """Candidates (n) in an image, best first, and how the detector draws boxes. In a crowd the last are not asked
+        about: nothing speaks for them or against."""
+        log_odds, resize = np.zeros(len(found.score)), np.ones(len(found.score))
         if len(log_odds):
-            log_odds[:MOST] = self.log_odds(image, found.centre[:MOST], found.size[:MOST])
-        return probability(logit(found.score) + self.weight * log_odds + self.offset)
+            centre, size = found.centre[:MOST], found.size[:MOST]
+            sides = self.around * np.maximum(size.max(axis=1), SMALLEST)
+            answer = self._look(image, centre, sides)
+            log_odds[:MOST] = answer.log_odds
+            if answer.span is not None:
+                span = (answer.span * sides - self.box_width.padding_px) / self.box_width.factor
+                width = drawn.factor * span + drawn.padding_px
+                resize[:MOST] = np.clip(width / np.maximum(size[:, 0], 1.0), 1.0 / RESIZED, RESIZED)
+        score = probability(logit(found.score) + self.weight * log_odds + self.offset)
+        return Judged(score, resize)
 
     def likeness(self, score: Array) -> Array:
         """Of scores (n,) of both stages: how much it looks like a drone, where that is to say who is one. A detection
         is shown on a suspicion, a track is confirmed on more: the log odds are lower by what the file calls doubt."""
         return probability(logit(score) - self._doubt)
 
-    def log_odds(self, image: Image, centre: Array, size: Array) -> Array:
-        """(n,) of being a drone, of what lies at boxes (n, 2), (n, 2) px of an image."""
+    def _look(self, image: Image, centre: Array, sides: Array) -> _Answer:
+        """At squares with centres (n, 2) and sides (n,) px of an image."""
         squares = [
-            square(image, where, self.around * max(side, SMALLEST), self._side)
-            for where, side in zip(centre, size.max(axis=1).tolist(), strict=True)
+            square(image, where, side, self._side) for where, side in zip(centre, sides.tolist(), strict=True)
         ]
         return self._answer(np.asarray(cv2.dnn.blobFromImages(squares), self._element))
 
-    def _answer(self, squares: NDArray[Any], options: ort.RunOptions | None = None) -> Array:
-        answer = np.asarray(self._session.run(None, {self._input: squares}, options)[0], float)
-        if answer.shape != (len(squares),) or not np.isfinite(answer).all():
-            raise ModelError(
-                f"{self.path}: answered NaN or {answer.shape} to {len(squares)} squares, expected a number of each"
-            )
-        return answer
+    def _answer(self, squares: NDArray[Any], options: ort.RunOptions | None = None) -> _Answer:
+        said = [np.asarray(each, float) for each in self._session.run(None, {self._input: squares}, options)]
+        for each in said[:2]:
+            if each.shape != (len(squares),) or not np.isfinite(each).all():
+                raise ModelError(
+                    f"{self.path}: answered NaN or {each.shape} to {len(squares)} squares, expected a number of each"
+                )
+        return _Answer(said[0], said[1] if self.tells_spans else None)
 
     def _check_input(self) -> tuple[str, int, type]:
         """Name, side and type of the only input: (n, 3, side, side)."""

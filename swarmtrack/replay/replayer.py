@@ -124,7 +124,7 @@ class Replayer:
         every_answer: bool = False,
     ) -> None:
         self._recording = recording
-        box_width = settings.box_width if detector is None else detector.description.box_width
+        box_width = settings.box_width if detector is None else detector.box_width
         follower = make_follower(settings.config)
         self._follows = follower is not None
         self._door = Door(

@@ -127,7 +127,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         transport, renewal = _transport(config, boot, clock, hub)
     start = _start(config, simulation)
     check_formation(config, mounted, detector)
-    box_width = None if detector is None else detector.description.box_width
+    box_width = None if detector is None else detector.box_width
     recorder = _recorder(
         config, mounted, start, box_width, boot, clock=clock, wall=wall, waits=paced is not None
     )
@@ -162,7 +162,7 @@ def check_formation(config: DroneConfig, mounted: Sequence[MountedCamera], detec
     views = fields_of_view((one.camera, one.body_from_camera) for one in mounted)
     faults = view_faults(plan, drone_id, views, section.limits.acceleration_m_s2)
     told = config.team.share == "velocity" or section.ranging
-    described = BoxWidth() if detector is None else detector.description.box_width or BoxWidth()
+    described = BoxWidth() if detector is None else detector.box_width or BoxWidth()
     faults += range_faults(config.detector.box_width.over(described), told=told)
     if faults:
         raise ConfigError([config.problem(("formation", *fault.key), fault.text) for fault in faults])

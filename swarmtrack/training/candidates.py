@@ -6,6 +6,7 @@ boxes are tighter there: so it looks at each picture in one of several scales.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from swarmtrack.detection.net import Net
 from swarmtrack.detection.second_stage import LEAST, SMALLEST, square
 from swarmtrack.evaluation.detector_score import by_centre
-from swarmtrack.training.dataset import TrainingSample
+from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.training.dataset import TrainingSample, cut_out
 from swarmtrack.training.labelled_images import Boxes, LabelledFrame
 from swarmtrack.training.simulated_pictures import SIMULATED
 
@@ -29,6 +31,8 @@ PER_PICTURE = (3, 1)  # that are wrong: the best, and others
 BESIDE = 0.3  # of its longer side: a second candidate for one drone that is further off than that is wrong
 KEPT = 96  # px: side of what is kept of each
 KEPT_AROUND = 2.4  # longer sides of its box that this shows
+# Of a quadrotor, over all yaws: the width of what is visible over its span.
+OUTLINE = BoxWidth().factor
 DRAWN_ROOM = (
     2.1  # of a picture that is drawn, candidates so far from its edges are taken, in longer sides of the box
 )
@@ -36,12 +40,13 @@ DRAWN_ROOM = (
 
 class Candidate(NamedTuple):
     """picture (KEPT, KEPT, 3) BGR; kind: `DRONE`, what else was labelled there, or `OTHER`; source: the clip; score: of
-    the detector, 0 for what it overlooked."""
+    the detector, 0 for what it overlooked; span: of a drone, px of the picture, NaN where nobody knows."""
 
     picture: NDArray[np.uint8]
     kind: str
     source: str
     score: float
+    span: float = math.nan
 
 
 class CandidateSource:
@@ -73,7 +78,7 @@ class CandidateSource:
         rng, drawn = self._rng, frame.source == DRAWN
         corner, part = (np.zeros(2, int), frame.image) if drawn else self._part(frame, scale)
         found, _ = self._net.look(part, scale, LEAST, SEEN)
-        labels = np.concatenate([frame.drones, frame.distractors])
+        labels, spans = np.concatenate([frame.drones, frame.distractors]), _spans(frame)
         kinds = (DRONE,) * len(frame.drones) + (frame.kinds or (OTHER,) * len(frame.distractors))
         boxes = np.concatenate([found.centre + corner, found.size], axis=1)
         hits = [_hit(box, labels) for box in boxes]
@@ -86,18 +91,21 @@ class CandidateSource:
         ]
         best, others = PER_PICTURE
         wrong = wrong[:best] + rng.permutation(wrong[best:])[:others].astype(int).tolist()
+        chosen: list[tuple[NDArray[np.float64], str, float, float]] = []
         for row, (box, hit) in enumerate(zip(boxes, hits, strict=True)):
             if row in wrong:
-                yield from self._cut(frame, box, OTHER, float(found.score[row]))
+                chosen.append((box, OTHER, float(found.score[row]), math.nan))
             elif hit >= 0 and first[hit] == row:
-                yield from self._cut(frame, box, kinds[hit], float(found.score[row]))
-        if frame.source == SIMULATED:  # its labels are tighter than any detector's boxes
-            return
-        high = corner + np.array(part.shape[1::-1])
-        for row in sorted(set(range(len(labels))) - set(hits)):
-            box = labels[row]
-            if ((box[:2] >= corner) & (box[:2] < high)).all() and (not drawn or rng.random() < 0.5):
-                yield from self._cut(frame, box, kinds[row], 0.0)
+                chosen.append((box, kinds[hit], float(found.score[row]), spans.get(hit, math.nan)))
+        if frame.source != SIMULATED:  # its labels are tighter than any detector's boxes
+            high = corner + np.array(part.shape[1::-1])
+            for row in sorted(set(range(len(labels))) - set(hits)):
+                box = labels[row]
+                if ((box[:2] >= corner) & (box[:2] < high)).all() and (not drawn or rng.random() < 0.5):
+                    chosen.append((box, kinds[row], 0.0, spans.get(row, math.nan)))
+        for box, kind, score, span in chosen:
+            if not drawn or _has_room(frame.image, box):
+                yield _cut(frame, box, kind, score, span)
 
     def _part(self, frame: LabelledFrame, scale: float) -> tuple[NDArray[np.int_], NDArray[np.uint8]]:
         """What is looked at in this scale, mostly around something labelled; and its top left corner, px."""
@@ -112,16 +120,28 @@ class CandidateSource:
         x, y = np.clip(middle - side / 2, 0, shown - side).astype(int).tolist()
         return np.array([x, y]), frame.image[y : y + side, x : x + side]
 
-    def _cut(
-        self, frame: LabelledFrame, box: NDArray[np.float64], kind: str, score: float
-    ) -> Iterator[Candidate]:
-        side = max(float(box[2:].max()), SMALLEST)
-        room = DRAWN_ROOM / 2 * side
-        drawn = frame.source == DRAWN
-        low, high = box[:2] - room, box[:2] + room
-        if drawn and ((low < 0).any() or (high > frame.image.shape[1::-1]).any()):
-            return
-        yield Candidate(square(frame.image, box[:2], KEPT_AROUND * side, KEPT), kind, frame.source, score)
+
+def _cut(frame: LabelledFrame, box: NDArray[np.float64], kind: str, score: float, span: float) -> Candidate:
+    """What is at a box (4,) of a frame; span: px of the frame."""
+    side = KEPT_AROUND * max(float(box[2:].max()), SMALLEST)
+    picture = square(frame.image, box[:2], side, KEPT)
+    return Candidate(picture, kind, frame.source, score, span * KEPT / side)
+
+
+def _has_room(image: NDArray[np.uint8], box: NDArray[np.float64]) -> bool:
+    """Whether a box (4,) is not too near to the edge of a picture that is drawn."""
+    room = DRAWN_ROOM / 2 * max(float(box[2:].max()), SMALLEST)
+    return bool((box[:2] >= room).all() and (box[:2] + room <= image.shape[1::-1]).all())
+
+
+def _spans(frame: LabelledFrame) -> dict[int, float]:
+    """By drone, px: what is known, or else as what is visible in front of a smooth sky says it."""
+    if frame.spans_px is not None:
+        return dict(enumerate(frame.spans_px.tolist()))
+    if frame.source == DRAWN:
+        return {}
+    seen = {row: cut_out(frame.image, box) for row, box in enumerate(frame.drones)}
+    return {row: float(found.tight[2]) / OUTLINE for row, found in seen.items() if found is not None}
 
 
 def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:

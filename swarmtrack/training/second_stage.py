@@ -5,6 +5,9 @@ Theory of operation. A training first collects candidates, in labelled pictures,
 are drones. What is no drone is taken by kind, then by clip, and only then by frame, so that no long clip outweighs
 others. Each is turned, enlarged, and photographed anew each time. Last, what the stage says of candidates that were
 held out is fitted beside the detector's own scores by logistic regression.
+
+With them it learns how wide drones are: from simulated ones, whose span is known, and less from real ones, of which
+only what is visible is known.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -41,6 +44,7 @@ from swarmtrack.training.trainer import REPORT_PERIOD, average_into
 SIDE = 64  # px of its input
 AROUND = 1.6  # longer sides of the box that it is shown
 AVERAGING = 0.998  # per step
+SPAN_MAPS, SPAN_HIDDEN = 24, 48
 WARM_UP = 200  # steps until the full learning rate
 WEIGHT_DECAY = 0.05
 SMOOTHING = 0.02  # of the labels: some are wrong
@@ -50,11 +54,16 @@ GHOST = 4.0  # drones overlooked that are as bad as one ghost
 DOUBT = 0.2  # log odds by which what confirms a track is below the score
 KEEPS = 0.99  # of the held-out drones that the detector found: how many pass the threshold
 THRESHOLDS = (0.1, 0.4)  # at least, and at most
+HALF = SIDE / 2  # px: spans are answered as multiples of that, by their logarithm
+LINEAR = 0.1  # error of that logarithm from which on it counts linearly, not by its square
+OF_THE_LOSS = 4.0  # what that error counts, beside the kinds
+VISIBLE = 0.3  # what a real drone counts beside a simulated one
 
 
 @dataclass(frozen=True, slots=True)
 class StageSettings:
-    """How it is trained. drawn, simulated: shares of a kind's candidates that are of such pictures, if it has any."""
+    """How it is trained. drawn, simulated: shares of a kind's candidates that are of such pictures, if it has any;
+    measured: drones of known span that are added to a batch."""
 
     iterations: int = 4000
     seed: int = 0
@@ -62,6 +71,7 @@ class StageSettings:
     learning_rate: float = 2e-3
     drawn: float = 0.3
     simulated: float = 0.15
+    measured: int = 32
 
 
 Chances = NDArray[np.float64]
@@ -83,8 +93,8 @@ class Trained(NamedTuple):
     together: float | None
 
 
-class Classifier(nn.Module):
-    """forward: squares (n, 3, SIDE, SIDE), 0…255 → logits (n, kinds), drones first."""
+class Network(nn.Module):
+    """forward: squares (n, 3, SIDE, SIDE), 0…255 → logits (n, kinds), drones first; log of span over `HALF` (n,)."""
 
     def __init__(self, kinds: int, widths: tuple[int, ...] = (16, 32, 56, 80)) -> None:
         super().__init__()
@@ -94,24 +104,46 @@ class Classifier(nn.Module):
         self.features = nn.Sequential(*layers)
         self.dropout = nn.Dropout(0.3)
         self.kinds = nn.Linear(2 * widths[-1], kinds)
+        # Where something is tells how wide it is: no pooling.
+        cells = (SIDE >> len(widths)) ** 2
+        self.span = nn.Sequential(
+            nn.Conv2d(widths[-1], SPAN_MAPS, 1),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.Linear(SPAN_MAPS * cells, SPAN_HIDDEN),
+            nn.ReLU(),
+            nn.Linear(SPAN_HIDDEN, 1),
+        )
 
-    def forward(self, squares: Tensor) -> Tensor:
+    def forward(self, squares: Tensor) -> tuple[Tensor, Tensor]:
         y = self.features(squares / 255 - 0.5)
         pooled = torch.cat([y.mean(dim=(2, 3)), y.amax(dim=(2, 3))], dim=1)
-        return cast(Tensor, self.kinds(self.dropout(pooled)))
+        return self.kinds(self.dropout(pooled)), self.span(y)[:, 0]
 
 
 class _InFlight(nn.Module):
-    """As it flies: log odds (n,) of being a drone, as the mean of a look at each square and one at its mirror image."""
+    """As it flies: log odds (n,) of being a drone, and the span (n,) as a share of the square's side; means of looks at
+    each square and at its mirror image."""
 
     def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, squares: Tensor) -> Tensor:
-        logits = self.network(torch.cat([squares, squares.flip(3)]))
+    def forward(self, squares: Tensor) -> tuple[Tensor, Tensor]:
+        logits, log_span = self.network(torch.cat([squares, squares.flip(3)]))
         log_odds = logits[:, 0] - torch.logsumexp(logits[:, 1:], dim=1)
-        return log_odds.reshape(2, -1).mean(dim=0)
+        span = torch.exp(log_span.reshape(2, -1).mean(dim=0)) * (HALF / SIDE)
+        return log_odds.reshape(2, -1).mean(dim=0), span
+
+
+class _Batch(NamedTuple):
+    """squares (n, 3, SIDE, SIDE); kinds (m,) of the first m ≤ n, by their place among the kinds; log_spans (n,) over
+    `HALF`, and what each counts (n,), zero where nobody knows."""
+
+    squares: Tensor
+    kinds: Tensor
+    log_spans: Tensor
+    trust: Tensor
 
 
 class _Pools:
@@ -134,13 +166,24 @@ class _Pools:
         self._shares = weights / weights.sum()
         """Of the kinds: half are drones, a quarter is nothing that flies."""
         self._groups = {kind: self._grouped(pool) for kind, pool in self._pools.items()}
+        self._measured = [each for each in self._pools[DRONE].get(SIMULATED, ()) if math.isfinite(each.span)]
 
-    def batch(self) -> tuple[Tensor, Tensor]:
-        """Squares (n, 3, SIDE, SIDE) and kinds (n,), by their place in `kinds`."""
-        rng, size = self._rng, self._settings.batch
-        kinds = rng.choice(len(self.kinds), size, p=self._shares)
-        squares = [augmented(rng, self._pick(self.kinds[kind]).picture) for kind in kinds]
-        return _as_input(squares), torch.from_numpy(kinds)
+    def batch(self) -> _Batch:
+        rng, told = self._rng, self._settings
+        kinds = rng.choice(len(self.kinds), told.batch, p=self._shares)
+        picked = [self._pick(self.kinds[kind]) for kind in kinds]
+        if self._measured:
+            picked += [self._measured[k] for k in rng.integers(len(self._measured), size=told.measured)]
+        shown = [augmented(rng, each.picture) for each in picked]
+        spans = [each.span * scale for each, (_, scale) in zip(picked, shown, strict=True)]
+        trust = [1.0 if each.source == SIMULATED else VISIBLE for each in picked]
+        known = np.isfinite(spans)
+        return _Batch(
+            _as_input([square for square, _ in shown]),
+            torch.from_numpy(kinds),
+            torch.tensor(np.log(np.where(known, spans, HALF) / HALF), dtype=torch.float32),
+            torch.tensor(np.where(known, trust, 0.0), dtype=torch.float32),
+        )
 
     def _pick(self, kind: str) -> Candidate:
         rng, pool = self._rng, self._pools[kind]
@@ -173,7 +216,7 @@ def train(
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     pools = _Pools(candidates, settings, np.random.default_rng(settings.seed))
-    network, average = (Classifier(len(pools.kinds)) for _ in range(2))
+    network, average = (Network(len(pools.kinds)) for _ in range(2))
     average.load_state_dict(network.state_dict())
     optimizer = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=WEIGHT_DECAY)
     clock = SystemClock()
@@ -182,8 +225,7 @@ def train(
         fall = 0.5 + 0.5 * math.cos(math.pi * step / settings.iterations)
         for group in optimizer.param_groups:
             group["lr"] = settings.learning_rate * min(1.0, (step + 1) / WARM_UP) * fall
-        squares, kinds = pools.batch()
-        loss = functional.cross_entropy(network(squares), kinds, label_smoothing=SMOOTHING)
+        loss = _loss(network, pools.batch())
         if not torch.isfinite(loss):
             raise TrainingError(f"step {step}: the loss is {loss.item()}; lower --learning-rate")
         optimizer.zero_grad()
@@ -208,11 +250,19 @@ def train(
         "kinds": json.dumps(pools.kinds),
         "recipe": json.dumps(asdict(settings)),
     }
-    free = {name: {0: "candidates"} for name in ("squares", "log_odds")}
+    free = {name: {0: "candidates"} for name in ("squares", "log_odds", "span")}
     write_onnx(deployed, torch.zeros(2, 3, SIDE, SIDE), out, free, {**told, **metadata})
     if not validation:
         return Trained(fusion, None, None)
     return Trained(fusion, *(_average_precision(held_out, odds) for odds in (held_out.odds, together)))
+
+
+def _loss(network: nn.Module, batch: _Batch) -> Tensor:
+    logits, log_spans = network(batch.squares)
+    by_kind = functional.cross_entropy(logits[: len(batch.kinds)], batch.kinds, label_smoothing=SMOOTHING)
+    errors = functional.smooth_l1_loss(log_spans, batch.log_spans, beta=LINEAR, reduction="none")
+    by_span = (batch.trust * errors).sum() / batch.trust.sum().clamp(min=1.0)
+    return by_kind + OF_THE_LOSS * by_span
 
 
 def fit(validation: Sequence[Candidate], log_odds: NDArray[np.float64]) -> Fusion:
@@ -263,8 +313,9 @@ def _average_precision(held_out: _HeldOut, odds: NDArray[np.float64]) -> float:
     return Matches(odds[order], drone[order], unknown, unknown, np.zeros(drone.sum()), 1).average_precision()
 
 
-def augmented(rng: np.random.Generator, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(SIDE, SIDE, 3): the middle of a candidate's picture as another camera might have shown it."""
+def augmented(rng: np.random.Generator, picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
+    """(SIDE, SIDE, 3): the middle of a candidate's picture as another camera might have shown it; and how much larger
+    things are in it."""
     scale = SIDE / KEPT * KEPT_AROUND / AROUND * math.exp(rng.uniform(math.log(0.8), math.log(1.25)))
     middle = (KEPT - 1) / 2
     turn = cv2.getRotationMatrix2D((middle, middle), rng.normal(0.0, 8.0), scale)
@@ -277,7 +328,7 @@ def augmented(rng: np.random.Generator, picture: NDArray[np.uint8]) -> NDArray[n
         few = int(rng.integers(SIDE // 4, SIDE * 3 // 4))
         fewer = cv2.resize(seen, (few, few), interpolation=cv2.INTER_AREA)
         seen = cv2.resize(fewer, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
-    return render.photograph(rng, np.asarray(seen, np.float32))
+    return render.photograph(rng, np.asarray(seen, np.float32)), scale
 
 
 def _as_input(squares: Sequence[NDArray[np.uint8]]) -> Tensor:
@@ -289,5 +340,5 @@ def _log_odds(deployed: nn.Module, candidates: Sequence[Candidate]) -> NDArray[n
     """(n,) of these, as the agent will see them."""
     middle, side = np.full(2, (KEPT - 1) / 2), KEPT * AROUND / KEPT_AROUND
     squares = [square(candidate.picture, middle, side, SIDE) for candidate in candidates]
-    parts = [deployed(_as_input(squares[i : i + 256])) for i in range(0, len(squares), 256)]
+    parts = [deployed(_as_input(squares[i : i + 256]))[0] for i in range(0, len(squares), 256)]
     return torch.cat(parts).double().numpy() if parts else np.empty(0)

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from swarmtrack.calibration.box_width import level_width
 from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
@@ -77,14 +78,20 @@ def _of_world(seed: int, count: int) -> Iterator[LabelledFrame]:
     for k in range(count):
         t = k + 0.5
         shown = [drone for drone in airframes if rng.random() < 0.7]
-        boxes = [box for drone, box in truth.view(OBSERVER, t).in_view.items() if drone in shown]
+        boxes = {drone: box for drone, box in truth.view(OBSERVER, t).in_view.items() if drone in shown}
+        camera = world.pose(OBSERVER, t) @ mounted.body_from_camera
+        away = {drone: drones[drone].position(t) - camera.position for drone in boxes}
+        spans = [
+            level_width(away[drone], airframes[drone].span, mounted.lens, camera.rotation) for drone in boxes
+        ]
         yield LabelledFrame(
             f"{seed}_{k}",
             SIMULATED,
             SIMULATED,
             renderer.image(OBSERVER, t, k, shown),
-            np.array(boxes).reshape(-1, 4),
+            np.array(list(boxes.values())).reshape(-1, 4),
             np.empty((0, 4)),
+            spans_px=np.array(spans),
         )
 
 

@@ -15,14 +15,16 @@ from swarmtrack.detection.heads import Candidates
 from swarmtrack.detection.second_stage import SecondStage, square
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Frame, StampKind
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.training import render
 from swarmtrack.training.labelled_images import held_out, load_frames
 
 SIDE = 16
 
 
-def stage_net(path, *, rows="n", side=SIDE, gain=1.0, written=None):
-    """An ONNX file that answers how bright each square is above 128, in units of 100 / gain grey levels."""
+def stage_net(path, *, rows="n", side=SIDE, gain=1.0, spans=False, written=None):
+    """An ONNX file that answers how bright each square is above 128, in units of 100 / gain grey levels. With
+    spans, how bright it is as a share of 255, too."""
     onnx = pytest.importorskip("onnx", reason="makes nets: needs onnx, of the extra dev")
     helper, single = onnx.helper, onnx.TensorProto.FLOAT
     scale = np.float32(gain / 100)
@@ -31,11 +33,16 @@ def stage_net(path, *, rows="n", side=SIDE, gain=1.0, written=None):
             helper.make_node("ReduceMean", ["squares"], ["mean"], axes=[1, 2, 3], keepdims=0),
             helper.make_node("Sub", ["mean", "middle"], ["above"]),
             helper.make_node("Mul", ["above", "gain"], ["log_odds"]),
+            *([helper.make_node("Div", ["mean", "white"], ["span"])] if spans else []),
         ],
         "stage",
         [helper.make_tensor_value_info("squares", single, (rows, 3, side, side))],
-        [helper.make_tensor_value_info("log_odds", single, (rows,))],
         [
+            helper.make_tensor_value_info(name, single, (rows,))
+            for name in (["log_odds", "span"] if spans else ["log_odds"])
+        ],
+        [
+            helper.make_tensor("white", single, (), [255.0]),
             helper.make_tensor("middle", single, (), [128.0]),
             helper.make_tensor("gain", single, (), [scale]),
         ],
@@ -57,13 +64,46 @@ def candidates(*rows):
     return Candidates(table[:, :2], table[:, [2, 2]], table[:, 3], np.zeros(len(table), np.intp))
 
 
+LOOSE = BoxWidth(factor=1.5, padding_px=4.0)
+
+
 def test_log_odds_are_added_weighted(tmp_path):
     stage = SecondStage(stage_net(tmp_path / "stage.onnx"))
     image = np.full((100, 200, 3), 128, np.uint8)
     image[30:70, 130:170] = 228
-    score = stage.scores(image, candidates((50, 50, 20, 0.6), (150, 50, 20, 0.4)))
+    score, resize = stage.judge(image, candidates((50, 50, 20, 0.6), (150, 50, 20, 0.4)), LOOSE)
     assert score == pytest.approx(expit([logit(0.6) + 0.5, logit(0.4) + 2.0 + 0.5]), abs=1e-6)
-    assert len(stage.scores(image, candidates())) == 0
+    assert resize.tolist() == [1.0, 1.0]
+    assert [len(each) for each in stage.judge(image, candidates(), LOOSE)] == [0, 0]
+
+
+def test_boxes_become_as_wide_as_the_detector_draws_drones_of_the_spans_that_it_tells(tmp_path):
+    written = {"around": "2.0", "box_width": '{"factor": 0.5, "padding_px": 1.0}'}
+    stage = SecondStage(stage_net(tmp_path / "stage.onnx", spans=True, written=written))
+    image = np.full((100, 200), 51, np.uint8)
+    image[:, 100:] = 102
+    image[:, 170:] = 0
+    found = candidates((50, 50, 20, 0.6), (130, 50, 20, 0.4), (195, 50, 12, 0.4))
+    found = found._replace(size=np.array([[20.0, 10.0], [20.0, 20.0], [12.0, 12.0]]))
+    resize = stage.judge(image, found, LOOSE).resize
+    # Of squares of 40 px it answers 0.2 and 0.4, which are spans of 14 and 30 px; what it says of the last is absurd.
+    assert found.size[:2, 0] * resize[:2] == pytest.approx([25.0, 49.0], rel=1e-5)
+    assert resize[2] == pytest.approx(1.0 / second_stage.RESIZED)
+
+
+def test_a_detector_answers_such_boxes_and_says_how_far_they_are_off(tmp_path):
+    frame = sky_with_a_drone()
+    alone = look(Detector(second_stage="none"), frame)
+    telling = {"fusion": "[0.0, 0.0]", "box_width": '{"factor": 0.9, "drone_sigma": 0.07}'}
+    detector = Detector(second_stage=stage_net(tmp_path / "telling.onnx", spans=True, written=telling))
+    (size,) = look(detector, frame).size
+    drawn = detector.description.box_width
+    span = frame.image[90:150, 130:190].mean() / 255 * alone.size[0].max() / 0.9
+    assert size[0] == pytest.approx(drawn.factor * span + drawn.padding_px, rel=0.1)
+    assert size[1] / size[0] == pytest.approx(alone.size[0, 1] / alone.size[0, 0])
+    assert (detector.box_width.factor, detector.box_width.drone_sigma) == (drawn.factor, 0.07)
+    silent = Detector(second_stage=stage_net(tmp_path / "silent.onnx"))
+    assert silent.box_width == drawn
 
 
 @pytest.mark.parametrize("side", [10.0, 32.0, 150.0])
@@ -137,7 +177,8 @@ def test_what_is_followed_is_shown_as_before_and_looks_no_more_like_a_drone(tmp_
 def test_of_a_crowd_the_last_are_not_asked_about_and_not_lost(tmp_path):
     stage = SecondStage(stage_net(tmp_path / "stage.onnx"))
     bright = np.full((100, 200), 228, np.uint8)
-    score = stage.scores(bright, candidates(*((5 * i, 50, 8, 0.6) for i in range(second_stage.MOST + 3))))
+    crowd = candidates(*((5 * i, 50, 8, 0.6) for i in range(second_stage.MOST + 3)))
+    score = stage.judge(bright, crowd, LOOSE).score
     assert score[: second_stage.MOST] == pytest.approx(expit(logit(0.6) + 2.0 + 0.5))
     assert score[second_stage.MOST :] == pytest.approx(expit(logit(0.6) + 0.5))
 
@@ -176,6 +217,7 @@ def bare_copy(folder):
         ({"rows": 1}, r"inputs are .*expected one of shape \[n, 3, side, side\]"),
         ({"side": 1024}, r"inputs are .*expected one of shape \[n, 3, side, side\]"),
         ({"gain": float("nan")}, "answered NaN"),
+        ({"spans": True, "written": {"box_width": '{"factor": 0}'}}, r"swarmtrack\.box_width is .*factor"),
     ],
 )
 def test_a_stage_that_cannot_work_is_refused_in_a_sentence(tmp_path, how, sentence):
