@@ -288,6 +288,7 @@ class Detector:
         judged = second.judge(look.frame.image, found, self._drawn)
         alone = _near(look.expected, found.centre) & (found.score > judged.score)
         score = np.where(alone, found.score, judged.score)
+        resize = np.where(alone, 1.0, judged.resize)  # what it takes for no drone has no span
         shown_from = np.where(alone, self._alone_threshold, self.score_threshold)
         least = shown_from if look.comparison is None else np.minimum(shown_from, LEAST)
         order = np.argsort(-score, kind="stable")
@@ -296,7 +297,7 @@ class Detector:
             found._replace(score=score).take(order),
             second.likeness(judged.score[order]),
             shown_from[order],
-            judged.resize[order],
+            resize[order],
         )
 
     def warm_up(self, width: int, height: int) -> None:
