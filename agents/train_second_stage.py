@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 DRAWN = 20_000  # pictures
 NEAR = 0.08  # of them: close-ups
-SIMULATED = 4000  # pictures
+SIMULATED = 6000  # pictures
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pictures of simulated worlds, likewise (default: %(default)s)",
     )
     parser.add_argument(
-        "--iterations", type=count, default=4000, metavar="N", help="steps (default: %(default)s)"
+        "--iterations", type=count, default=4500, metavar="N", help="steps (default: %(default)s)"
     )
     add_seed(parser, "seed of candidates and first weights (default: %(default)s)", default=0)
     parser.add_argument(

@@ -49,7 +49,7 @@ from swarmtrack.tracking import DEFAULT_TRACKER
 NAME = "scenery"
 SCENARIOS = ("hover-triangle", "crossing", "fast-yaw", "errand")
 SEEDS, QUICK_SEEDS = 20, 2
-SECONDS, QUICK_SECONDS = 20.0, 8.0
+SECONDS, QUICK_SECONDS = 14.0, 8.0
 FPS = 7.0  # drawing and detecting cost 30 ms per frame
 LONG_S = 2.0
 SHOWN = 12  # tracks, of which there are pictures

@@ -51,7 +51,7 @@ SMOOTHING = 0.02  # of the labels: some are wrong
 FEWEST = 20  # held-out candidates of drones, and of what is none, that scores can be fitted to
 UNFITTED = (0.7, -1.0)  # weight and offset where nothing was held out
 GHOST = 4.0  # drones overlooked that are as bad as one ghost
-DOUBT = 0.2  # log odds by which what confirms a track is below the score
+DOUBT = 0.4  # log odds by which what confirms a track is below the score
 KEEPS = 0.99  # of the held-out drones that the detector found: how many pass the threshold
 THRESHOLDS = (0.1, 0.4)  # at least, and at most
 HALF = SIDE / 2  # px: spans are answered as multiples of that, by their logarithm
@@ -65,7 +65,7 @@ class StageSettings:
     """How it is trained. drawn, simulated: shares of a kind's candidates that are of such pictures, if it has any;
     measured: drones of known span that are added to a batch."""
 
-    iterations: int = 4000
+    iterations: int = 4500
     seed: int = 0
     batch: int = 96
     learning_rate: float = 2e-3

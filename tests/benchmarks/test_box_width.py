@@ -2,26 +2,47 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from swarmtrack.benchmarks import box_width as bench
 from swarmtrack.calibration.box_width import WidthFit
+from swarmtrack.detection.detector import Detector
 from swarmtrack.relative.box_width import BoxWidth
 
 
-def test_boxes_of_the_shipped_detector_are_as_wide_as_its_metadata_say(tmp_path):
+def test_spans_that_the_shipped_second_stage_tells_are_as_wide_as_its_metadata_say(tmp_path):
     pytest.importorskip("matplotlib", reason="plots are an extra")
     result = bench.publish(tmp_path, 2, processes=1)
-    said = bench.detector_of(bench.DetectorSection(), bench.SystemClock()).description.box_width
-    drawn = result["drawn"]
+    said = Detector().second_stage.box_width
+    drawn = result["rows"]["drawn"]
     assert drawn["boxes"] > 300
     for span_px in (15.0, 50.0):
         width = drawn["factor"] * span_px + drawn["padding_px"]
         assert width == pytest.approx(said.factor * span_px + said.padding_px, rel=0.12)
+    assert abs(drawn["ranges"]["bias"]) < 0.03
+    assert drawn["ranges"]["within"] < 0.1
     written = json.loads((tmp_path / "box-width.json").read_text(encoding="utf-8"))
     assert written["stated"] == result["stated"]
     assert (tmp_path / "box-width.png").exists()
     assert "for the metadata" in (tmp_path / "box-width.md").read_text(encoding="utf-8")
+
+
+def test_boxes_of_the_detector_alone_are_loose(tmp_path):
+    pytest.importorskip("matplotlib", reason="plots are an extra")
+    result = bench.publish(tmp_path, 2, second_stage="none", processes=1)
+    said, drawn = Detector(second_stage="none").box_width, result["rows"]["drawn"]
+    for span_px in (15.0, 50.0):
+        width = drawn["factor"] * span_px + drawn["padding_px"]
+        assert width == pytest.approx(said.factor * span_px + said.padding_px, rel=0.2)
+
+
+def test_errors_of_ranges_are_those_of_the_believed_line():
+    t, span = np.arange(100) / 10.0, np.full(100, 20.0)
+    off = 0.1 * (-1.0) ** np.arange(100)
+    some = [bench.Widths(t, span, (1.5 * span * np.exp(lasting + off) + 4.0)) for lasting in (0.0, 0.2)]
+    bias, drone, within = bench.range_errors(some, BoxWidth(factor=1.5, padding_px=4.0))
+    assert (bias, drone, within) == pytest.approx((-0.1, 0.1, 0.1))
 
 
 def test_a_model_states_errors_as_large_as_on_any_drone():

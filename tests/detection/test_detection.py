@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from support.places import SHARED
 from swarmtrack.benchmarks import detector as bench
 from swarmtrack.detection import letterbox
-from swarmtrack.detection.description import Description, box_width_of
+from swarmtrack.detection.description import Description
 from swarmtrack.detection.detector import SMALLEST, Detector
 from swarmtrack.detection.heads import Candidates, centernet, read, suppress
+from swarmtrack.detection.metadata import box_width_of
 from swarmtrack.detection.model import metadata_of, model_path
 from swarmtrack.errors import ModelError
 from swarmtrack.evaluation import detector_score

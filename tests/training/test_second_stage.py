@@ -10,9 +10,10 @@ from support.labelled_pictures import data_directory
 from swarmtrack.agents.main import main
 from swarmtrack.detection.detector import Detector
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.training.candidates import DRONE, KEPT, OTHER, Candidate, CandidateSource
+from swarmtrack.training.candidates import DRONE, KEPT, KEPT_AROUND, OTHER, Candidate, CandidateSource
 from swarmtrack.training.dataset import Recipe, SampleSource
 from swarmtrack.training.labelled_images import LabelledFrame, load_frames
+from swarmtrack.training.simulated_pictures import simulated_pictures
 
 pytest.importorskip("torch", reason="trains: needs torch, of the extra train")
 pytest.importorskip("onnx")
@@ -52,7 +53,22 @@ def test_what_the_detector_overlooks_is_a_candidate_too():
         )
         for candidate in source().of_whole_frames([frame])
     ]
-    assert [candidate[1:] for candidate in found] == [(DRONE, "clip", 0.0), ("bird", "gulls", 0.0)]
+    assert [candidate[1:4] for candidate in found] == [(DRONE, "clip", 0.0), ("bird", "gulls", 0.0)]
+    assert all(np.isnan(candidate.span) for candidate in found)
+
+
+def test_spans_are_those_of_the_simulated_world_or_of_what_is_visible_in_front_of_the_sky():
+    simulated = [each for each in source().of_frames(simulated_pictures(6, 0)) if each.kind == DRONE]
+    assert len(simulated) >= 3
+    for drone in simulated:
+        # Boxes are 1.2 to 2 spans wide, or less where the drone banks; a picture shows 2.4 of them.
+        assert KEPT / KEPT_AROUND / 3.0 < drone.span < KEPT / KEPT_AROUND * 1.5
+    sky = np.full((200, 240, 3), 200, np.uint8)
+    sky[80:90, 100:157] = 40
+    frame = LabelledFrame("a", "clip", "scene", sky, np.array([[128.0, 84.5, 80.0, 40.0]]), np.empty((0, 4)))
+    (drone,) = (each for each in source().of_whole_frames([frame]) if each.kind == DRONE)
+    visible = (drone.picture[:, :, 0].min(axis=0) < 120).sum()
+    assert drone.span == pytest.approx(visible / 1.14, rel=0.06)
 
 
 def test_drawn_candidates_come_by_seed_and_are_of_both_kinds():
