@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 
-from swarmtrack.agents.training_arguments import add_data, split_of
 from swarmtrack.arguments import add_file, add_flag, add_seed, count, positive
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
+from swarmtrack.training.split_arguments import add_data, split_of
 
 NETWORKS = ("plain", "nano", "resnet34")
 MINUTES = 150.0

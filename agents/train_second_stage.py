@@ -7,9 +7,9 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, TypeVar
 
-from swarmtrack.agents.training_arguments import add_data, split_of
 from swarmtrack.arguments import add_file, add_seed, count, positive
 from swarmtrack.errors import ModelError, SourceError
+from swarmtrack.training.split_arguments import add_data, split_of
 
 if TYPE_CHECKING:
     from swarmtrack.training.candidates import Candidate, CandidateSource

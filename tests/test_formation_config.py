@@ -114,7 +114,7 @@ def test_what_cannot_be_flown_is_refused_with_file_and_line(team, old, new, said
             "2 = [-2.0, 2.0, -3.0]",
             "formation.slots.2: drone 1 is 47° below the camera's axis",
         ),
-        ('share = "velocity"', "", "formation.leader: the detector's boxes tell a distance to 23%"),
+        ('share = "velocity"', "", "formation.leader: the detector's boxes tell a distance to 13%"),
     ],
 )
 def test_what_this_drones_camera_and_detector_cannot_do_is_refused(team, capsys, old, new, said):

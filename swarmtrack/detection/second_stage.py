@@ -52,7 +52,7 @@ RESIZED = 3.0  # times: a box becomes no wider than so often itself, and no narr
 AS_ANSWERED = BoxWidth(factor=1.0)
 
 
-class Judged(NamedTuple):
+class SecondLook(NamedTuple):
     """Of n candidates. score (n,) of both stages; resize (n,): what each box is multiplied by to be as wide as one
     around a drone of its span; ones where that is not told."""
 
@@ -96,7 +96,7 @@ class SecondStage:
             what="an empty square",
         )
 
-    def judge(self, image: Image, found: Candidates, drawn: BoxWidth) -> Judged:
+    def judge(self, image: Image, found: Candidates, drawn: BoxWidth) -> SecondLook:
         """Candidates (n) in an image, best first, and how the detector draws boxes. In a crowd the last are not asked
         about: nothing speaks for them or against."""
         log_odds, resize = np.zeros(len(found.score)), np.ones(len(found.score))
@@ -110,7 +110,7 @@ class SecondStage:
                 width = drawn.factor * span + drawn.padding_px
                 resize[:MOST] = np.clip(width / np.maximum(size[:, 0], 1.0), 1.0 / RESIZED, RESIZED)
         score = probability(logit(found.score) + self.weight * log_odds + self.offset)
-        return Judged(score, resize)
+        return SecondLook(score, resize)
 
     def likeness(self, score: Array) -> Array:
         """Of scores (n,) of both stages: how much it looks like a drone, where that is to say who is one. A detection

@@ -55,8 +55,7 @@ def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
     class Shades:
         """Stands for a detector; tells how bright the frame of each camera was."""
 
-        class description:
-            box_width = None
+        box_width = None
 
         def plan(self, frame, expectation):
             return frame

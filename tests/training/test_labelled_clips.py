@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from support.labelled_pictures import data_directory
-from swarmtrack.agents import train, training_arguments
+from swarmtrack.agents import train
 from swarmtrack.agents.main import main
 from swarmtrack.training.dataset import Recipe, SampleSource
 from swarmtrack.training.labelled_clips import Origin, find_clips, labelled_frames, origins, window
 from swarmtrack.training.labelled_images import LabelledFrame, held_out
 from swarmtrack.training.split import what_to_learn
+from swarmtrack.training.split_arguments import split_of
 
 
 def write_clip(folder, name, boxes, side=(480, 400)):
@@ -123,7 +124,7 @@ def test_what_is_held_out_is_validated_on_in_whole_frames_and_never_trained_on(t
         "--hold-out-negatives",
     ]
     told = options(train.add_arguments, "--out", tmp_path / "m.onnx", *chosen)
-    training, validation = what_to_learn(training_arguments.split_of(told), told.every)
+    training, validation = what_to_learn(split_of(told), told.every)
     kept = {frame.source for frame in validation}
     assert kept - {"rendered"} == {n for n in names if held_out("negative", n)} | {"V_DRONE_003"}
     assert not kept & {frame.source for frame in training if frame.is_window}

@@ -32,7 +32,7 @@ def add_data(parser: argparse.ArgumentParser, *, every: str) -> None:
 
 def split_of(args: argparse.Namespace) -> Split:
     """What they say. Raises `SourceError` where they name what is not there."""
-    from swarmtrack.training.split import split
+    from swarmtrack.training.split import split  # noqa: PLC0415  # a help page needs no OpenCV
 
     return split(
         args.data,
