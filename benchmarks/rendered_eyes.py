@@ -17,14 +17,17 @@ USUAL_SECTION = DetectorSection()
 
 def rendered_eyes(scenario: Scenario, section: DetectorSection = USUAL_SECTION) -> Eyes:
     """The detector of each drone's agent, which looks where that drone expects something."""
-    renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+    renderers = [
+        Renderer(scenario.world, camera.lens, camera.body_from_camera, number=number)
+        for number, camera in enumerate(scenario.cameras)
+    ]
     detectors = {d: detector_of(section, SystemClock()) for d in scenario.members}
 
     def eyes(seen: Exposure) -> Detections:
-        image = renderer.image(seen.drone_id, seen.t, seen.sequence)
-        frame = Frame(seen.stamp, 0.0, seen.sequence, image, StampKind.EXPOSURE)
+        image = renderers[seen.camera].image(seen.drone_id, seen.t, seen.sequence)
+        frame = Frame(seen.stamp, 0.0, seen.sequence, image, StampKind.EXPOSURE, camera=seen.camera)
         detector = detectors[seen.drone_id]
-        found = detector.look(detector.plan(frame, PerceivedExpectation(seen.perceived)))
+        found = detector.look(detector.plan(frame, PerceivedExpectation(seen.perceived, seen.camera)))
         if found is None:
             raise BenchmarkError(detector.status().text)
         return found

@@ -59,9 +59,11 @@ LOOKS_PX = 4 * PICTURE_PX
 
 @dataclasses.dataclass(slots=True)
 class Standing:
-    """A confirmed track on no drone: by whom, since when [s, world time], for how long [s], and where then [px]."""
+    """A confirmed track on no drone: whose, in which camera, since when [s, world time], where then [px], and for how
+    long [s]."""
 
     observer: int
+    camera: int
     since: float
     u: float
     v: float
@@ -95,7 +97,7 @@ class Watch:
             self.tracks += 1
             if not _on_a_drone(track, glance):
                 key = (glance.observer, track.id)
-                first = Standing(glance.observer, glance.t, track.u, track.v)
+                first = Standing(glance.observer, track.camera, glance.t, track.u, track.v)
                 self.standing.setdefault(key, first).seconds += 1.0 / RATE_HZ
 
     def _in_picture(self, track: NamedTrack) -> bool:
@@ -174,6 +176,8 @@ def publish(
 ) -> dict[str, Any]:
     """Fly everything, write scenery.json, .md and .png into `out` after each scenario."""
     plt = report.pyplot()
+    for scenario in scenarios:
+        load_scenario(scenario)  # now, not after an hour of others
     rows: dict[str, Any] = {}
     result = dataclasses.asdict(p) | {"scenarios": rows}
     longest: list[tuple[str, int, Standing]] = []
@@ -270,7 +274,8 @@ def _plot(plt: Any, path: Path, p: Programme, longest: Sequence[tuple[str, int, 
 def picture_of(p: Programme, name: str, seed: int, standing: Standing) -> Image:
     """(LOOKS_PX, LOOKS_PX, 3) BGR: where a track was when it was confirmed, in the middle."""
     scenario = scenario_of_seed(p, name, seed)
-    renderer = Renderer(scenario.world, scenario.camera, scenario.body_from_camera)
+    camera = scenario.cameras[standing.camera]
+    renderer = Renderer(scenario.world, camera.lens, camera.body_from_camera, number=standing.camera)
     image = renderer.image(standing.observer, standing.since, round(standing.since * p.fps))
     part = np.asarray(cv2.getRectSubPix(image, (PICTURE_PX, PICTURE_PX), (standing.u, standing.v)), np.uint8)
     return np.asarray(cv2.resize(part, (LOOKS_PX, LOOKS_PX), interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -125,7 +125,7 @@ def test_in_drawn_pictures_the_agents_detector_looks_where_its_drone_expects_a_t
 class Expects:
     """These boxes (n, 6), whenever; and nobody knows of turns."""
 
-    def __init__(self, boxes: Array) -> None:
+    def __init__(self, boxes: Array, camera: int) -> None:
         self._boxes = boxes
 
     def boxes(self, exposed: float) -> Array:

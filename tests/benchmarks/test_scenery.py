@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from swarmtrack.benchmarks import scenery
+from swarmtrack.errors import ConfigError
 from swarmtrack.evaluation.swarm_score import Glance, NamedTrack
 from swarmtrack.scenario_file import load_scenario
 
@@ -43,11 +44,29 @@ def test_a_flight_is_the_same_twice_and_its_drones_are_followed():
     assert first.observed_s == pytest.approx(3 * 2.0, abs=2.0)
 
 
+def test_all_cameras_of_a_drone_are_drawn():
+    short = scenery.Programme(seeds=1, seconds=0.5)
+    assert scenery.fly(short, "two-cameras", 1).observed_s > 0.0
+    scenario = scenery.scenario_of_seed(short, "two-cameras", 1)
+    pictures = [
+        scenery.picture_of(short, "two-cameras", 1, scenery.Standing(1, camera, 0.3, 320.0, 240.0))
+        for camera in range(len(scenario.cameras))
+    ]
+    assert len(pictures) == 2
+    assert not np.array_equal(*pictures)
+
+
+def test_a_scenario_that_is_not_there_is_refused_before_any_flight(tmp_path):
+    pytest.importorskip("matplotlib", reason="plots are an extra")
+    with pytest.raises(ConfigError, match='scenario "moon", expected one of'):
+        scenery.publish(tmp_path, scenery.Programme(), ["crossing", "moon"])
+
+
 def test_the_table_counts_long_ones_and_the_pictures_show_them(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="plots are an extra")
     houses = (
-        scenery.Standing(1, 1.0, 320.0, 240.0, seconds=3.0),
-        scenery.Standing(2, 1.0, 50.0, 100.0, seconds=0.4),
+        scenery.Standing(1, 0, 1.0, 320.0, 240.0, seconds=3.0),
+        scenery.Standing(2, 0, 1.0, 50.0, 100.0, seconds=0.4),
     )
     short = scenery.Programme(seeds=1, seconds=1.0)
     flown = scenery.fly(short, "hover-triangle", 1)._replace(standing=houses, tracks=100, observed_s=120.0)
