@@ -19,7 +19,13 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
+from swarmtrack.benchmarks.command_line import (
+    add_common,
+    add_processes,
+    add_scenarios,
+    add_seeds,
+    add_tracker,
+)
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.evaluation.intervals import fraction_interval
@@ -110,13 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_common(parser)
     add_tracker(parser)
     add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--scenarios",
-        nargs="+",
-        default=list(SCENARIOS),
-        metavar="NAME",
-        help=f"shipped ones, or files (default: {' '.join(SCENARIOS)})",
-    )
+    add_scenarios(parser, SCENARIOS)
     add_processes(parser)
 
 

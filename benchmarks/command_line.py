@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,17 @@ def add_processes(parser: argparse.ArgumentParser) -> None:
     """--processes: how many fly at once; None where nobody said."""
     parser.add_argument(
         "--processes", type=count, metavar="N", help="how many fly at once (default: one per core)"
+    )
+
+
+def add_scenarios(parser: argparse.ArgumentParser, usual: Sequence[str]) -> None:
+    """--scenarios: which are flown, one after the other."""
+    parser.add_argument(
+        "--scenarios",
+        nargs="+",
+        default=list(usual),
+        metavar="NAME",
+        help=f"shipped ones, or files (default: {' '.join(usual)})",
     )
 
 

@@ -124,10 +124,17 @@ def run(args: argparse.Namespace) -> None:
         "by_size": [entry._asdict() for entry in detector_score.by_size(matches, threshold)],
         "by_distractor": _fired(main, {"threshold": threshold, "at_090_recall": sure}),
         "ms_per_frame": _times(args.model, args.second_stage, QUICK_REPEATS if args.quick else REPEATS),
-        "file_mb": round(Path(detector.path).stat().st_size / 1e6, 3),
+        "file_mb": _size_mb(detector),
     }
     report.write(args.out, NAME, result, _markdown(result))
     _plot(plt, args.out / f"{NAME}.png", matches, result)
+
+
+def _size_mb(detector: Detector) -> float:
+    """Of all files that are looked with."""
+    second = detector.second_stage
+    files = [detector.path] if second is None else [detector.path, second.path]
+    return round(sum(file.stat().st_size for file in files) / 1e6, 3)
 
 
 # --- looking ------------------------------------------------------------------------------------------

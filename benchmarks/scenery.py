@@ -30,6 +30,7 @@ from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import (
     add_common,
     add_processes,
+    add_scenarios,
     add_second_stage,
     add_seeds,
     add_tracker,
@@ -146,13 +147,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_common(parser)
     add_tracker(parser)
     add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--scenarios",
-        nargs="+",
-        default=list(SCENARIOS),
-        metavar="NAME",
-        help=f"shipped ones, or files (default: {' '.join(SCENARIOS)})",
-    )
+    add_scenarios(parser, SCENARIOS)
     parser.add_argument(
         "--fps", type=positive, default=FPS, metavar="F", help="of the cameras (default: %(default)g)"
     )

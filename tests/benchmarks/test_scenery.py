@@ -5,9 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from swarmtrack.benchmarks import scenery
+from swarmtrack.benchmarks import rendered_eyes, scenery
+from swarmtrack.benchmarks.virtual_swarm import Exposure
 from swarmtrack.errors import ConfigError
 from swarmtrack.evaluation.swarm_score import Glance, NamedTrack
+from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.scenario_file import load_scenario
 
 
@@ -44,16 +46,35 @@ def test_a_flight_is_the_same_twice_and_its_drones_are_followed():
     assert first.observed_s == pytest.approx(3 * 2.0, abs=2.0)
 
 
-def test_all_cameras_of_a_drone_are_drawn():
-    short = scenery.Programme(seeds=1, seconds=0.5)
-    assert scenery.fly(short, "two-cameras", 1).observed_s > 0.0
-    scenario = scenery.scenario_of_seed(short, "two-cameras", 1)
-    pictures = [
-        scenery.picture_of(short, "two-cameras", 1, scenery.Standing(1, camera, 0.3, 320.0, 240.0))
-        for camera in range(len(scenario.cameras))
-    ]
-    assert len(pictures) == 2
-    assert not np.array_equal(*pictures)
+class Nobody:
+    """Expects nothing, and knows of no turns."""
+
+    def __init__(self, perceived, camera):
+        pass
+
+    def boxes(self, exposed):
+        return np.empty((0, 6))
+
+    def pixels_at(self, then, now):
+        return None
+
+
+def test_each_camera_of_a_drone_has_a_picture_of_its_own(monkeypatch):
+    monkeypatch.setattr(rendered_eyes, "PerceivedExpectation", Nobody)
+    scenario = scenery.scenario_of_seed(scenery.Programme(), "two-cameras", 1)
+    truth, eyes = SwarmTruth(scenario.world, scenario.cameras), rendered_eyes.rendered_eyes(scenario)
+    seen = set()
+    for observer in scenario.members:
+        for camera, boxes in enumerate(truth.view(observer, 2.0).cameras):
+            low, high = scenario.cameras[camera].lens.ideal_bounds
+            inside = [box for box in boxes.values() if ((box[:2] > low + 40) & (box[:2] < high - 40)).all()]
+            if not inside:
+                continue
+            # The first frame of a camera is looked at as a whole.
+            found = eyes(Exposure(observer, 14, 2.0, 2.0, None, camera))
+            assert min(np.hypot(*(found.centre - inside[0][:2]).T)) < 8.0
+            seen.add(camera)
+    assert seen == {0, 1}
 
 
 def test_a_scenario_that_is_not_there_is_refused_before_any_flight(tmp_path):
