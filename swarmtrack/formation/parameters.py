@@ -20,6 +20,8 @@ class FlightLimits:
     acceleration: float = 1.5
     """m/s²: how fast a command changes. Evading is not slowed down by it. A drone tilts for it, and so does its camera:
     by 9° for this."""
+    evasion: float = 6.0
+    """m/s²: how fast a command changes at most, when it evades."""
     yaw_rate: float = 0.8
     """rad/s"""
     yaw_acceleration: float = 3.0
@@ -43,6 +45,7 @@ BOUNDS = {
     "speed": (0.1, 5.0),
     "climb": (0.1, 2.0),
     "acceleration": (0.2, 5.0),
+    "evasion": (1.0, 20.0),
     "yaw_rate": (0.05, 1.5),
     "yaw_acceleration": (0.2, 10.0),
     "least_height": (0.5, 100.0),

@@ -32,6 +32,7 @@ from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.assembly import Parts
 from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.formation_pilot import FormationPilot
+from swarmtrack.runtime.guard_process import GuardProcess
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.live_video import LiveVideo
@@ -130,10 +131,13 @@ class Agent:
                     tasks.create_task(self._feel_lag(), name="lag"),
                     tasks.create_task(self._notices.run(), name="tell"),
                     tasks.create_task(self._renew_keys(), name="keys"),
-                    tasks.create_task(self._fly_in_formation(), name="formation"),
                 ]
+                formation = tasks.create_task(self._fly_in_formation(), name="formation")
                 stop = tasks.create_task(self._stop.wait(), name="stop")
                 await asyncio.wait({cameras, stop}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+                # First who flies the drone, while everything that this needs still stands.
+                formation.cancel()
+                await asyncio.wait({formation})
                 for task in (cameras, stop, *others):
                     task.cancel()
         finally:
@@ -431,8 +435,9 @@ def make_formation_pilot(parts: Parts, notices: PilotNotices) -> FormationPilot 
     place = parts.config.formation.parameters(parts.config.drone.id)
     if parts.engagement is None or place is None or not isinstance(parts.autopilot, MavlinkAutopilot):
         return None
+    guard = GuardProcess(place.limits, parts.autopilot.signing_key)
     return FormationPilot(
-        parts.door, parts.autopilot, parts.engagement, notices, parts.clock, parameters=place
+        parts.door, parts.autopilot, parts.engagement, guard, notices, clock=parts.clock, parameters=place
     )
 
 

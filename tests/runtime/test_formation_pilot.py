@@ -1,6 +1,7 @@
 """What a follower's agent sends: in simulated time, and over real UDP; pymavlink decodes it."""
 
 import asyncio
+import itertools
 import math
 import time
 
@@ -9,12 +10,15 @@ from pymavlink.dialects.v20 import common
 
 from support.autopilot_flight import Flight, RealFlight
 from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
+from support.inline_guard import InlineGuard
 from support.ports import free_port
 from swarmtrack.clock import SystemClock
 from swarmtrack.follower import LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.setpoint import Setpoint, Why
-from swarmtrack.runtime.formation_pilot import DEAD_S, STALE_S, FormationPilot
+from swarmtrack.formation.setpoint import OwnFlight, Setpoint, Why
+from swarmtrack.guard import DEAD_S, STALE_S
+from swarmtrack.runtime.formation_pilot import FormationPilot
+from swarmtrack.runtime.guard_process import GuardProcess
 from swarmtrack.sensors.mavlink.engagement import EngagementStage, PilotEngagement
 from swarmtrack.simulation.firmware import ARDUCOPTER, PX4, FlightMode
 
@@ -78,7 +82,14 @@ class FlownPx4(Flown, FakePx4):
 
 
 class ScriptedDoor:
-    """Decides what a test says; None: hangs."""
+    """Decides what a test says; it is its own `perceived`."""
+
+    @property
+    def perceived(self):
+        return self
+
+    def own_flight(self, now):
+        return OwnFlight((0.0, 0.0, -10.0), (0.0, 0.0, 0.0), 0.0)
 
     def __init__(self):
         self.velocity, self.why, self.asked = VELOCITY, Why.FOLLOW, []
@@ -105,12 +116,15 @@ class Companion:
         self.autopilot, self.engagement = autopilot, PilotEngagement()
         self.flight = Flight(autopilot, engagement=self.engagement, **options)
         self.door, self.notices = ScriptedDoor(), Notices()
+        self.guard = InlineGuard(PLACE.limits, self.flight)
         self.pilot = FormationPilot(
-            self.door, self.flight.unit, self.engagement, self.notices, self.flight.clock, parameters=PLACE
-        )
+            self.door, self.flight.unit, self.engagement, self.guard, self.notices,
+            clock=self.flight.clock, parameters=PLACE,
+        )  # fmt: skip
 
     async def __aenter__(self):
         await self.flight.__aenter__()
+        self.guard.start()
         self.fly(3.0)
         return self
 
@@ -121,8 +135,9 @@ class Companion:
         for _ in range(round(seconds * 10.0)):
             if decides:
                 self.pilot.decide(self.flight.clock.now())
-            self.pilot.send(self.flight.clock.now())
-            self.flight.fly(0.1)
+            for _ in range(4):
+                self.flight.fly(0.025)
+                self.guard.tick()
 
     def to(self, mode):
         """And a heartbeat says it at once, as autopilots do."""
@@ -212,22 +227,50 @@ async def test_an_old_decision_is_zero_velocity_and_a_dead_one_hands_back_with_a
         assert set(fresh) == {1.0}
         assert set(stale) == {0.0}
         assert all(message.yaw_rate == 0.0 for age, message in ages if age > STALE_S + 0.05)
-        assert max(age for age, _ in ages) == pytest.approx(DEAD_S, abs=0.15)
+        assert max(age for age, _ in ages) == pytest.approx(DEAD_S, abs=0.2)
+        companion.fly(0.1)
         assert companion.notices.said[-1].startswith("formation released: no decision for 1")
         # And for good: that decisions come again does not engage it.
         companion.fly(1.0)
         assert companion.since(decided + DEAD_S + 0.2) == []
+        assert dict(companion.pilot.status().counters)["stale"] >= 4.0
 
 
-async def test_an_engagement_without_any_decision_stands_and_is_handed_back():
+async def test_what_the_law_must_not_say_slows_the_drone_down_and_ends_the_engagement():
     async with Companion(FlownArduPilot()) as companion:
         companion.to(FlightMode.GUIDED)
-        begun = companion.now
-        companion.fly(2.0, decides=False)
-        sent = companion.since(begun)
-        assert sent
-        assert all((message.vx, message.yaw_rate) == (0.0, 0.0) for _, message in sent)
-        assert sent[-1][0] - begun == pytest.approx(DEAD_S, abs=0.2)
+        companion.fly(1.0)
+        companion.door.velocity = (50.0, 0.0, 0.0)
+        wrong = companion.now
+        companion.fly(3.0)
+        sent = [math.hypot(m.vx, m.vy, m.vz) for _, m in companion.since(wrong + 0.001)]
+        assert max(sent) <= math.hypot(*VELOCITY)
+        assert all(later <= sooner for sooner, later in itertools.pairwise(sent))
+        assert sent[-1] == 0.0
+        assert companion.since(wrong + 1.3) == []
+        assert companion.notices.said[-1] == "formation released: refused: speed 50, at most 2.5"
+        assert not companion.engagement.engaged
+
+
+async def test_a_guard_that_dies_is_said_and_nobody_is_flown_until_one_is_started_on_the_ground():
+    async with Companion(FlownArduPilot()) as companion:
+        companion.to(FlightMode.GUIDED)
+        companion.fly(1.0)
+        companion.guard.die()
+        dead = companion.now
+        companion.fly(1.0)
+        companion.to(FlightMode.HOLD)
+        companion.fly(0.5)
+        companion.to(FlightMode.GUIDED)
+        companion.fly(1.0)
+        assert companion.since(dead) == []
+        assert "formation released: the guard has died" in companion.notices.said
+        assert not companion.pilot.status().ok
+        assert companion.guard.starts == 1
+        companion.autopilot.pilot.armed = False
+        companion.fly(1.5)
+        assert companion.guard.starts == 2
+        assert companion.pilot.status().ok
 
 
 async def test_a_decision_of_an_earlier_engagement_is_not_flown_in_the_next():
@@ -239,7 +282,7 @@ async def test_a_decision_of_an_earlier_engagement_is_not_flown_in_the_next():
         companion.to(FlightMode.GUIDED)
         begun = companion.now
         companion.fly(0.2, decides=False)
-        assert {message.vx for _, message in companion.since(begun)} == {0.0}
+        assert companion.since(begun) == []
 
 
 async def test_an_autopilot_that_falls_silent_or_reboots_ends_it():
@@ -335,7 +378,10 @@ async def test_over_real_udp_it_flies_and_stops_within_a_tenth_of_a_second_of_th
     engagement, door, notices = PilotEngagement(), ScriptedDoor(), Notices()
     link = RealFlight(f"udpin:127.0.0.1:{port}", engagement=engagement)
     async with serve_udp(autopilot, "127.0.0.1", port), link:
-        pilot = FormationPilot(door, link.unit, engagement, notices, SystemClock(), parameters=PLACE)
+        guard = GuardProcess(PLACE.limits, None)
+        pilot = FormationPilot(
+            door, link.unit, engagement, guard, notices, clock=SystemClock(), parameters=PLACE
+        )
         task = asyncio.create_task(pilot.run())
         await link.until(lambda: engagement.stage is EngagementStage.AWAY)
         autopilot.pilot.to(FlightMode.GUIDED)
@@ -347,7 +393,8 @@ async def test_over_real_udp_it_flies_and_stops_within_a_tenth_of_a_second_of_th
         await asyncio.sleep(0.5)
         assert autopilot.setpoints(left + 0.1) == []
         autopilot.pilot.to(FlightMode.GUIDED)
-        await link.until(lambda: engagement.engaged)
+        again = time.monotonic()
+        await link.until(lambda: len(autopilot.setpoints(again)) >= 2)
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         await link.until(lambda: autopilot.setpoints()[-1][1].vx == 0.0)

@@ -11,7 +11,7 @@ from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.messages import EgoPose, FlightState, ImuSample
 from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.links import Receiver
+from swarmtrack.sensors.mavlink.links import Receiver, Wire
 from swarmtrack.simulation.autopilot import SimulatedArduPilot
 
 PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
@@ -67,6 +67,9 @@ class SimulatedLink:
 
     def send(self, data: bytes) -> None:
         self.sent.append(data)
+
+    def wire(self) -> Wire:
+        return Wire(-1)
 
     def drop(self, reason: str) -> None:
         self.dropped = reason

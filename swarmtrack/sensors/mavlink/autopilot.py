@@ -15,7 +15,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common
 
@@ -31,7 +31,7 @@ from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Framer, Mav
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.gyro_delay import GyroDelays
 from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, LinkState, State
-from swarmtrack.sensors.mavlink.links import Link, LinkDown, open_link
+from swarmtrack.sensors.mavlink.links import Link, LinkDown, Wire, open_link
 from swarmtrack.sensors.mavlink.pilot_switch import RC_CHANNELS, REPORTS_HZ, PilotSwitch
 from swarmtrack.sensors.mavlink.signing import Codec, read_key
 from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, Answer, StreamRequests
@@ -56,6 +56,16 @@ def _check(imu_rate_hz: float, system_id: int | None) -> None:
         )
     if system_id is not None and not 1 <= system_id <= 255:
         raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
+
+
+class WayToAutopilot(NamedTuple):
+    """wire: an open link; opened_at [s]: since when, so that another connection is another way; system: the vehicle's;
+    component: ours."""
+
+    wire: Wire
+    opened_at: float
+    system: int
+    component: int
 
 
 class MavlinkAutopilot:
@@ -227,17 +237,37 @@ class MavlinkAutopilot:
         """Whether its times can be mapped to ours."""
         return self._telemetry.clock_map.offset is not None
 
+    @property
+    def place(self) -> tuple[float, tuple[float, float, float]] | None:
+        """When its newest position came, and the position itself: NED [m] in the axes of its local frame."""
+        return self._telemetry.place
+
+    @property
+    def signing_key(self) -> bytes | None:
+        """32 bytes; None where nothing is signed."""
+        return self._codec.key
+
+    def way(self) -> WayToAutopilot | None:
+        """How a frame of another process of ours would reach it; None where `tell` would be deaf."""
+        wire = None if self._is_deaf() else self._link.wire()
+        if wire is None:
+            return None
+        return WayToAutopilot(wire, self._contact.opened_at, self._codec.system, self._codec.component)
+
     def tell(self, message: Any) -> bool:
         """Say a message of the dialect to the autopilot, and by way of it to ground stations. Never blocks.
 
         False, and nothing is sent, where nobody would hear it: into a recording, or while the autopilot is silent.
         """
-        contact = self._contact
-        deaf = contact.system is None or contact.down is not None or self._link.recording
-        if deaf or self._now() - contact.heard_at > LOST_AFTER:
+        if self._is_deaf():
             return False
         self._send(message)
         return True
+
+    def _is_deaf(self) -> bool:
+        contact = self._contact
+        deaf = contact.system is None or contact.down is not None or self._link.recording
+        return deaf or self._now() - contact.heard_at > LOST_AFTER
 
     # ── Receiver: called by the link ─────────────────────────────────────────────────────────────────────────────
 

@@ -55,6 +55,8 @@ class PilotEngagement:
         self.stage = EngagementStage.WAITING
         self.wants_stream = False
         """Whether this autopilot lets nobody into the mode who does not send setpoints yet, and could be let in now."""
+        self.armed = False
+        """As the last heartbeat had it."""
         self._heard_at = -math.inf
         self._flown_by_hand = False
         """Whether it has been heard in another mode since it left the ground."""
@@ -72,7 +74,7 @@ class PilotEngagement:
     def on_heartbeat(self, t: float, m: Any, kind: int | None, *, airborne: bool) -> None:
         """HEARTBEAT of our autopilot at t; kind: its MAV_AUTOPILOT; airborne: whether it flies."""
         self._heard_at = t
-        armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
+        armed = self.armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         guided = _is_guided(m, kind)
         self._flown_by_hand = armed and airborne and (self._flown_by_hand or not guided)
         if not (armed and guided):

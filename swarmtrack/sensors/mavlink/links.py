@@ -20,7 +20,7 @@ import termios
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Protocol, cast
+from typing import NamedTuple, Protocol, cast
 
 import serial
 
@@ -44,6 +44,13 @@ RECORDS_PER_TURN = 200  # of a recording as fast as it goes, before others on th
 
 class LinkDown(Exception):
     """The connection could not be made or has ended; the text says why. It is tried again."""
+
+
+class Wire(NamedTuple):
+    """What another process needs to write to the same end. peer: of a socket that hears several, None of others."""
+
+    descriptor: int
+    peer: Address | None = None
 
 
 class Receiver(Protocol):
@@ -78,6 +85,10 @@ class Link(Protocol):
 
     def send(self, data: bytes) -> None:
         """Send a frame if that is possible now; never blocks."""
+        ...
+
+    def wire(self) -> Wire | None:
+        """Where `send` writes to just now; None where it goes nowhere."""
         ...
 
     def drop(self, reason: str) -> None:
@@ -119,6 +130,9 @@ class NoLink:
         await asyncio.Event().wait()
 
     def send(self, data: bytes) -> None:
+        """Nobody is there."""
+
+    def wire(self) -> None:
         """Nobody is there."""
 
     def drop(self, reason: str) -> None:
@@ -221,6 +235,11 @@ class UdpLink(LiveLink):
         except OSError as error:
             self._note(error)
 
+    def wire(self) -> Wire | None:
+        if self._socket is None or (self._listens and self._peer is None):
+            return None
+        return Wire(self._socket.fileno(), self._peer if self._listens else None)
+
     def drop(self, reason: str) -> None:
         """Silence says nothing about a UDP socket."""
 
@@ -265,6 +284,10 @@ class TcpLink(LiveLink, asyncio.Protocol):
     def send(self, data: bytes) -> None:
         if self._transport is not None and self._transport.get_write_buffer_size() <= SEND_BUFFER:
             self._transport.write(data)
+
+    def wire(self) -> Wire | None:
+        opened = None if self._transport is None else self._transport.get_extra_info("socket")
+        return None if opened is None or opened.fileno() < 0 else Wire(opened.fileno())
 
     def drop(self, reason: str) -> None:
         if not self._lost.done():
@@ -364,6 +387,9 @@ class SerialLink(LiveLink):
         else:
             loop.remove_writer(self._fd)
 
+    def wire(self) -> Wire | None:
+        return None if self._fd is None else Wire(self._fd)
+
     def drop(self, reason: str) -> None:
         if not self._lost.done():
             self._lost.set_result(reason)
@@ -409,6 +435,10 @@ class RecordingLink(ABC):
 
     def send(self, data: bytes) -> None:
         """A recording cannot be spoken to."""
+        return
+
+    def wire(self) -> None:
+        """Nor can anybody else."""
         return
 
     def drop(self, reason: str) -> None:

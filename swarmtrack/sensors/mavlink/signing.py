@@ -81,6 +81,11 @@ class Codec:
         return int(self._mav.srcComponent)
 
     @property
+    def key(self) -> bytes | None:
+        """32 bytes; None: nothing is signed."""
+        return self._key
+
+    @property
     def has_key(self) -> bool:
         return self._key is not None
 

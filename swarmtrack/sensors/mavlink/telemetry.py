@@ -83,6 +83,8 @@ class Telemetry:
         self.imu_rate_hz = 0.0
         self.imu_samples = 0
         self.poses = 0
+        self.place: tuple[float, tuple[float, float, float]] | None = None
+        """When the newest position came, and the position itself, NED [m], as the autopilot or its GPS has it."""
         self._requests = requests
         self._contact = contact
         self._news = news
@@ -208,6 +210,8 @@ class Telemetry:
         place = self._gps.place(t, m)
         if place is not None:
             self._position = (m.time_boot_ms * 1e-3, *place)
+            north, east, down = place[0].tolist()
+            self.place = t, (north, east, down)
 
     def _on_local_position(self, t: float, m: Any) -> None:
         position, velocity = (m.x, m.y, m.z), (m.vx, m.vy, m.vz)
@@ -215,6 +219,7 @@ class Telemetry:
             self._invalid += 1
             return
         self._position = (m.time_boot_ms * 1e-3, np.array(position), np.array(velocity))
+        self.place = t, position
 
     def _on_attitude(self, t: float, m: Any) -> None:
         self._on_imu(t, m)
@@ -254,7 +259,7 @@ class Telemetry:
         )
         self.clock_map.reset()
         self.cadence.reset()
-        self._pose_stamp = self._position = None
+        self._pose_stamp = self._position = self.place = None
         self._asked_time.clear()
         self._exchanges = 0
         self._requests.reset()
