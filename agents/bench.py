@@ -57,6 +57,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.formation.command",
         "what a command in formation costs, and whether it is sound whatever it is told",
     ),
+    "guard": (
+        "swarmtrack.benchmarks.guard",
+        "what an autopilot hears when its engaged agent is killed, frozen or breaks",
+    ),
     "identity": (
         "swarmtrack.benchmarks.identity.layouts",
         "who is who from one look: the paper's rule and ours",

@@ -24,8 +24,10 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
 Velocity = tuple[float, float, float]
 STILL: Velocity = (0.0, 0.0, 0.0)
@@ -296,11 +298,17 @@ class Speaker:
         return frame + self._signature(frame, utc) if self.key else frame
 
     def _signature(self, frame: bytes, utc: float) -> bytes:
-        from hashlib import sha256  # noqa: PLC0415 (4 MB, where nobody signs)
-
         self._ticks = max(self._ticks + 1, int((utc - SIGNING_BEGAN) * SIGNING_TICKS))
         stamp = bytes((self.component,)) + self._ticks.to_bytes(6, "little")
-        return stamp + sha256(self.key + frame + stamp).digest()[:6]
+        return stamp + bytes(_sha256()(self.key + frame + stamp).digest()[:6])
+
+
+def _sha256() -> Callable[[bytes], Any]:
+    """Python's own, which hashlib is not without OpenSSL: that would be a third of this process's memory."""
+    for name in ("_sha2", "_sha256", "hashlib"):  # from 3.12 on, 3.11, any other
+        with suppress(ImportError):
+            return import_module(name).sha256  # type: ignore[no-any-return]
+    raise AssertionError("no SHA-256 in this Python")
 
 
 def _crc(data: bytes) -> int:

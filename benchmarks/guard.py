@@ -1,0 +1,365 @@
+"""What the autopilot hears, and how far the drone flies on, when an engaged agent is stopped, killed, frozen or breaks.
+
+Real agents with real guards, each with a simulated ArduCopter that answers set points as a real one was measured to
+(`simulation/response.py`), over UDP in real time. The law flies north at 2.5 m/s; then one thing happens. Also what a
+guard costs: its share of a core, its memory, and the time from a decision to its set point at the autopilot's socket.
+
+    swarmtrack bench guard [--runs N] [--cases NAME …] [--quick] --out DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import os
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarmtrack.arguments import count
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.lone_agent import free_udp_port
+from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
+from swarmtrack.formation.parameters import FlightLimits
+from swarmtrack.geometry.geodesy import Geodetic
+from swarmtrack.guard import Decision
+from swarmtrack.runtime.guard_process import GuardProcess
+from swarmtrack.sensors.mavlink.autopilot import WayToAutopilot
+from swarmtrack.sensors.mavlink.links import Wire
+from swarmtrack.simulation.autopilot import SimulatedArduPilot
+from swarmtrack.simulation.channel import Channel
+from swarmtrack.simulation.firmware import ARDUCOPTER, FlightMode
+from swarmtrack.simulation.guided import GuidedDrone
+from swarmtrack.simulation.pilot import GuidedPilot
+from swarmtrack.simulation.response import ARDUPILOT, Triple
+from swarmtrack.simulation.senses import DroneSenses
+from swarmtrack.simulation.trajectory import wander
+from swarmtrack.simulation.world import World
+
+NAME = "guard"
+RUNS, QUICK_RUNS = 20, 1
+SPEED_M_S = 2.5
+ORIGIN = Geodetic.from_degrees(47.4, 8.5, 400.0)
+START = (0.0, 0.0, -20.0)
+# s: of steady flight before anything happens, and afterwards until it is judged.
+STEADY_S, AFTER_S = 3.0, 6.0
+# s: frozen for so long.
+FROZEN_S = 2.0
+PATIENCE_S = 60.0
+COST_S, QUICK_COST_S = 30.0, 3.0
+# s, asked: zero is heard, or nothing gets worse; and nothing is heard any more.
+ZERO_WITHIN_S, SILENT_AFTER_S = 0.35, 1.3
+CONFIG = """
+[team]
+airframe_span_m = 0.5
+share = "velocity"
+[drone]
+id = 2
+start = {{ position_m = [0.0, 0.0, -20.0], position_sigma_m = 0.3 }}
+[camera]
+source = "detections://127.0.0.1:9/2"
+intrinsics = {{ fx = 430.0, fy = 430.0, cx = 319.5, cy = 239.5, width = 640, height = 480 }}
+[autopilot]
+link = "udpin:127.0.0.1:{port}"
+[network]
+transport = "memory"
+[formation]
+enabled = true
+leader = 1
+height_m = 19.0
+limits = {{ fence_radius_m = 200.0 }}
+[formation.slots]
+2 = [-4.0, 3.0, -1.0]
+"""
+
+
+class Heard(NamedTuple):
+    """A set point as the autopilot heard it."""
+
+    t: float
+    speed: float
+
+
+class FlownAutopilot(SimulatedArduPilot):
+    """Keeps what it was told to fly."""
+
+    heard: list[Heard]
+
+    def understand(self, message: Any, now: float, channel: Channel) -> None:
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+            self.heard.append(Heard(now, math.hypot(message.vx, message.vy, message.vz)))
+        super().understand(message, now, channel)
+
+
+@dataclass(slots=True)
+class Sky:
+    """A drone in the air, and its autopilot at port `port`, in real time."""
+
+    port: int
+    seed: int
+    epoch: float = field(default_factory=time.monotonic)
+    drone: GuidedDrone = field(init=False)
+    pilot: GuidedPilot = field(init=False)
+    autopilot: FlownAutopilot = field(init=False)
+
+    def __post_init__(self) -> None:
+        drift = wander(World(self.seed, {}).chance("wander", 2), 0.1)
+        self.drone = GuidedDrone(START, 0.0, ARDUPILOT, drift, hovers=True)
+        senses = DroneSenses(World(self.seed, {2: self.drone}), 2, self.epoch, earth=ORIGIN)
+        self.pilot = GuidedPilot(
+            self.drone, ARDUCOPTER, epoch=self.epoch, origin=ORIGIN, located=lambda t: True,
+            errors=senses.lasting_errors,
+        )  # fmt: skip
+        self.autopilot = FlownAutopilot(senses, pilot=self.pilot, boot_at=self.epoch - 40.0)
+        self.autopilot.heard = []
+
+    @property
+    def heard(self) -> list[Heard]:
+        return self.autopilot.heard
+
+    def north(self, t: float) -> float:
+        """m, of the drone itself, without its sway."""
+        return self.drone.state(t - self.epoch).position[0]
+
+    @asynccontextmanager
+    async def served(self) -> AsyncIterator[None]:
+        sky = self.autopilot
+
+        class Socket(asyncio.DatagramProtocol):
+            def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+                sky.receive(data, time.monotonic())
+
+        loop = asyncio.get_running_loop()
+        transport, _ = await loop.create_datagram_endpoint(Socket, local_addr=("127.0.0.1", 0))
+
+        async def fly() -> None:
+            while True:
+                for data in sky.step(time.monotonic()):
+                    transport.sendto(data, ("127.0.0.1", self.port))
+                await asyncio.sleep(0.002)
+
+        flight = asyncio.create_task(fly())
+        try:
+            yield
+        finally:
+            flight.cancel()
+            await asyncio.gather(flight, return_exceptions=True)
+            transport.close()
+
+
+def guard_of(agent: int) -> int:
+    """The process ID of an agent's guard: its only child."""
+    children = Path(f"/proc/{agent}/task/{agent}/children").read_text(encoding="ascii").split()
+    assert len(children) == 1, f"expected one child of the agent, found {children}"
+    return int(children[0])
+
+
+async def _freeze(pid: int) -> None:
+    os.kill(pid, signal.SIGSTOP)
+    await asyncio.sleep(FROZEN_S)
+    os.kill(pid, signal.SIGCONT)
+
+
+async def _signal(pid: int, number: int) -> None:
+    os.kill(pid, number)
+
+
+CASES: dict[str, tuple[str, Callable[[int], Any]]] = {
+    "stopped": ("SIGTERM", lambda pid: _signal(pid, signal.SIGTERM)),
+    "killed": ("SIGKILL", lambda pid: _signal(pid, signal.SIGKILL)),
+    "frozen": ("SIGSTOP for 2 s", _freeze),
+    "raises": ("a task raises", lambda pid: _signal(pid, signal.SIGUSR1)),
+    "blocked": ("the event loop stands still for 2 s", lambda pid: _signal(pid, signal.SIGUSR2)),
+    "guard-killed": ("SIGKILL to the guard", lambda pid: _signal(guard_of(pid), signal.SIGKILL)),
+}
+
+
+class Flight(NamedTuple):
+    """zero_s: from the event until the first set point of zero velocity, NaN: none came; last_s: until the last set
+    point of all; worst: the fastest that came after ZERO_WITHIN_S [m/s]; flown_m: how far the drone flew on."""
+
+    zero_s: float
+    last_s: float
+    worst: float
+    flown_m: float
+
+    @property
+    def ok(self) -> bool:
+        """Zero in time, or nothing got worse and nothing was heard; silent in time."""
+        in_time = self.zero_s <= ZERO_WITHIN_S or self.last_s <= ZERO_WITHIN_S
+        return in_time and self.worst == 0.0 and self.last_s <= SILENT_AFTER_S
+
+
+async def fly(case: str, seed: int) -> Flight:
+    """One flight: engaged, at speed, and then `case` happens."""
+    sky = Sky(free_udp_port(), seed)
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / "drone.toml"
+        config.write_text(CONFIG.format(port=sky.port))
+        async with sky.served():
+            agent = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "swarmtrack.benchmarks.guarded_agent", str(config), str(SPEED_M_S)),
+                stdout=asyncio.subprocess.DEVNULL,
+                stderr=asyncio.subprocess.DEVNULL,
+            )
+            try:
+                return await _happen(case, sky, agent.pid)
+            finally:
+                with suppress(ProcessLookupError):
+                    agent.kill()
+                await agent.wait()
+
+
+async def _happen(case: str, sky: Sky, agent: int) -> Flight:
+    begun = time.monotonic()
+    while not any(heard.speed > 0.99 * SPEED_M_S for heard in sky.heard):
+        if time.monotonic() > begun + PATIENCE_S:
+            raise report.BenchmarkError(f"{case}: no agent flew within {PATIENCE_S:g} s")
+        # A pilot who tries until the agent is there.
+        for mode in (FlightMode.HOLD, FlightMode.GUIDED):
+            sky.pilot.switch_to(mode, time.monotonic())
+            await asyncio.sleep(1.2)
+    await asyncio.sleep(STEADY_S + 0.1 * np.random.default_rng(len(sky.heard)).random())
+    event = time.monotonic()
+    where = sky.north(event)
+    happening = asyncio.create_task(CASES[case][1](agent))
+    await asyncio.sleep(AFTER_S)
+    await happening
+    after = [heard for heard in sky.heard if heard.t > event]
+    zeros = [heard.t - event for heard in after if heard.speed == 0.0]
+    late = [heard.speed for heard in after if heard.t > event + ZERO_WITHIN_S]
+    return Flight(
+        min(zeros, default=math.nan),
+        max((heard.t - event for heard in after), default=0.0),
+        max(late, default=0.0),
+        sky.north(time.monotonic()) - where,
+    )
+
+
+class Cost(NamedTuple):
+    """share: of a core; mb: resident; p95_ms, worst_ms: from a decision to its set point in the autopilot's socket."""
+
+    share: float
+    mb: float
+    p95_ms: float
+    worst_ms: float
+
+
+def cost(seconds: float, *, signed: bool = False) -> Cost:
+    """Of one guard that is told ten decisions per second."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link,
+    ):
+        autopilot.bind(("127.0.0.1", 0))
+        autopilot.settimeout(1.0)
+        link.bind(("127.0.0.1", 0))
+        link.setblocking(False)
+        guard = GuardProcess(FlightLimits(), bytes(32) if signed else None)
+        guard.start()
+        assert guard.pid is not None
+        guard.reach(WayToAutopilot(Wire(link.fileno(), autopilot.getsockname()), 0.0, 1, 191))
+        took, begun, used = [], math.nan, math.nan
+        rng = np.random.default_rng(1)
+        for k in range(round(10.0 * seconds) + 10):
+            if k == 10:
+                # Its start is not what it costs.
+                begun, used = time.monotonic(), cpu_seconds(guard.pid)
+            t = time.monotonic()
+            velocity: Triple = (1.0, 0.0, 0.1 * float(rng.random()))
+            guard.decide(Decision(1, t, velocity, 0.1, START, t, 10.0))
+            autopilot.recv(512)
+            took.append(time.monotonic() - t)
+            guard.news()
+            time.sleep(max(t + 0.1 - time.monotonic(), 0.0))
+        share = (cpu_seconds(guard.pid) - used) / (time.monotonic() - begun)
+        mb = rss_mb(guard.pid)
+        guard.stop()
+    late = 1e3 * np.array(took[10:])
+    return Cost(share, mb, float(np.percentile(late, 95)), float(late.max()))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    parser.add_argument(
+        "--runs",
+        type=count,
+        metavar="N",
+        help=f"flights of each case (default: {RUNS}; with --quick {QUICK_RUNS})",
+    )
+    parser.add_argument(
+        "--cases",
+        nargs="+",
+        choices=list(CASES),
+        default=list(CASES),
+        metavar="NAME",
+        help=f"{', '.join(CASES)}",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
+    seconds = QUICK_COST_S if args.quick else COST_S
+    flown: dict[str, list[Flight]] = {}
+    with report.progress("guard", runs * len(args.cases)) as advance:
+        for case in args.cases:
+            flown[case] = []
+            for seed in range(1, runs + 1):
+                flown[case].append(asyncio.run(fly(case, seed)))
+                advance(case)
+    costs = {"unsigned": cost(seconds), "signed": cost(seconds, signed=True)}
+    result = {
+        "speed_m_s": SPEED_M_S,
+        "cases": {case: [flight._asdict() for flight in flights] for case, flights in flown.items()},
+        "cost": {name: one._asdict() for name, one in costs.items()},
+    }
+    report.write(args.out, NAME, result, markdown(flown, costs))
+
+
+def markdown(flown: dict[str, list[Flight]], costs: dict[str, Cost]) -> str:
+    header = [
+        "what happens",
+        "flights",
+        "in order",
+        "zero heard after, at most s",
+        "last set point after, at most s",
+    ]
+    rows = [
+        [
+            CASES[case][0],
+            str(len(flights)),
+            str(sum(flight.ok for flight in flights)),
+            report.number(_most(flight.zero_s for flight in flights)),
+            report.number(_most(flight.last_s for flight in flights)),
+            report.number(_most(flight.flown_m for flight in flights)),
+        ]
+        for case, flights in flown.items()
+    ]
+    about = (
+        f"An agent flies its drone north at {SPEED_M_S:g} m/s; then this happens. In order: a set point of zero "
+        f"velocity is heard within {ZERO_WITHIN_S:g} s, or none at all; none that is not zero after that; and "
+        f'nothing after {SILENT_AFTER_S:g} s. "–": no zero was heard.'
+    )
+    cost_rows = [
+        [name, *map(report.number, (100.0 * one.share, one.mb, one.p95_ms, one.worst_ms))]
+        for name, one in costs.items()
+    ]
+    cost_table = report.table(
+        ["guard", "% of a core", "MB", "decision to set point, p95 ms", "worst ms"], cost_rows
+    )
+    return f"{about}\n\n{report.table([*header, 'flown on, at most m'], rows)}\n\n{cost_table}"
+
+
+def _most(values: Iterable[float]) -> float:
+    return max((value for value in values if math.isfinite(value)), default=math.nan)
