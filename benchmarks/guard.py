@@ -13,6 +13,7 @@ import argparse
 import asyncio
 import math
 import os
+import random
 import signal
 import socket
 import sys
@@ -33,8 +34,8 @@ from swarmtrack.benchmarks.lone_agent import free_udp_port
 from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry.geodesy import Geodetic
-from swarmtrack.guard import Decision
-from swarmtrack.runtime.guard_process import GuardProcess
+from swarmtrack.guard import SLACK, Decision, Guard
+from swarmtrack.runtime.guard_process import GuardProcess, guard_limits
 from swarmtrack.sensors.mavlink.autopilot import WayToAutopilot
 from swarmtrack.sensors.mavlink.links import Wire
 from swarmtrack.simulation.autopilot import SimulatedArduPilot
@@ -49,6 +50,7 @@ from swarmtrack.simulation.world import World
 
 NAME = "guard"
 RUNS, QUICK_RUNS = 20, 1
+TOLD, QUICK_TOLD = 1_000_000, 10_000
 SPEED_M_S = 2.5
 ORIGIN = Geodetic.from_degrees(47.4, 8.5, 400.0)
 START = (0.0, 0.0, -20.0)
@@ -247,6 +249,49 @@ async def _happen(case: str, sky: Sky, agent: int) -> Flight:
     )
 
 
+class Told(NamedTuple):
+    """decisions: of anything at all; sent: set points that came of them; beyond: how many of these broke a limit."""
+
+    decisions: int
+    sent: int
+    beyond: int
+
+
+ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e-308, 0.0, 2.5, -2.5, 1.0, 0.8)
+
+
+def told_anything(decisions: int, seed: int = 1) -> Told:
+    """The guard's rules, in told time: every number of a decision is odd, large or ordinary, in any order."""
+    limits = guard_limits(FlightLimits())
+    chance = random.Random(seed)
+
+    def number() -> float:
+        kind = chance.random()
+        return chance.choice(ODD) if kind < 0.1 else chance.gauss(0.0, 20.0 if kind < 0.2 else 1.0)
+
+    def place() -> Triple:
+        return number(), number(), number()
+
+    guard, now, sent, beyond = Guard(limits), 100.0, 0, 0
+    for _ in range(decisions):
+        now += chance.expovariate(10.0)
+        decided_at, placed_at = now - abs(chance.gauss(0.0, 0.2)), now - abs(chance.gauss(0.0, 0.3))
+        if chance.random() < 0.02:
+            decided_at, placed_at = number(), number()
+        it = guard.over + chance.choice((0, 1, 1, 1, 1, 2))
+        guard.decided(Decision(it, decided_at, place(), number(), place(), placed_at, number()), now)
+        if chance.random() < 0.01:
+            guard.end(it)
+        answer = guard.command(now, gone=chance.random() < 0.01)
+        if answer is not None:
+            sent += 1
+            # NaN fails each.
+            fits = math.hypot(*answer.velocity) <= limits.speed * (1.0 + 2.0 * SLACK)
+            fits = fits and abs(answer.velocity[2]) <= limits.climb * (1.0 + 2.0 * SLACK)
+            beyond += not (fits and abs(answer.yaw_rate) <= limits.yaw_rate * (1.0 + 2.0 * SLACK))
+    return Told(decisions, sent, beyond)
+
+
 class Cost(NamedTuple):
     """share: of a core; mb: resident; p95_ms, worst_ms: from a decision to its set point in the autopilot's socket."""
 
@@ -319,15 +364,17 @@ def run(args: argparse.Namespace) -> None:
                 flown[case].append(asyncio.run(fly(case, seed)))
                 advance(case)
     costs = {"unsigned": cost(seconds), "signed": cost(seconds, signed=True)}
+    told = told_anything(QUICK_TOLD if args.quick else TOLD)
     result = {
         "speed_m_s": SPEED_M_S,
         "cases": {case: [flight._asdict() for flight in flights] for case, flights in flown.items()},
+        "told_anything": told._asdict(),
         "cost": {name: one._asdict() for name, one in costs.items()},
     }
-    report.write(args.out, NAME, result, markdown(flown, costs))
+    report.write(args.out, NAME, result, markdown(flown, told, costs))
 
 
-def markdown(flown: dict[str, list[Flight]], costs: dict[str, Cost]) -> str:
+def markdown(flown: dict[str, list[Flight]], told: Told, costs: dict[str, Cost]) -> str:
     header = [
         "what happens",
         "flights",
@@ -358,7 +405,12 @@ def markdown(flown: dict[str, list[Flight]], costs: dict[str, Cost]) -> str:
     cost_table = report.table(
         ["guard", "% of a core", "MB", "decision to set point, p95 ms", "worst ms"], cost_rows
     )
-    return f"{about}\n\n{report.table([*header, 'flown on, at most m'], rows)}\n\n{cost_table}"
+    anything = (
+        f"Of {told.decisions} decisions of anything at all came {told.sent} set points: {told.beyond} were no numbers, "
+        "or beyond a limit."
+    )
+    flights = report.table([*header, "flown on, at most m"], rows)
+    return f"{about}\n\n{flights}\n\n{anything}\n\n{cost_table}"
 
 
 def _most(values: Iterable[float]) -> float:

@@ -50,7 +50,7 @@ MARGIN_M = 1.0
 SLACK, SLACK_M_S = 1e-6, 1e-3
 
 
-class Limits(NamedTuple):
+class GuardLimits(NamedTuple):
     """What no set point exceeds, of [formation.limits]: m/s, m/s, rad/s, m/s², m/s², rad/s², m, m."""
 
     speed: float
@@ -80,20 +80,20 @@ class Decision(NamedTuple):
     room: float
 
 
-class SetPoint(NamedTuple):
+class Command(NamedTuple):
     """velocity [m/s] NED, local frame; yaw_rate [rad/s]."""
 
     velocity: Velocity
     yaw_rate: float
 
 
-ZERO = SetPoint(STILL, 0.0)
+ZERO = Command(STILL, 0.0)
 
 
 class Guard:
     """Told of decisions and of time [s]; `due` says when `command` is to be asked next, at the latest."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits
         self.refused = ""
         """Why the last decision is not flown; empty while it is."""
@@ -157,7 +157,7 @@ class Guard:
         next_at, stale_at = self._sent_at + AGAIN_S, self._heard_at + STALE_S
         return min(next_at, stale_at) if self._sent_at < stale_at else next_at
 
-    def command(self, now: float, *, gone: bool = False) -> SetPoint | None:
+    def command(self, now: float, *, gone: bool = False) -> Command | None:
         """What to send now; None: nothing. gone: the agent is, so its last decision is none any more."""
         decision = self._decision
         if decision is None:
@@ -176,17 +176,17 @@ class Guard:
         self._sent, self._sent_at = answer, now
         return answer
 
-    def _checked(self, decision: Decision, dt: float, now: float) -> SetPoint:
+    def _checked(self, decision: Decision, dt: float, now: float) -> Command:
         """The decision, if it may be flown; else slower than before."""
         limits = self.limits
-        slower = SetPoint(
+        slower = Command(
             _towards(self._sent.velocity, STILL, limits.acceleration * dt),
             _turned(self._sent.yaw_rate, 0.0, limits.yaw_acceleration * dt),
         )
         self.refused = self.refusal(decision, now)
         if not self.refused:
             self._refused_since = math.inf
-            return SetPoint(
+            return Command(
                 _towards(self._sent.velocity, decision.velocity, limits.evasion * dt),
                 _turned(self._sent.yaw_rate, decision.yaw_rate, 2.0 * limits.yaw_acceleration * dt),
             )
@@ -285,7 +285,7 @@ class Speaker:
         self._sequence = 0
         self._ticks = 0
 
-    def frame(self, point: SetPoint, now: float, utc: float) -> bytes:
+    def frame(self, point: Command, now: float, utc: float) -> bytes:
         payload = PAYLOAD.pack(
             int(now * 1e3) % 2**32, *STILL, *point.velocity, *STILL, 0.0, point.yaw_rate,
             MASK, self.system, AUTOPILOT, LOCAL_NED,
@@ -328,16 +328,15 @@ RELEASED, SENT = b"R", b"T"
 DECIDED = struct.Struct("<I10d")  # number, t, velocity, yaw_rate, place, place_t, room
 NUMBER = struct.Struct("<I")
 OPENED = struct.Struct("<BBH")  # system, component, port of the peer: 0, the link has one peer; then its host
-COUNTS = struct.Struct(
-    "<IIId"
-)  # set points sent, zeros among them, decisions refused, s from decision to set point
+# Set points sent; in the stead of stale decisions; of refused ones; s from a decision until its set point was sent.
+COUNTS = struct.Struct("<IIId")
 LARGEST = 512
 
 
 class Program:
     """Around a `Guard`: agent: the socket to the agent; everything else it learns from there."""
 
-    def __init__(self, agent: socket.socket, limits: Limits) -> None:
+    def __init__(self, agent: socket.socket, limits: GuardLimits) -> None:
         agent.setblocking(False)
         self.guard = Guard(limits)
         self._agent = agent
@@ -438,10 +437,10 @@ def write(link: int, peer: tuple[str, int] | None, frame: bytes) -> bool:
 
 
 def main(arguments: list[str]) -> None:
-    """arguments: the descriptor of the socket to the agent, then `Limits`."""
+    """arguments: the descriptor of the socket to the agent, then `GuardLimits`."""
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends with its agent, a second after it, and not before
-    Program(socket.socket(fileno=int(arguments[0])), Limits(*map(float, arguments[1:]))).run()
+    Program(socket.socket(fileno=int(arguments[0])), GuardLimits(*map(float, arguments[1:]))).run()
 
 
 if __name__ == "__main__":

@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import common
 
 from support.places import ROOT
 from swarmtrack import guard
-from swarmtrack.guard import DEAD_S, STALE_S, ZERO, Decision, Guard, Limits, SetPoint, Speaker
+from swarmtrack.guard import DEAD_S, STALE_S, ZERO, Command, Decision, Guard, GuardLimits, Speaker
 
-LIMITS = Limits(
+LIMITS = GuardLimits(
     speed=2.5, climb=1.0, yaw_rate=0.8, acceleration=1.5, evasion=6.0, yaw_acceleration=3.0,
     fence_radius=20.0, fence_height=10.0,
 )  # fmt: skip
@@ -66,7 +66,7 @@ class Told:
 
 def test_a_decision_is_sent_as_it_is_once_the_step_to_it_is_flown():
     told = Told().decide(1.0, yaw_rate=0.5)
-    assert told.last == SetPoint((1.0, 0.0, 0.0), 0.5)
+    assert told.last == Command((1.0, 0.0, 0.0), 0.5)
     assert [at for at, _ in told.sent] == pytest.approx([100.0 + 0.1 * k for k in range(10)])
 
 
@@ -228,7 +228,7 @@ def decoded(frames, key=None):
 
 def test_its_frames_are_those_of_pymavlink():
     speaker = Speaker(7, 192)
-    ours = speaker.frame(SetPoint((1.0, -0.5, 0.25), 0.125), 12.345, 1.7e9)
+    ours = speaker.frame(Command((1.0, -0.5, 0.25), 0.125), 12.345, 1.7e9)
     theirs = common.MAVLink(None, 7, 192)
     message = common.MAVLink_set_position_target_local_ned_message(
         12345, 7, 1, common.MAV_FRAME_LOCAL_NED, 0b010111000111, *STILL, 1.0, -0.5, 0.25, *STILL, 0.0, 0.125

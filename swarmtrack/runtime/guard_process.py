@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from swarmtrack import guard
 from swarmtrack.formation.parameters import FlightLimits
-from swarmtrack.guard import Decision, Limits
+from swarmtrack.guard import Decision, GuardLimits
 from swarmtrack.sensors.mavlink.autopilot import WayToAutopilot
 
 log = logging.getLogger(__name__)
@@ -207,9 +207,9 @@ class GuardProcess:
             log.info("formation: the guard has ended, code %s", self._process.returncode)
 
 
-def guard_limits(limits: FlightLimits) -> Limits:
+def guard_limits(limits: FlightLimits) -> GuardLimits:
     """Those that a guard enforces."""
-    return Limits(
+    return GuardLimits(
         speed=limits.speed,
         climb=limits.climb,
         yaw_rate=limits.yaw_rate,
