@@ -10,7 +10,7 @@ ROWS = [row for row in PAGE.splitlines() if row.startswith("| ") and not row.sta
 NAMED = re.compile(r"`([\w/]+\.py)::(\w+)`")
 
 
-def tests_of(file):
+def names_in(file):
     tree = ast.parse((ROOT / "tests" / file).read_text(encoding="utf-8"))
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
 
@@ -18,7 +18,7 @@ def tests_of(file):
 def test_each_named_test_exists():
     named = NAMED.findall(PAGE)
     assert len(named) > 20
-    missing = [f"{file}::{name}" for file, name in named if name not in tests_of(file)]
+    missing = [f"{file}::{name}" for file, name in named if name not in names_in(file)]
     assert missing == []
 
 
