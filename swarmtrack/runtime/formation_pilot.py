@@ -65,6 +65,8 @@ class FormationPilot:
         self._least_height = parameters.limits.least_height
         self._newest: LocalSetpoint | None = None
         self._number = 0
+        self._flown = 0
+        """The engagement that the guard has decisions of; 0: none."""
         self._why: Why | None = None
         self._why_since = math.inf
         self._said: Why | None = None
@@ -89,7 +91,7 @@ class FormationPilot:
         engagement, guard = self._engagement, self._guard
         engagement.tick(now)
         self._listen()
-        self._look_for_end()
+        self._look_for_end(now)
         guard.reach(self._autopilot.way())
         if engagement.engaged:
             self._begin(now)
@@ -131,8 +133,11 @@ class FormationPilot:
 
     def stop(self) -> None:
         """The agent stops: the drone is told to stand, and the guard ends."""
+        if self._engagement.engaged:
+            # The guard is not told that this is over: it has the last word.
+            self._flown = 0
         self._engagement.fail("the agent stops")
-        self._look_for_end(says=False)
+        self._look_for_end(math.inf)
         self._guard.stop()
 
     def on_reboot(self) -> None:
@@ -172,19 +177,19 @@ class FormationPilot:
         """Of an engagement that is new."""
         if self._engagement.number == self._number:
             return
-        self._number = self._engagement.number
+        self._number = self._flown = self._engagement.number
         self._why = self._said = None
         self._notices.add(Severity.WARNING, "formation engaged")
         log.warning("formation: engaged by the pilot, no. %d", self._number)
 
-    def _look_for_end(self, *, says: bool = True) -> None:
-        """says: to the guard; where it shall speak its last words, it is not told to be silent."""
-        why = self._engagement.take_end()
+    def _look_for_end(self, now: float) -> None:
+        """The guard hears of it at once, people as soon as it is known who ended it."""
+        if self._flown and not self._engagement.engaged:
+            self._guard.end(self._flown)
+            self._flown, self._newest = 0, None
+        why = self._engagement.take_end(now)
         if why:
             self.ends += 1
-            self._newest = None
-            if says:
-                self._guard.end(self._engagement.number)
             self._notices.add(Severity.WARNING, f"formation released: {why}")
             log.warning("formation: released: %s", why)
 

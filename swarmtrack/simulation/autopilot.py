@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.mavlink_dialect import CURRENT_MODE, CurrentMode
 from swarmtrack.simulation.channel import Channel, MavlinkAddress, SteadyReports, datagrams, target_of
 from swarmtrack.simulation.firmware import ARDUCOPTER, Firmware, ModeNumbers
 from swarmtrack.simulation.pilot import OnItsPath, Pilot
@@ -101,7 +102,7 @@ class SimulatedVehicle:
         self._reboots_at = math.inf
         self._truth = truth
         self._sensed: tuple[int, SensedState] | None = None
-        self._state_said: tuple[ModeNumbers, bool] | None = None
+        self._state_said: tuple[ModeNumbers, bool, ModeNumbers] | None = None
 
     def stamp(self, t: float) -> float:
         """Seconds since boot on its own clock."""
@@ -245,12 +246,14 @@ class SimulatedVehicle:
         for severity, text in self.pilot.take_texts():
             for each in self.channels:
                 each.send(common.MAVLink_statustext_message(severity, text.encode()))
-        state = (self.pilot.mode, self.pilot.armed)
+        state = (self.pilot.mode, self.pilot.armed, self.pilot.intended)
         if state != self._state_said:
             # Each change of the mode is said at once.
             self._state_said = state
             for each in self.channels:
                 each.heartbeat_due = min(each.heartbeat_due, now)
+                if CURRENT_MODE in self.offered:
+                    each.send(self._current_mode())
         channel = self.channels[port]
         frames = channel.take()
         if now >= channel.heartbeat_due:
@@ -298,6 +301,8 @@ class SimulatedVehicle:
             return common.MAVLink_extended_sys_state_message(0, self.pilot.landed)
         if message_id == common.MAVLINK_MSG_ID_RC_CHANNELS:
             return self._channels(stamp)
+        if message_id == CURRENT_MODE:
+            return self._current_mode()
         if message_id in INERTIAL:
             return INERTIAL[message_id](stamp, self.senses.inertial(self.time(stamp)))
         # Several streams are due at once: they tell of one and the same sample.
@@ -305,6 +310,9 @@ class SimulatedVehicle:
         if self._sensed is None or self._sensed[0] != us:
             self._sensed = (us, self.senses.at(self.time(stamp)))
         return SENSED[message_id](stamp, self._sensed[1])
+
+    def _current_mode(self) -> CurrentMode:
+        return CurrentMode(0, self.pilot.mode.custom, self.pilot.intended.custom)
 
     def _channels(self, stamp: float) -> Any:
         n = len(self.rc_us)

@@ -22,6 +22,7 @@ class FlightMode(Enum):
     BY_HAND = auto()
     GUIDED = auto()
     HOLD = auto()
+    POSITION = auto()
     BRAKE = auto()
     TAKE_OFF = auto()
     LAND = auto()
@@ -40,7 +41,8 @@ class Firmware:
     """refused: the MAV_RESULT of what is possible at another time; takes_off_in: the mode that climbs to a height.
 
     stream_s: guided flight needs set points at least this often [s], and lifts off by them; inf: it does not, and
-    needs a take-off. nose: a go-to without a heading turns the nose to the way point. above_sea: a take-off's height
+    needs a take-off. Without them it falls into POSITION, and goes back once they come again: its intention stays.
+    nose: a go-to without a heading turns the nose to the way point. above_sea: a take-off's height
     is; take_off_m: above the ground, if no height is asked for; NaN: one must be. idle_s, landed_s: the motors stop by
     themselves so long after arming without a take-off, and after landing. armed_state: MAV_STATE on the ground with the
     motors on. parameters: by name, what can be read; bytewise: whole numbers among them are sent as bits. not_offered:
@@ -112,6 +114,7 @@ PX4 = Firmware(
         FlightMode.TAKE_OFF: ModeNumbers(
             "TAKEOFF", _BY_ITSELF | common.MAV_MODE_FLAG_AUTO_ENABLED, _px4_mode(4, 2)
         ),
+        FlightMode.POSITION: ModeNumbers("POSCTL", _BY_HAND, _px4_mode(3)),
         FlightMode.HOLD: ModeNumbers("HOLD", _BY_ITSELF | common.MAV_MODE_FLAG_AUTO_ENABLED, _px4_mode(4, 3)),
         FlightMode.LAND: ModeNumbers("LAND", _BY_ITSELF | common.MAV_MODE_FLAG_AUTO_ENABLED, _px4_mode(4, 6)),
     },

@@ -33,6 +33,8 @@ ARMED_BEFORE_S = 2.0  # s on the ground with the motors on
 LOOKS_EVERY = 0.1  # s: how soon a pilot notices what happened by itself
 LASTING = math.inf  # as the time of a set point: it needs no other after it
 CHANGE_MODE = common.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+# s: set points that come for so long, none later than that after the other, end a failsafe of PX4.
+RETURNS_S = 0.5
 
 
 class Pilot(Protocol):
@@ -48,6 +50,10 @@ class Pilot(Protocol):
 
     @property
     def mode(self) -> ModeNumbers: ...
+    @property
+    def intended(self) -> ModeNumbers:
+        """The mode that was asked for last, which a failsafe does not change."""
+        ...
 
     @property
     def landed(self) -> int:
@@ -86,7 +92,7 @@ class OnItsPath:
     takes_off_at: when it leaves the ground, on the caller's clock; it is armed a little before.
     """
 
-    mode = ModeNumbers("", 0, 0)
+    mode = intended = ModeNumbers("", 0, 0)
 
     def __init__(self, takes_off_at: float = -math.inf) -> None:
         self._takes_off_at = takes_off_at
@@ -193,7 +199,8 @@ class GuidedPilot:
         self._epoch = epoch
         self._origin = origin
         self._located = located
-        self._mode = FlightMode.HOLD if drone.airborne else FlightMode.BY_HAND
+        self._mode = self._intended = FlightMode.HOLD if drone.airborne else FlightMode.BY_HAND
+        self._streams_since = math.inf  # world time
         self._texts: list[tuple[int, str]] = []
         self._quiet_since = 0.0  # world time since which the motors idle
         self._last_set_point = -math.inf  # world time
@@ -213,6 +220,10 @@ class GuidedPilot:
     @property
     def mode(self) -> ModeNumbers:
         return self._firmware.modes[self._mode]
+
+    @property
+    def intended(self) -> ModeNumbers:
+        return self._firmware.modes[self._intended]
 
     @property
     def landed(self) -> int:
@@ -236,10 +247,10 @@ class GuidedPilot:
         if self.phase is Phase.CLIMBING and down <= self._climbs_to + REACHED_M:
             self._fire(PilotEvent.REACHED)
             if self._firmware.takes_off_in is FlightMode.TAKE_OFF:
-                self._mode = FlightMode.HOLD
+                self._mode = self._intended = FlightMode.HOLD
         if self._mode is FlightMode.GUIDED and t - self._last_set_point > self._firmware.stream_s:
-            self._say(common.MAV_SEVERITY_WARNING, "Failsafe: no set points, holding")
-            self._brake(FlightMode.HOLD, t)
+            self._say(common.MAV_SEVERITY_WARNING, "Failsafe activated: no set points")
+            self._brake(FlightMode.POSITION, t)
         patience = self._firmware.landed_s if self._drone.touched_s > -math.inf else self._firmware.idle_s
         if self.phase is Phase.IDLING and t - self._quiet_since > patience:
             self._fire(PilotEvent.DISARM)
@@ -267,6 +278,11 @@ class GuidedPilot:
                 return None
         return int(common.MAV_RESULT_ACCEPTED) if done else self._firmware.refused
 
+    def move_sticks(self, now: float) -> None:
+        """The pilot takes over: of PX4 that is the intention to fly by position."""
+        if FlightMode.POSITION in self._firmware.modes:
+            self._enter(FlightMode.POSITION, now - self._epoch)
+
     def switch_to(self, mode: FlightMode, now: float) -> bool:
         """By a switch on the transmitter; False: refused."""
         return self._enter(mode, now - self._epoch)
@@ -289,7 +305,10 @@ class GuidedPilot:
         if point is None:
             return
         point = _moved(point, off)
+        if t - self._last_set_point > RETURNS_S:
+            self._streams_since = t
         self._last_set_point = t
+        self._return(t)
         if self._mode is not FlightMode.GUIDED:
             return
         if point.yaw is None and point.yaw_rate is None and not self._firmware.nose:
@@ -299,6 +318,12 @@ class GuidedPilot:
             drone.take_off(t, point)
         if self._fire(PilotEvent.STEER):
             drone.tell(t, point)
+
+    def _return(self, t: float) -> None:
+        """Out of a failsafe, back into what is intended, as PX4 does once set points stream again."""
+        failed = self._intended is FlightMode.GUIDED and self._mode is FlightMode.POSITION
+        if failed and t - self._streams_since >= RETURNS_S:
+            self._mode = FlightMode.GUIDED
 
     def _believed(self, t: float) -> Flown:
         """Its state, as its local frame has it."""
@@ -356,6 +381,7 @@ class GuidedPilot:
             return self._refuse(f"Mode change to {self._firmware.modes[mode].name} failed: requires position")
         if mode is FlightMode.GUIDED and t - self._last_set_point > self._firmware.stream_s:
             return self._refuse("Switching to Offboard is currently not available: no set points")
+        self._intended = mode
         self._brake(mode, t)
         return True
 
@@ -381,7 +407,7 @@ class GuidedPilot:
         if not climb > 0.0:
             return False
         self._climbs_to = ground - climb
-        self._mode = firmware.takes_off_in
+        self._mode = self._intended = firmware.takes_off_in
         if self.phase is Phase.IDLING:
             self._climb(t)
         return True
@@ -394,7 +420,7 @@ class GuidedPilot:
         self._drone.take_off(t, _moved(above, self._errors.local))
 
     def _land(self, t: float) -> bool:
-        self._mode = FlightMode.LAND
+        self._mode = self._intended = FlightMode.LAND
         if self._fire(PilotEvent.LAND):
             self._drone.tell(t, SetPoint(LASTING, velocity=(0.0, 0.0, LAND_SPEED)))
         return True
@@ -413,7 +439,7 @@ class GuidedPilot:
             return False
         home = self._drone.start if command.frame in ABOVE_HOME else None
         place = place_in_world(command.x, command.y, command.z, self._origin, home)
-        self._mode = FlightMode.GUIDED if guided else FlightMode.HOLD
+        self._mode = self._intended = FlightMode.GUIDED if guided else FlightMode.HOLD
         self._fire(PilotEvent.STEER)
         point = SetPoint(t, position=place, yaw=None if math.isnan(command.param4) else command.param4)
         self._drone.tell(t, _moved(point, self._off_on_earth(command.frame)))

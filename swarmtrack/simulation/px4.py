@@ -12,6 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.mavlink_dialect import CURRENT_MODE
 from swarmtrack.simulation.autopilot import SimulatedVehicle
 from swarmtrack.simulation.channel import Channel
 from swarmtrack.simulation.firmware import PX4
@@ -32,6 +33,7 @@ DEFAULTS: tuple[dict[int, float], ...] = (
         common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
         common.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
         common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+        CURRENT_MODE: 0.5,
     },
     {
         common.MAVLINK_MSG_ID_ATTITUDE: 20.0,
@@ -39,6 +41,7 @@ DEFAULTS: tuple[dict[int, float], ...] = (
         common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
         common.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
         common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
+        CURRENT_MODE: 0.5,
     },
     {},
 )
@@ -94,6 +97,7 @@ class SimulatedPx4(SimulatedVehicle):
         *SENSED,
         common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         common.MAVLINK_MSG_ID_RC_CHANNELS,
+        CURRENT_MODE,
         common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION,
     )
 

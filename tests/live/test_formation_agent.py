@@ -96,7 +96,7 @@ async def test_an_agent_flies_only_while_its_pilot_wants_it_and_its_flight_repla
             await until(lambda: any("camera is silent" in text for text in autopilot.texts))
             assert all(math.hypot(m.vx, m.vy, m.vz) < 1e-6 for _, m in autopilot.setpoints)
             autopilot.to(FlightMode.HOLD)
-            await until(lambda: any("released: the pilot left" in text for text in autopilot.texts))
+            await until(lambda: any("released: mode is LOITER now" in text for text in autopilot.texts))
             sent = len(autopilot.setpoints)
             await asyncio.sleep(1.0)
             assert len(autopilot.setpoints) == sent

@@ -14,7 +14,7 @@ from support.places import ROOT
 
 # From the bottom up: a module may import from its own layer and from those before it.
 LAYERS: list[set[str]] = [
-    {"errors", "messages", "clock", "arguments", "plain_text", "log_lines", "guard"},
+    {"errors", "messages", "clock", "arguments", "plain_text", "log_lines", "guard", "mavlink_dialect"},
     {"geometry"},
     {"motion", "tracking", "identity", "relative", "formation"},
     {"onboard", "perceived", "follower"},

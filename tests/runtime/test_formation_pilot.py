@@ -39,6 +39,10 @@ class Sky:
     def to(self, mode):
         self.mode = self.firmware.modes[mode]
 
+    @property
+    def intended(self):
+        return self.mode
+
     def look(self, now): ...
 
     def command(self, command, now):
@@ -198,7 +202,7 @@ async def test_leaving_the_mode_ends_it_at_once_and_for_good_until_it_is_engaged
         left = companion.now
         companion.fly(2.0)
         assert companion.since(left) == []
-        assert companion.notices.said[-1] == "formation released: the pilot left the mode"
+        assert companion.notices.said[-1] == "formation released: mode is LOITER now"
         companion.to(FlightMode.GUIDED)
         again = companion.now
         companion.fly(1.0)
@@ -229,7 +233,7 @@ async def test_an_old_decision_is_zero_velocity_and_a_dead_one_hands_back_with_a
         assert all(message.yaw_rate == 0.0 for age, message in ages if age > STALE_S + 0.05)
         assert max(age for age, _ in ages) == pytest.approx(DEAD_S, abs=0.2)
         companion.fly(0.1)
-        assert companion.notices.said[-1].startswith("formation released: no decision for 1")
+        assert companion.notices.said[-1].startswith("formation released: the agent stood still for 3")
         # And for good: that decisions come again does not engage it.
         companion.fly(1.0)
         assert companion.since(decided + DEAD_S + 0.2) == []

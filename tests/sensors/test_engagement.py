@@ -5,6 +5,7 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.mavlink_dialect import CurrentMode
 from swarmtrack.sensors.mavlink.engagement import (
     SILENT_S,
     TRANSITIONS,
@@ -12,9 +13,11 @@ from swarmtrack.sensors.mavlink.engagement import (
     EngagementStage,
     PilotEngagement,
 )
+from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
 
 ARDU, PX4 = common.MAV_AUTOPILOT_ARDUPILOTMEGA, common.MAV_AUTOPILOT_PX4
 GUIDED, LOITER, OFFBOARD, HOLD = 4, 5, 6 << 16, 4 << 16 | 3 << 24
+POSITION, RTL = 3 << 16, 4 << 16 | 5 << 24
 ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
 CUSTOM = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
@@ -40,13 +43,17 @@ class Pilot:
 @pytest.mark.parametrize(("kind", "off", "on"), [(ARDU, LOITER, GUIDED), (PX4, HOLD, OFFBOARD)])
 def test_a_pilot_engages_by_the_mode_and_leaves_by_any_other(kind, off, on):
     pilot = Pilot(kind)
+    pilot.to(off, armed=False)
     assert not pilot.to(off)
     assert pilot.to(on)
     assert pilot.to(on)
     assert pilot.engagement.number == 1
     assert not pilot.to(off)
-    assert pilot.engagement.take_end() == "the pilot left the mode"
+    assert pilot.engagement.take_end() == f"mode is {'LOITER' if kind == ARDU else 'HOLD'} now"
     assert pilot.engagement.take_end() == ""
+    # A PX4 that does not tell its intention may have been made to leave by a failsafe that returns.
+    pilot.to(off, armed=kind == ARDU)
+    pilot.to(off)
     assert pilot.to(on)
     assert pilot.engagement.number == 2
 
@@ -116,11 +123,11 @@ def test_silence_ends_it_for_good_until_the_pilot_engages_anew():
     pilot = Pilot()
     pilot.to(LOITER)
     pilot.to(GUIDED)
-    pilot.engagement.tick(pilot.t + SILENT_S - 0.1)
+    for k in range(24):
+        pilot.engagement.tick(pilot.t + 0.1 * k)
     assert pilot.engagement.engaged
     pilot.engagement.tick(pilot.t + SILENT_S + 0.1)
     assert pilot.engagement.take_end() == "the autopilot is silent"
-    pilot.t += 10.0
     assert not pilot.to(GUIDED)
     pilot.to(LOITER)
     assert pilot.to(GUIDED)
@@ -139,6 +146,7 @@ def test_a_failure_ends_it_for_good_until_the_pilot_engages_anew():
 
 def test_px4_is_let_into_the_mode_by_a_stream_and_ardupilot_needs_none():
     px4, ardupilot = Pilot(PX4), Pilot(ARDU)
+    px4.to(HOLD, armed=False)
     px4.to(HOLD)
     ardupilot.to(LOITER)
     assert (px4.engagement.wants_stream, ardupilot.engagement.wants_stream) == (True, False)
@@ -150,6 +158,143 @@ def test_px4_is_let_into_the_mode_by_a_stream_and_ardupilot_needs_none():
     px4.engagement.fail("no decision")
     px4.to(OFFBOARD)
     assert not px4.engagement.wants_stream
+
+
+class TellingPilot(Pilot):
+    """Of a PX4 that tells what is intended, beside the mode that it is in."""
+
+    def __init__(self, **options):
+        super().__init__(PX4)
+        self.engagement = PilotEngagement(**options)
+
+    def to(self, mode, *, intended=None, **more):
+        self.intend(mode if intended is None else intended)
+        return super().to(mode, **more)
+
+    def intend(self, mode):
+        self.engagement.on_current_mode(self.t + 0.1, CurrentMode(0, 0, mode))
+
+
+def test_a_mode_that_a_failsafe_left_is_not_left_until_the_intention_is():
+    pilot = TellingPilot()
+    pilot.to(HOLD)
+    assert pilot.to(OFFBOARD)
+    assert not pilot.to(POSITION, intended=OFFBOARD)
+    assert not pilot.engagement.wants_stream
+    # It goes back by itself.
+    assert not pilot.to(OFFBOARD)
+    assert not pilot.engagement.wants_stream
+    pilot.to(POSITION)
+    assert pilot.engagement.wants_stream
+    assert pilot.to(OFFBOARD)
+
+
+def test_an_agent_that_starts_in_a_failsafe_waits_for_the_intention_to_change():
+    pilot = TellingPilot()
+    pilot.to(POSITION, intended=OFFBOARD)
+    assert not pilot.engagement.wants_stream
+    assert not pilot.to(OFFBOARD)
+    pilot.to(HOLD)
+    assert pilot.to(OFFBOARD)
+
+
+def test_a_px4_that_does_not_tell_its_intention_is_engaged_once_until_it_is_disarmed():
+    pilot = Pilot(PX4)
+    pilot.to(HOLD, armed=False, airborne=False)
+    pilot.to(HOLD)
+    assert pilot.to(OFFBOARD)
+    pilot.to(POSITION)
+    assert not pilot.engagement.wants_stream
+    assert not pilot.to(OFFBOARD)
+    pilot.to(HOLD, armed=False, airborne=False)
+    pilot.to(HOLD)
+    assert pilot.to(OFFBOARD)
+
+
+def test_an_intention_that_is_not_told_is_none():
+    pilot = Pilot(ARDU)
+    pilot.engagement.on_current_mode(0.0, CurrentMode(0, LOITER, 0))
+    pilot.to(LOITER)
+    assert pilot.to(GUIDED)
+
+
+@pytest.mark.parametrize("tick_first", [False, True])
+def test_what_is_heard_after_the_agent_stood_still_engages_nobody(tick_first):
+    pilot = TellingPilot()
+    pilot.to(HOLD)
+    pilot.to(OFFBOARD)
+    pilot.engagement.tick(pilot.t)
+    asleep = pilot.t
+    if tick_first:
+        pilot.engagement.tick(asleep + 8.0)
+    pilot.to(OFFBOARD)
+    pilot.t = asleep + 0.9
+    for _ in range(6):
+        pilot.to(POSITION, intended=OFFBOARD)
+    pilot.engagement.tick(asleep + 8.0)
+    assert pilot.engagement.take_end(asleep + 8.0) == "the agent stood still for 8.0 s"
+    assert not pilot.engagement.wants_stream
+    assert not pilot.to(OFFBOARD)
+
+
+def test_words_say_who_ended_it():
+    pilot = TellingPilot()
+    pilot.to(HOLD)
+    pilot.to(OFFBOARD)
+    # The heartbeat comes first; whose doing it is takes a moment to be known.
+    pilot.t += 1.0
+    pilot.engagement.on_heartbeat(pilot.t, heartbeat(HOLD, kind=PX4), PX4, airborne=True)
+    assert pilot.engagement.take_end(pilot.t) == ""
+    pilot.intend(HOLD)
+    assert pilot.engagement.take_end(pilot.t + 0.2) == "the pilot left the mode"
+    pilot.to(OFFBOARD)
+    pilot.engagement.on_text(pilot.t, "Battery unhealthy Failsafe activated\x1b[2J")
+    pilot.to(RTL, intended=OFFBOARD)
+    assert (
+        pilot.engagement.take_end(pilot.t + 1.0)
+        == "mode is RTL now (Battery unhealthy Failsafe activated�[2J)"
+    )
+    ardupilot = Pilot()
+    ardupilot.to(LOITER)
+    ardupilot.to(GUIDED)
+    ardupilot.to(6)
+    assert ardupilot.engagement.take_end(ardupilot.t) == "mode is RTL now"
+
+
+def channels(us):
+    return common.MAVLink_rc_channels_message(0, 8, *[1500] * 6, us, *[1500] * 11, 255)
+
+
+def test_where_a_switch_is_asked_for_mode_and_switch_engage_and_either_ends_it():
+    switch = PilotSwitch(7, 1700.0)
+    pilot = TellingPilot(switch=switch)
+
+    def throw(us):
+        switch.on_channels(pilot.t, channels(us))
+        pilot.engagement.on_channels(pilot.t)
+        return pilot.engagement.engaged
+
+    throw(1100)
+    pilot.to(HOLD)
+    # A ground station's "fly here" changes the mode alone.
+    throw(1100)
+    assert not pilot.to(OFFBOARD)
+    assert throw(1900)
+    assert not throw(1100)
+    assert pilot.engagement.take_end() == "the pilot's switch is off"
+    assert throw(1900)
+    pilot.engagement.tick(pilot.t + 2.1)
+    assert not pilot.engagement.engaged
+    assert pilot.engagement.take_end() == "the transmitter is not heard"
+
+
+def test_a_switch_that_is_on_at_take_off_engages_nobody_without_the_mode():
+    switch = PilotSwitch(7, 1700.0)
+    pilot = TellingPilot(switch=switch)
+    for mode in (HOLD, HOLD, OFFBOARD):
+        switch.on_channels(pilot.t, channels(1900))
+        pilot.to(mode)
+    assert pilot.engagement.engaged
 
 
 def test_every_pair_of_stage_and_event_ends_where_the_table_says():

@@ -182,7 +182,7 @@ def test_offboard_needs_set_points_beforehand_lifts_off_by_them_and_holds_withou
     assert bench.told_mode == (OFFBOARD, 0)
     assert bench.drone.state(bench.now).velocity[0] > 1.0
     bench.run(2.5)
-    assert bench.told_mode == (AUTO, HOLD)
+    assert bench.told_mode == (3, 0)  # POSCTL, as COM_OBL_RC_ACT has it
     assert any("Failsafe" in text for text in bench.texts)
     bench.run(6.0)
     assert abs(bench.drone.state(bench.now).velocity[0]) < 0.3

@@ -22,10 +22,11 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.arguments import page
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
+from swarmtrack.mavlink_dialect import CURRENT_MODE
 from swarmtrack.messages import LinkStatus
 from swarmtrack.sensors.base import AutopilotListener
 from swarmtrack.sensors.mavlink.contact import Contact, News, heartbeat
-from swarmtrack.sensors.mavlink.engagement import PilotEngagement
+from swarmtrack.sensors.mavlink.engagement import CURRENT_MODE_HZ, PilotEngagement
 from swarmtrack.sensors.mavlink.flight import FlightWatch
 from swarmtrack.sensors.mavlink.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
@@ -108,7 +109,9 @@ class MavlinkAutopilot:
         self._engagement = engagement
         self._requests = StreamRequests(
             imu_rate_hz,
-            (LOCAL_POSE if gps is None else GLOBAL_POSE) | ({RC_CHANNELS: REPORTS_HZ} if switch else {}),
+            (LOCAL_POSE if gps is None else GLOBAL_POSE)
+            | ({RC_CHANNELS: REPORTS_HZ} if switch else {})
+            | ({CURRENT_MODE: CURRENT_MODE_HZ} if engagement else {}),
             line=self._link.bytes_per_second,
             signed=key is not None,
         )
@@ -141,6 +144,9 @@ class MavlinkAutopilot:
         }
         if switch is not None:
             self._readers[RC_CHANNELS] = self._on_channels
+        if engagement is not None:
+            self._readers[CURRENT_MODE] = engagement.on_current_mode
+            self._readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
         self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES)
         self._next_heartbeat = self._next_tick = -math.inf
         self._greeted = False
@@ -396,6 +402,10 @@ class MavlinkAutopilot:
         if not self._greeted and state.airborne_since is not None:
             self._telemetry.listener.on_found_flying()
         self._greeted = True
+
+    def _on_text(self, t: float, m: Any) -> None:
+        assert self._engagement is not None
+        self._engagement.on_text(t, m.text)
 
     def _on_channels(self, t: float, m: Any) -> None:
         assert self._switch is not None

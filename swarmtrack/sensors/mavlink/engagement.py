@@ -4,6 +4,12 @@ A pilot engages by changing into GUIDED (ArduCopter) or OFFBOARD (PX4), and dise
 engages: who finds the mode on, or loses sight of it, or has failed, waits until the pilot has left it and comes again.
 A take-off in the mode, as ArduCopter makes it by command, does not either: however fast a program arms and takes off,
 the drone has to have been heard in the air in another mode before.
+
+What counts is what the pilot *intends*. A failsafe of PX4 changes the mode and leaves the intention (CURRENT_MODE,
+`intended_custom_mode`): as soon as it hears set points again it goes back into OFFBOARD by itself. So leaving the mode
+means leaving the intention, and until then nothing is streamed to it after a failure. A PX4 that does not tell its
+intention can be engaged once, and again after it was disarmed. ArduCopter does not tell it, and never goes back by
+itself: its mode is the intention.
 """
 
 from __future__ import annotations
@@ -14,6 +20,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.plain_text import plain
+from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
+
+CURRENT_MODE_HZ = 5.0
 # custom_mode of an ArduCopter; and PX4's main mode, in the third byte.
 ARDUCOPTER_GUIDED, PX4_OFFBOARD = 4, 6
 ROTORCRAFT = frozenset(
@@ -24,6 +34,21 @@ ROTORCRAFT = frozenset(
 )  # fmt: skip
 # s without a heartbeat: nobody knows the mode any more. Heartbeats come once per second, and with each change of mode.
 SILENT_S = 2.5
+# s between two looks at the clock: sooner than a guard lets go of an agent that stood still for as long.
+STOOD_STILL_S = 0.9
+# s: so long after a change of the mode it is known whether the pilot intended that; and before it, a failsafe was told.
+SETTLES_S, FAILSAFE_TOLD_S = 0.6, 3.0
+LONGEST_REASON = 40  # characters of an autopilot's own words
+ARDUCOPTER_MODES = {
+    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
+    11: "DRIFT", 13: "SPORT", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB",
+    20: "GUIDED_NOGPS", 21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 27: "AUTO_RTL",
+}  # fmt: skip
+PX4_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED"}
+PX4_AUTO_MODES = {2: "TAKEOFF", 3: "HOLD", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND"}
+
+
+LEFT, STOOD_STILL = "the pilot left the mode", "the agent stood still"
 
 
 class EngagementStage(Enum):
@@ -48,53 +73,137 @@ TRANSITIONS: dict[tuple[EngagementStage, EngagementEvent], EngagementStage] = {
 
 
 class PilotEngagement:
-    """Told of heartbeats and of time; times are ours [s]. `number` counts engagements."""
+    """Told of heartbeats, of intentions and of time; times are ours [s]. `number` counts engagements.
 
-    def __init__(self) -> None:
+    switch: has to be on as well; None: the mode is enough.
+    """
+
+    def __init__(self, switch: PilotSwitch | None = None) -> None:
         self.number = 0
         self.stage = EngagementStage.WAITING
         self.wants_stream = False
         """Whether this autopilot lets nobody into the mode who does not send setpoints yet, and could be let in now."""
         self.armed = False
         """As the last heartbeat had it."""
+        self._switch = switch
+        self._kind: int | None = None
+        self._mode = 0
+        """custom_mode of the last heartbeat."""
+        self._guided = self._airborne = False
+        self._intended: int | None = None
+        """custom_mode; None where this autopilot does not tell."""
         self._heard_at = -math.inf
+        self._ticked_at: float | None = None
         self._flown_by_hand = False
-        """Whether it has been heard in another mode since it left the ground."""
+        """Whether it has been heard in the air since it was armed without that the pilot wanted it."""
         self._ended = ""
+        self._settles_at = -math.inf
+        self._failsafe, self._failsafe_at = "", -math.inf
 
     @property
     def engaged(self) -> bool:
         return self.stage is EngagementStage.ENGAGED
 
-    def take_end(self) -> str:
-        """Why an engagement has ended since the last call, in words; empty if none has."""
+    def take_end(self, now: float = math.inf) -> str:
+        """Why an engagement has ended since the last call, in words; empty if none has, or before that is known."""
+        if now < self._settles_at:
+            return ""
         ended, self._ended = self._ended, ""
         return ended
 
     def on_heartbeat(self, t: float, m: Any, kind: int | None, *, airborne: bool) -> None:
         """HEARTBEAT of our autopilot at t; kind: its MAV_AUTOPILOT; airborne: whether it flies."""
+        self._look_for_gap(t)
         self._heard_at = t
-        armed = self.armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
-        guided = _is_guided(m, kind)
-        self._flown_by_hand = armed and airborne and (self._flown_by_hand or not guided)
-        if not (armed and guided):
-            self._fire(EngagementEvent.LEFT, "the pilot left the mode" if armed else "disarmed")
-        elif self._flown_by_hand:
-            self._fire(EngagementEvent.ENTERED, "")
-        else:
-            # On the ground in the mode, or taking off in it: that must not be steered away from.
-            self._fire(EngagementEvent.FAILED, "on the ground")
-        self.wants_stream = kind == common.MAV_AUTOPILOT_PX4 and armed and self.stage is EngagementStage.AWAY
+        self._kind, self._mode, self._airborne = kind, m.custom_mode, airborne
+        self.armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
+        known = m.type in ROTORCRAFT and m.base_mode & common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        self._guided = bool(known) and is_guided(m.custom_mode, kind)
+        self._judge(t)
+
+    def on_current_mode(self, t: float, m: Any) -> None:
+        """CURRENT_MODE at t."""
+        if m.intended_custom_mode == 0:
+            return
+        self._look_for_gap(t)
+        self._intended = m.intended_custom_mode
+        if t < self._settles_at and self._wanted(t) is False:
+            self._ended, self._settles_at = LEFT, t
+        self._judge(t)
+
+    def on_channels(self, t: float) -> None:
+        """The switch has been heard of at t."""
+        self._look_for_gap(t)
+        self._judge(t)
+
+    def on_text(self, t: float, text: str) -> None:
+        """STATUSTEXT at t."""
+        if "failsafe" in text.lower():
+            self._failsafe, self._failsafe_at = plain(text)[:LONGEST_REASON], t
 
     def tick(self, now: float) -> None:
         """Time passes."""
+        self._look_for_gap(now)
+        self._ticked_at = now
         if now - self._heard_at > SILENT_S:
             self.fail("the autopilot is silent")
+        elif self.engaged and self._wanted(now) is False:
+            self._judge(now)
 
     def fail(self, why: str) -> None:
         """What is needed to fly is missing for too long: over, until the pilot engages anew."""
         self._fire(EngagementEvent.FAILED, why)
         self.wants_stream = False
+
+    def _look_for_gap(self, t: float) -> None:
+        """What was heard while this agent stood still is news of a flight that it was not part of."""
+        gap = 0.0 if self._ticked_at is None else t - self._ticked_at
+        if gap <= STOOD_STILL_S:
+            return
+        why = f"{STOOD_STILL} for {gap:.1f} s"
+        self.fail(why)
+        if self._ended.startswith(STOOD_STILL):
+            # Heard late, one after the other, each says a little more.
+            self._ended, self._settles_at = why, t
+
+    def _wanted(self, t: float) -> bool | None:
+        """Whether the pilot wants to be flown; None: nobody knows whether the mode was left by the pilot."""
+        if self._switch is not None and not self._switch.is_on(t):
+            return False
+        if self._intended is not None:
+            return is_guided(self._intended, self._kind)
+        return None if self._kind == common.MAV_AUTOPILOT_PX4 and not self._guided else self._guided
+
+    def _judge(self, t: float) -> None:
+        if self._heard_at == -math.inf:
+            return
+        wanted = self._wanted(t)
+        flies = self._guided and wanted is not False
+        self._flown_by_hand = self.armed and self._airborne and (self._flown_by_hand or not flies)
+        if not self.armed:
+            self._fire(EngagementEvent.LEFT, "disarmed")
+        elif wanted is False:
+            self._fire(EngagementEvent.LEFT, self._who_left(t))
+        elif not self._guided:
+            if self.engaged:
+                self._settles_at = t + SETTLES_S if self._intended is not None else t
+                self._fire(EngagementEvent.FAILED, self._mode_in_words(t))
+        elif self._flown_by_hand:
+            self._fire(EngagementEvent.ENTERED, "")
+        else:
+            # On the ground in the mode, or taking off in it: that must not be steered away from.
+            self._fire(EngagementEvent.FAILED, "on the ground")
+        px4 = self._kind == common.MAV_AUTOPILOT_PX4
+        self.wants_stream = px4 and self.armed and self.stage is EngagementStage.AWAY
+
+    def _who_left(self, t: float) -> str:
+        if self._switch is not None and not self._switch.is_on(t):
+            return "the pilot's switch is off" if self._switch.is_heard(t) else "the transmitter is not heard"
+        return LEFT if self._intended is not None else self._mode_in_words(t)
+
+    def _mode_in_words(self, t: float) -> str:
+        why = f" ({self._failsafe})" if t - self._failsafe_at < FAILSAFE_TOLD_S else ""
+        return f"mode is {mode_name(self._mode, self._kind)} now{why}"
 
     def _fire(self, event: EngagementEvent, why: str) -> None:
         then = TRANSITIONS.get((self.stage, event), self.stage)
@@ -106,10 +215,18 @@ class PilotEngagement:
         self.number += then is EngagementStage.ENGAGED
 
 
-def _is_guided(m: Any, kind: int | None) -> bool:
-    """In the mode in which it listens to setpoints; other vehicles number their modes otherwise."""
-    if m.type not in ROTORCRAFT or not m.base_mode & common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
-        return False
+def is_guided(custom_mode: int, kind: int | None) -> bool:
+    """Whether that is the mode in which a rotorcraft's firmware listens to setpoints."""
     if kind == common.MAV_AUTOPILOT_ARDUPILOTMEGA:
-        return bool(m.custom_mode == ARDUCOPTER_GUIDED)
-    return bool(kind == common.MAV_AUTOPILOT_PX4 and m.custom_mode >> 16 & 0xFF == PX4_OFFBOARD)
+        return custom_mode == ARDUCOPTER_GUIDED
+    return kind == common.MAV_AUTOPILOT_PX4 and custom_mode >> 16 & 0xFF == PX4_OFFBOARD
+
+
+def mode_name(custom_mode: int, kind: int | None) -> str:
+    """As pilots know it."""
+    if kind == common.MAV_AUTOPILOT_PX4:
+        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24
+        named = PX4_AUTO_MODES.get(sub) if PX4_MODES.get(main) == "AUTO" else PX4_MODES.get(main)
+    else:
+        named = ARDUCOPTER_MODES.get(custom_mode)
+    return named or f"number {custom_mode}"

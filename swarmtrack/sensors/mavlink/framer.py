@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
+import swarmtrack.mavlink_dialect  # noqa: F401 (adds a message to `common`)
+
 V1, V2 = 0xFE, 0xFD
 HEADER_V1, HEADER_V2 = 6, 10  # bytes, magic included
 CRC_LENGTH = 2

@@ -41,8 +41,15 @@ class PilotSwitch:
         self._on = level > self._above_us - (TREMBLES_US if before else 0)
         return self._on and before is False
 
+    def is_heard(self, now: float) -> bool:
+        """Whether anybody knows where it stands."""
+        return now - self._heard_at < FORGOTTEN_AFTER
+
+    def is_on(self, now: float) -> bool:
+        return self.is_heard(now) and bool(self._on)
+
     def in_words(self, now: float) -> str:
         """Where it stands."""
-        if now - self._heard_at >= FORGOTTEN_AFTER:
+        if not self.is_heard(now):
             return f"no switch: channel {self.channel} is not reported"
         return f"switch {'on' if self._on else 'off'}"
