@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, Strict, field_validator, model_validator
@@ -15,6 +15,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.field_of_view import half_angles
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, to_euler
+from swarmtrack.team_config import SwitchSection
 from swarmtrack.toml.layers import Layers, Problem
 from swarmtrack.toml.sections import Number, Section, Switch, Vector, check_drone_ids, found
 
@@ -100,6 +101,14 @@ class TeamFormation(Section):
         description="how sure a reference's name has to be for a second before it is flown by; more than 0.97 is only "
         "proved by motion, with [team] share",
     )
+    consent: Literal["mode", "mode and switch"] = Field(
+        default="mode",
+        description="what engages the agent: the flight mode, or the mode and a switch of the pilot's transmitter, so "
+        "that a ground station that changes the mode engages nobody",
+    )
+    switch: SwitchSection | None = Field(
+        default=None, description='{ channel, above_us }: which switch, with consent = "mode and switch"'
+    )
     limits: FormationLimits = Field(default=FormationLimits(), description="what no setpoint exceeds")
 
     @field_validator("slots", "references")
@@ -130,6 +139,11 @@ class TeamFormation(Section):
                     f"slots.{drone}: {math.hypot(*place):.0f} m from the leader, expected {FARTHEST_SLOT_M:g} or less"
                 )
         self._known_references()
+        asks = self.consent == "mode and switch"
+        if asks and self.switch is None:
+            raise ValueError('consent = "mode and switch" without switch, expected switch = { channel = 7 }')
+        if self.switch is not None and not asks:
+            raise ValueError('switch without consent, expected consent = "mode and switch" as well')
         return self
 
     def _known_references(self) -> None:

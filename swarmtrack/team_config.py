@@ -59,7 +59,7 @@ Utc = Annotated[datetime, Field(strict=True)]
 
 
 class SwitchSection(Section):
-    """A switch of the pilot's transmitter. Thrown, it starts the codes at the next full 10 s of UTC."""
+    """A switch of the pilot's transmitter, by its channel."""
 
     channel: Annotated[int, Strict(), Field(ge=1, le=18)] = Field(
         description="of the radio control, as the autopilot numbers them in RC_CHANNELS"
@@ -77,7 +77,8 @@ class CodeSection(Section):
     )
     switch: SwitchSection | None = Field(
         default=None,
-        description="{ channel, above_us }: the channel of the radio control by which the pilot starts them",
+        description="{ channel, above_us }: the channel of the radio control by which the pilot starts them, at the "
+        "next full 10 s of UTC",
     )
 
     @model_validator(mode="after")

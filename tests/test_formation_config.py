@@ -187,6 +187,30 @@ def test_nobody_is_flown_unless_it_is_enabled_and_the_leader_never(team, capsys)
     assert [pilot is not None for pilot in flown] == [False, True, True]
 
 
+CONSENTS = [
+    ('consent = "mode and switch"', "expected switch = { channel = 7 }"),
+    ("switch = { channel = 7 }", 'expected consent = "mode and switch"'),
+    ('consent = "mode and switch"\nswitch = { channel = 77 }', "channel"),
+    ('consent = "yes"', "consent"),
+]
+
+
+@pytest.mark.parametrize(("lines", "said"), CONSENTS)
+def test_a_second_condition_is_a_switch_that_is_named(team, lines, said):
+    file = team()[1]
+    file.write_text(file.read_text() + f"\n[formation]\n{lines}\n")
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        load_config(file)
+
+
+def test_with_a_switch_the_mode_alone_engages_nobody(team):
+    file = team()[1]
+    lines = 'enabled = true\nconsent = "mode and switch"\nswitch = { channel = 7 }'
+    file.write_text(file.read_text() + f"\n[formation]\n{lines}\n")
+    engagement = assemble(load_config(file), SystemClock()).engagement
+    assert engagement.asks_for_switch
+
+
 @pytest.mark.parametrize("link", ["none", "tlog:flight.tlog"])
 def test_a_drone_that_cannot_be_flown_cannot_be_enabled(team, link):
     [file] = team("leader = 1", "leader = 1\nenabled = true", ids=[2])

@@ -118,7 +118,8 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
             _refuse_video(config)
     with config.blamed("autopilot", "link"):
         in_step = imported is None and paced is not None
-        engagement = PilotEngagement() if config.flies_in_formation else None
+        consent = _consent(config)
+        engagement = PilotEngagement(consent) if config.flies_in_formation else None
         autopilot = make_autopilot(config, clock, simulation, in_step=in_step, engagement=engagement)
     with config.blamed("detector", "model"):
         detector = make_detector(config, wall)
@@ -258,6 +259,12 @@ def make_autopilot(
 
 def _switch(config: DroneConfig) -> PilotSwitch | None:
     switch = config.team.code.switch if config.team.code else None
+    return None if switch is None else PilotSwitch(switch.channel, switch.above_us)
+
+
+def _consent(config: DroneConfig) -> PilotSwitch | None:
+    """The switch that has to be on beside the flight mode."""
+    switch = config.formation.switch
     return None if switch is None else PilotSwitch(switch.channel, switch.above_us)
 
 

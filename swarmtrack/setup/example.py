@@ -61,6 +61,7 @@ SHOWN = {
     "formation.leader": "1",
     "formation.slots": "{ 2 = [-4.0, 3.0, -1.0], 3 = [-4.0, -3.0, 1.0] }",
     "formation.references": "{ 2 = [1], 3 = [1] }",
+    "formation.switch": "{ channel = 7, above_us = 1700.0 }",
 }
 """Values of keys without a default, or whose default shows little."""
 

@@ -164,7 +164,7 @@ def story(seed):
 async def fail(sky, kills, seconds, sticks_s, reads_first):
     """An agent that is frozen, or killed and restarted, while armed; the pilot may move the sticks. What comes of it
     within 15 s: whether anybody is flown again without the pilot."""
-    again = 0
+    again, left = 0, False
     sky.frozen = not kills
     if kills:
         await sky.kill()
@@ -181,7 +181,8 @@ async def fail(sky, kills, seconds, sticks_s, reads_first):
         before = sky.engagements
         sky.fly(0.1, reads_first=reads_first)
         again += sky.engagements - before
-        again += back_at == math.inf and sky.flown
+        left = left or not sky.flown
+        again += left and sky.flown
     return again
 
 

@@ -270,8 +270,7 @@ def test_where_a_switch_is_asked_for_mode_and_switch_engage_and_either_ends_it()
     pilot = TellingPilot(switch=switch)
 
     def throw(us):
-        switch.on_channels(pilot.t, channels(us))
-        pilot.engagement.on_channels(pilot.t)
+        pilot.engagement.on_channels(pilot.t, channels(us))
         return pilot.engagement.engaged
 
     throw(1100)
@@ -292,7 +291,7 @@ def test_a_switch_that_is_on_at_take_off_engages_nobody_without_the_mode():
     switch = PilotSwitch(7, 1700.0)
     pilot = TellingPilot(switch=switch)
     for mode in (HOLD, HOLD, OFFBOARD):
-        switch.on_channels(pilot.t, channels(1900))
+        pilot.engagement.on_channels(pilot.t, channels(1900))
         pilot.to(mode)
     assert pilot.engagement.engaged
 

@@ -98,7 +98,7 @@ def test_the_example_lacks_no_key_of_the_schema():
 # Those that only go together with others, or that look at a file.
 NOT_ALONE = {
     "calibration", "calibration_camera", "plan", "code", "drones", "scale", "mean", "channel_order", "keys",
-    "signing_key", "names", "announce", "peers", "leader", "slots", "references",
+    "signing_key", "names", "announce", "peers", "leader", "slots", "references", "switch",
 }  # fmt: skip
 
 

@@ -107,10 +107,11 @@ class MavlinkAutopilot:
         self._flight = FlightWatch()
         self._switch = switch
         self._engagement = engagement
+        reads_channels = switch is not None or (engagement is not None and engagement.asks_for_switch)
         self._requests = StreamRequests(
             imu_rate_hz,
             (LOCAL_POSE if gps is None else GLOBAL_POSE)
-            | ({RC_CHANNELS: REPORTS_HZ} if switch else {})
+            | ({RC_CHANNELS: REPORTS_HZ} if reads_channels else {})
             | ({CURRENT_MODE: CURRENT_MODE_HZ} if engagement else {}),
             line=self._link.bytes_per_second,
             signed=key is not None,
@@ -142,7 +143,7 @@ class MavlinkAutopilot:
             common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             **self._telemetry.readers,
         }
-        if switch is not None:
+        if reads_channels:
             self._readers[RC_CHANNELS] = self._on_channels
         if engagement is not None:
             self._readers[CURRENT_MODE] = engagement.on_current_mode
@@ -408,8 +409,9 @@ class MavlinkAutopilot:
         self._engagement.on_text(t, m.text)
 
     def _on_channels(self, t: float, m: Any) -> None:
-        assert self._switch is not None
-        if self._switch.on_channels(t, m):
+        if self._engagement is not None:
+            self._engagement.on_channels(t, m)
+        if self._switch is not None and self._switch.on_channels(t, m):
             self._telemetry.listener.on_switch(t)
 
     def _on_ack(self, t: float, m: Any) -> None:

@@ -131,9 +131,16 @@ class PilotEngagement:
             self._ended, self._settles_at = LEFT, t
         self._judge(t)
 
-    def on_channels(self, t: float) -> None:
-        """The switch has been heard of at t."""
+    @property
+    def asks_for_switch(self) -> bool:
+        """Whether RC_CHANNELS are of interest."""
+        return self._switch is not None
+
+    def on_channels(self, t: float, m: Any) -> None:
+        """RC_CHANNELS at t."""
         self._look_for_gap(t)
+        if self._switch is not None:
+            self._switch.on_channels(t, m)
         self._judge(t)
 
     def on_text(self, t: float, text: str) -> None:
