@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_action, add_file
+from swarmtrack.arguments import add_action, add_file, add_flag
 from swarmtrack.errors import ConfigError, SwarmtrackError
+
+if TYPE_CHECKING:
+    from swarmtrack.config import DroneConfig
 
 EXAMPLE = """\
 for example:
@@ -37,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(check, "files", "a drone's config", nargs="+")
     add_file(check, "--drawing", "write the first one's formation there, as SVG")
+    add_flag(
+        check,
+        "--autopilot",
+        "also ask each drone's autopilot, over its link, for the limits that it has of its own (fence, time-outs, "
+        "speeds); nothing is written to it",
+    )
 
     for action, text in (
         ("schema", "all keys as a JSON schema"),
@@ -80,9 +91,26 @@ def _check(args: argparse.Namespace) -> int:
     if len(configs) > 1 and not problems:
         print(f"drones {', '.join(str(config.drone.id) for config in configs)} agree with each other")
     code = 2 if problems else code
+    if args.autopilot:
+        for config in configs:
+            code = max(code, _ask_autopilot(config))
     if args.drawing is not None and code == 0:
         _write(draw_formation(args.files[0]), args.drawing, "--drawing")
     return code
+
+
+def _ask_autopilot(config: DroneConfig) -> int:
+    """Prints what its own limits are like; 1 where it could not be asked."""
+    from swarmtrack.clock import SystemClock
+    from swarmtrack.diagnosis.findings import Level, worst
+    from swarmtrack.doctor.limits import read_limits
+
+    print(f"drone {config.drone.id}: asking {config.autopilot.link} …", file=sys.stderr)
+    findings = asyncio.run(read_limits(config, SystemClock()))
+    for finding in findings:
+        remedy = f" -> {finding.remedy}" if finding.remedy else ""
+        print(f"{finding.level:8} {finding.check:8} {finding.found}{remedy}")
+    return int(worst(findings) is Level.FAILURE)
 
 
 def _schema(args: argparse.Namespace) -> int:

@@ -285,6 +285,20 @@ FAULTS: dict[str, Fault] = {
         "the gyro reads {rate_deg_s:.1f}°/s while the attitude does not change",
         "calibrate the gyro at rest, or set motion.gyro_bias_rad_s",
     ),
+    # --- what the autopilot does by itself, of a drone that its agent may fly
+    "limits.unsafe": Fault(
+        W,
+        "{parameter} is {value}: {why}",
+        "set {parameter} to {wanted}, or to what you know to be right; swarmtrack writes no parameter",
+    ),
+    "limits.silent": Fault(
+        F, "no autopilot to be asked: {reason}", "switch it on, and stop the agent: only one program may have its link"
+    ),
+    "limits.unknown": Fault(
+        W,
+        "the autopilot does not tell {names}",
+        "look them up in your ground station: they say what the autopilot does when the agent that flies it fails",
+    ),
     # --- calibration
     "calibration.unreadable": Fault(
         F, "{reason}", "make a new file with swarmtrack calibrate intrinsics, or write the numbers inline"

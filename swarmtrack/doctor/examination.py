@@ -10,7 +10,7 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
-from swarmtrack.diagnosis import mounting, sources, surroundings
+from swarmtrack.diagnosis import autopilot_limits, mounting, sources, surroundings
 from swarmtrack.diagnosis.findings import Finding, of_camera, skipped
 from swarmtrack.diagnosis.mounting import MountFacts
 from swarmtrack.diagnosis.surroundings import DetectorFacts
@@ -33,7 +33,8 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     simulation = make_simulation(config, clock)
     mounts = [_mount(section, simulation) for section in config.cameras]
     network = asyncio.create_task(team.ask(config, clock, min(seconds, NETWORK_SECONDS)))
-    watched = await SensorWatch(config, [facts.mounted for facts in mounts], clock, simulation).run(seconds)
+    watch = SensorWatch(config, [facts.mounted for facts in mounts], clock, simulation)
+    watched = await watch.run(seconds)
     several = len(mounts) > 1
 
     def named(number: int, found: list[Finding]) -> list[Finding]:
@@ -48,6 +49,10 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
         findings += named(number, found)
     findings += sources.check_autopilot(watched.autopilot)
     findings += sources.check_door(config.autopilot.link, signed=config.autopilot.signing_key is not None)
+    place = config.formation.parameters(config.drone.id)
+    if watch.parameters is not None and place is not None:
+        told = watch.parameters
+        findings += autopilot_limits.check_limits(told.kind, told.values, place.limits)
     if watched.autopilot.wanted and not watched.autopilot.refused:
         findings += sources.check_imu(watched.imu)
         findings += sources.check_pose(watched.pose)

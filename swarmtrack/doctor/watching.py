@@ -14,6 +14,7 @@ import numpy as np
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.clock import Clock
 from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
+from swarmtrack.diagnosis.autopilot_limits import asked_of
 from swarmtrack.diagnosis.mounting import MotionFacts
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts, PoseFacts
 from swarmtrack.errors import SwarmtrackError
@@ -23,6 +24,8 @@ from swarmtrack.runtime.assembly import make_autopilot, make_camera
 from swarmtrack.sensors.base import Autopilot, AutopilotListener, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.mavlink.address import is_recording
+from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.parameters import ParameterReader
 
 if TYPE_CHECKING:
     from swarmtrack.sensors.simulated import Simulation
@@ -194,6 +197,13 @@ class SensorWatch:
         except SwarmtrackError as error:
             self._autopilot_refused = str(error)
         self.heard = SampleCollector()
+        self.parameters: ParameterReader | None = None
+        """Of the autopilot, where the agent may fly the drone."""
+        if config.formation.parameters(config.drone.id) is not None and isinstance(
+            self._autopilot, MavlinkAutopilot
+        ):
+            self.parameters = ParameterReader(asked_of)
+            self._autopilot.read_parameters(self.parameters)
 
     def motion(self, camera: int) -> ImageMotion | None:
         """How the picture of a camera has moved so far."""

@@ -15,18 +15,30 @@ ParameterValue = int | float
 
 # Values as a fresh ArduCopter 4.7 and a fresh PX4 1.15 have them.
 ARDUPILOT_PARAMETERS: Mapping[str, ParameterValue] = {
+    "FENCE_ACTION": 1,
+    "FENCE_ENABLE": 0,
+    "FENCE_RADIUS": 300.0,
+    "FENCE_TYPE": 7,
     "FRAME_CLASS": 1,
     "GUID_TIMEOUT": 3.0,
     "INS_GYRO_FILTER": 20,
     "SCHED_LOOP_RATE": 400,
+    "WPNAV_SPEED": 1000.0,
     "WP_YAW_BEHAVIOR": 2,
 }
 PX4_PARAMETERS: Mapping[str, ParameterValue] = {
+    "COM_OBL_RC_ACT": 0,
     "COM_OF_LOSS_T": 1.0,
+    "COM_RC_OVERRIDE": 1,
+    "GF_ACTION": 2,
+    "GF_MAX_HOR_DIST": 0.0,
     "IMU_GYRO_CUTOFF": 40.0,
     "IMU_GYRO_RATEMAX": 400,
     "IMU_INTEG_RATE": 200,
     "MIS_TAKEOFF_ALT": 2.5,
+    "MPC_XY_VEL_MAX": 12.0,
+    "MPC_Z_VEL_MAX_DN": 1.5,
+    "MPC_Z_VEL_MAX_UP": 3.0,
 }
 ASKED_BY_NAME = -1
 NO_NUMBER = 0xFFFF  # ArduPilot's in the answer to a question by name

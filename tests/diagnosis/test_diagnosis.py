@@ -11,6 +11,7 @@ import pytest
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import MountedCamera, load_config
+from swarmtrack.diagnosis.autopilot_limits import check_limits, unheard
 from swarmtrack.diagnosis.findings import FAULTS, Finding, Level, markdown_table, worst
 from swarmtrack.diagnosis.mounting import (
     MotionFacts,
@@ -47,6 +48,7 @@ from swarmtrack.diagnosis.surroundings import (
 from swarmtrack.diagnosis.tracking import check_tracking
 from swarmtrack.doctor import machine
 from swarmtrack.doctor.team import _multicast
+from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
@@ -115,7 +117,12 @@ def late(age_ms):
 
 
 RIGHT = Consistency(2.0, 1.5, 2.5)
+# All but GUID_TIMEOUT, of an ArduCopter.
+WELL_SET = {"FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_RADIUS": 60, "WPNAV_SPEED": 400}
 PRODUCED = {
+    "limits.unsafe": lambda: check_limits(3, {**WELL_SET, "GUID_TIMEOUT": 3.0}, FlightLimits()),
+    "limits.silent": lambda: unheard("searching: port open, 0 bytes"),
+    "limits.unknown": lambda: check_limits(3, WELL_SET, FlightLimits()),
     "camera.address": lambda: check_camera(CameraFacts(8.0, 0.5, refused="camera source x: unknown scheme")),
     "camera.missing": lambda: camera("/dev/video7 is not there, and no other /dev/video*", ok=False, frames=0),
     "camera.forbidden": lambda: camera("/dev/video0: permission denied; run `sudo …`", ok=False, frames=0),

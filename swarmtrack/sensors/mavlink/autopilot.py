@@ -33,6 +33,7 @@ from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.gyro_delay import GyroDelays
 from swarmtrack.sensors.mavlink.link_state import LOST_AFTER, LinkState, State
 from swarmtrack.sensors.mavlink.links import Link, LinkDown, Wire, open_link
+from swarmtrack.sensors.mavlink.parameters import ParameterReader
 from swarmtrack.sensors.mavlink.pilot_switch import RC_CHANNELS, REPORTS_HZ, PilotSwitch
 from swarmtrack.sensors.mavlink.signing import Codec, read_key
 from swarmtrack.sensors.mavlink.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, Answer, StreamRequests
@@ -148,9 +149,21 @@ class MavlinkAutopilot:
         if engagement is not None:
             self._readers[CURRENT_MODE] = engagement.on_current_mode
             self._readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
+        self._parameters: ParameterReader | None = None
         self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES)
         self._next_heartbeat = self._next_tick = -math.inf
         self._greeted = False
+
+    def read_parameters(self, reader: ParameterReader) -> None:
+        """Before `run`: these are asked for as well."""
+        self._parameters = reader
+        before = self._readers[common.MAVLINK_MSG_ID_PARAM_VALUE]
+
+        def on_value(t: float, m: Any) -> None:
+            before(t, m)
+            reader.on_value(t, m)
+
+        self._readers[common.MAVLINK_MSG_ID_PARAM_VALUE] = on_value
 
     # ── running ──────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -213,7 +226,10 @@ class MavlinkAutopilot:
         contact = self._contact
         if contact.system is None or now - contact.heard_at > LOST_AFTER:
             return
-        for message in self._requests.tick(now, contact.system) + self._gyro_delays.tick(now, contact.system):
+        asked = self._requests.tick(now, contact.system) + self._gyro_delays.tick(now, contact.system)
+        if self._parameters is not None:
+            asked += self._parameters.tick(now, contact.system)
+        for message in asked:
             self._send(message)
         self._telemetry.ask_time(now)
 
@@ -376,6 +392,8 @@ class MavlinkAutopilot:
             contact.known_at = t
             log.info("%s: found autopilot %d", self._link.address, frame.system)
             self._gyro_delays.meet(message.autopilot)
+            if self._parameters is not None:
+                self._parameters.meet(message.autopilot)
             self._check_line()
             return True
         if len(contact.others) < NAMED_SOURCES:

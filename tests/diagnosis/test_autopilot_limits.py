@@ -1,0 +1,173 @@
+"""What an autopilot does by itself where its agent fails: judged by its parameters, which are read, never written."""
+
+import asyncio
+import math
+import struct
+import time
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from support.autopilot_flight import Flight
+from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
+from support.ports import free_port
+from swarmtrack.agents.main import main
+from swarmtrack.diagnosis.autopilot_limits import ARDUPILOT, DEMANDS, PX4, asked_of, check_limits
+from swarmtrack.diagnosis.findings import Level
+from swarmtrack.formation.parameters import FlightLimits
+from swarmtrack.sensors.mavlink.parameters import ATTEMPTS, ParameterReader
+
+LIMITS = FlightLimits()
+GOOD = {
+    ARDUPILOT: {
+        "GUID_TIMEOUT": 1.0, "FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_RADIUS": 60.0,
+        "WPNAV_SPEED": 400.0,
+    },
+    PX4: {
+        "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 3, "GF_ACTION": 2, "GF_MAX_HOR_DIST": 60.0,
+        "MPC_XY_VEL_MAX": 4.0, "MPC_Z_VEL_MAX_UP": 2.0, "MPC_Z_VEL_MAX_DN": 1.5,
+    },
+}  # fmt: skip
+BAD = [
+    (ARDUPILOT, "GUID_TIMEOUT", 3.0, "set GUID_TIMEOUT to 1"),
+    (ARDUPILOT, "GUID_TIMEOUT", 0.0, "set GUID_TIMEOUT to 1"),
+    (ARDUPILOT, "FENCE_ENABLE", 0, "set FENCE_ENABLE to 1"),
+    (ARDUPILOT, "FENCE_ACTION", 0, "only reports"),
+    (ARDUPILOT, "FENCE_TYPE", 4, "set FENCE_TYPE to 3"),
+    (ARDUPILOT, "FENCE_RADIUS", 300.0, "set FENCE_RADIUS to 70"),
+    (ARDUPILOT, "WPNAV_SPEED", 1000.0, "set WPNAV_SPEED to 500"),
+    (PX4, "COM_OF_LOSS_T", 5.0, "set COM_OF_LOSS_T to 1"),
+    (PX4, "COM_OBL_RC_ACT", 7, "7 (Disarm)"),
+    (PX4, "COM_OBL_RC_ACT", 3, "3 (Return)"),
+    (PX4, "COM_RC_OVERRIDE", 1, "sticks"),
+    (PX4, "GF_ACTION", 4, "set GF_ACTION to 2"),
+    (PX4, "GF_MAX_HOR_DIST", 0.0, "set GF_MAX_HOR_DIST to 70"),
+    (PX4, "MPC_XY_VEL_MAX", 12.0, "set MPC_XY_VEL_MAX to 5"),
+]
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_an_autopilot_that_is_set_well_is_ok(kind):
+    (finding,) = check_limits(kind, GOOD[kind], LIMITS)
+    assert finding.level is Level.OK
+
+
+@pytest.mark.parametrize(("kind", "name", "value", "said"), BAD)
+def test_what_is_set_badly_is_said_with_the_value_to_set(kind, name, value, said):
+    (finding,) = check_limits(kind, GOOD[kind] | {name: value}, LIMITS)
+    assert finding.level is Level.WARNING
+    assert finding.found.startswith(f"{name} is {value:g}")
+    assert said in f"{finding.found} -> {finding.remedy}"
+
+
+@pytest.mark.parametrize("kind", DEMANDS)
+def test_what_is_not_told_is_said(kind):
+    (finding,) = check_limits(kind, {}, LIMITS)
+    assert all(name in finding.found for name in asked_of(kind))
+
+
+def test_of_other_autopilots_and_of_none_nothing_is_demanded():
+    assert check_limits(common.MAV_AUTOPILOT_GENERIC, {}, LIMITS) == []
+    assert check_limits(None, {}, LIMITS) == []
+
+
+def value(name, number, kind=common.MAV_PARAM_TYPE_REAL32):
+    return common.MAVLink_param_value_message(name.encode(), number, kind, 9, 0)
+
+
+def test_a_whole_number_of_px4_is_read_from_its_bits_and_that_of_ardupilot_is_a_number():
+    bits = struct.unpack("<f", struct.pack("<i", 3))[0]
+    for kind, name, sent in ((PX4, "COM_RC_OVERRIDE", bits), (ARDUPILOT, "FENCE_TYPE", 3.0)):
+        reader = ParameterReader(asked_of)
+        reader.meet(kind)
+        reader.on_value(0.0, value(name, sent, common.MAV_PARAM_TYPE_INT32))
+        assert reader.values == {name: 3.0}
+
+
+def test_what_nobody_asked_for_and_what_is_no_number_is_passed_over():
+    reader = ParameterReader(asked_of)
+    reader.on_value(0.0, value("GUID_TIMEOUT", 1.0))
+    reader.meet(ARDUPILOT)
+    reader.on_value(0.0, value("GUID_TIMEOUT", math.nan))
+    reader.on_value(0.0, value("GUID_TIMEOUT", math.inf))
+    reader.on_value(0.0, value("ARMING_CHECK", 1.0))
+    assert reader.values == {}
+
+
+async def test_each_is_asked_for_until_it_is_told_or_was_asked_for_often_enough():
+    """The first answers are lost, and one parameter does not exist."""
+    autopilot = FakeAutopilot()
+    del autopilot.parameters.values["FENCE_TYPE"]
+    asked = []
+    answers = autopilot.parameters.answers
+
+    def lossy(message):
+        if message.get_type() == "PARAM_REQUEST_READ":
+            asked.append(message.param_id)
+        # The first answer to each question is lost.
+        return answers(message) if asked.count(message.param_id) > 1 else iter(())
+
+    autopilot.parameters.answers = lossy
+    flight = Flight(autopilot)
+    reader = ParameterReader(asked_of)
+    flight.unit.read_parameters(reader)
+    async with flight:
+        flight.fly(6.0)
+        async with asyncio.timeout(1.0):
+            await reader.done()
+    assert set(reader.values) >= {"GUID_TIMEOUT", "FENCE_ENABLE"}
+    assert "FENCE_TYPE" not in reader.values
+    assert asked.count("FENCE_TYPE") == ATTEMPTS
+    assert autopilot.parameters.written == 0
+
+
+CONFIG = """
+[team]
+airframe_span_m = 0.5
+share = "velocity"
+[drone]
+id = {id}
+start = {{ position_m = [0.0, 0.0, 0.0], position_sigma_m = 0.3 }}
+[camera]
+source = "detections://127.0.0.1:9/2"
+intrinsics = {{ fx = 430.0, fy = 430.0, cx = 319.5, cy = 239.5, width = 640, height = 480 }}
+[autopilot]
+link = "{link}"
+[network]
+transport = "memory"
+[formation]
+leader = 1
+[formation.slots]
+2 = [-4.0, 3.0, -1.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("make", "said"), [(FakeAutopilot, "set GUID_TIMEOUT to 1"), (FakePx4, "set COM_RC_OVERRIDE to 3")]
+)
+async def test_config_check_asks_the_autopilot_over_its_link_and_writes_nothing(tmp_path, capsys, make, said):
+    port = free_port()
+    config = tmp_path / "drone.toml"
+    config.write_text(CONFIG.format(id=2, link=f"udpin:127.0.0.1:{port}"))
+    autopilot = make(boot_at=time.monotonic() - 40.0)
+    async with serve_udp(autopilot, "127.0.0.1", port):
+        code = await asyncio.to_thread(main, ["config", "check", str(config), "--autopilot"])
+    assert code == 0
+    assert said in capsys.readouterr().out
+    assert autopilot.parameters.written == 0
+
+
+@pytest.mark.parametrize(("drone", "said"), [(1, "follows nobody"), (2, "nobody to be asked")])
+def test_where_nobody_is_to_be_asked_it_says_so(tmp_path, capsys, drone, said):
+    config = tmp_path / "drone.toml"
+    config.write_text(CONFIG.format(id=drone, link="none"))
+    assert main(["config", "check", str(config), "--autopilot"]) == 0
+    assert said in capsys.readouterr().out
+
+
+def test_an_autopilot_that_is_not_there_is_a_failure_with_a_remedy(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("swarmtrack.doctor.limits.read_limits.__defaults__", (0.3,))
+    config = tmp_path / "drone.toml"
+    config.write_text(CONFIG.format(id=2, link=f"udpin:127.0.0.1:{free_port()}"))
+    assert main(["config", "check", str(config), "--autopilot"]) == 1
+    assert "no autopilot to be asked" in capsys.readouterr().out
