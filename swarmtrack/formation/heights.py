@@ -37,6 +37,10 @@ AGREES_M = 0.25
 DRIFT, CLIMB, CONSTANT, LEAN, RANGE = range(5)
 
 
+# m: no height is measured better; and no teammate that is seen is farther, and no height more wrong.
+LEAST_SIGMA_M, FARTHEST_M = 0.01, 1e4
+
+
 class HeightDrift(NamedTuple):
     """off [m]: by how much the own height seems too high against a teammate's; sigma [m]; said: it is worth a word."""
 
@@ -56,16 +60,16 @@ class HeightWatch:
 
     def see(self, sights: Iterable[HeightSight], t: float) -> None:
         """Of teammates that are surely named; the same sight twice counts once. t [s]: now."""
+        if any(abs(t - row.taken_t) > STALE_S for row in self._rows.values()):
+            self._rows = {drone: row for drone, row in self._rows.items() if abs(t - row.taken_t) <= STALE_S}
         for sight in sights:
-            if not all(map(math.isfinite, sight[2:])):
+            if not _is_possible(sight) or not abs(t - sight.t) <= STALE_S:
                 continue
             row = self._rows.get(sight.drone_id)
             if row is None or row.word != sight.word:
                 self._rows[sight.drone_id] = _Row(sight)
             elif row.t < sight.t:
                 row.see(sight)
-        if any(t - row.taken_t > STALE_S for row in self._rows.values()):
-            self._rows = {drone: row for drone, row in self._rows.items() if t - row.taken_t <= STALE_S}
 
     def knows(self, drone_id: int) -> bool:
         """Whether a drift against that teammate is being watched."""
@@ -142,3 +146,13 @@ class _Row:
         Q[DRIFT, CLIMB] = Q[CLIMB, DRIFT] = q * dt**2 / 2.0
         self.x = F @ self.x
         self.P = F @ self.P @ F.T + Q
+
+
+def _is_possible(sight: HeightSight) -> bool:
+    """Whether these are numbers that a scan could tell; NaN fails every comparison."""
+    lengths = (sight.sigma, sight.level, sight.lever)
+    return (
+        abs(sight.off) < FARTHEST_M
+        and all(0.0 <= length < FARTHEST_M for length in lengths)
+        and sight.sigma >= LEAST_SIGMA_M
+    )
