@@ -90,6 +90,8 @@ class EgoPose:
     position (3,) m, None where the autopilot knows its attitude only (ArduPilot before its EKF has an origin);
     world_from_body (3, 3). position_sigma [m]: standard deviation north and east; vertical_sigma [m]: down, None where
     it is the same. attitude_sigma [rad]: of the tilt, per axis; how well the heading is known, `EgoHistory` says.
+    ground [m]: how far below the drone its range finder has just measured the ground, or what is there; None with most
+    poses.
     """
 
     t: float
@@ -98,6 +100,7 @@ class EgoPose:
     position_sigma: float = 0.1
     attitude_sigma: float = ASSUMED_TILT
     vertical_sigma: float | None = None
+    ground: float | None = None
 
     def __post_init__(self) -> None:
         if self.position is not None:

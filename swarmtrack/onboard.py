@@ -69,6 +69,7 @@ from swarmtrack.motion.picture_turn import MountingNews, PictureTurns
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
+from swarmtrack.relative.heights import HeightSight, SaidHeights
 from swarmtrack.relative.looks import NamedBox, TeamLook
 from swarmtrack.relative.parallax import FarOff
 from swarmtrack.relative.parameters import RelativeParameters
@@ -88,6 +89,8 @@ MAX_SILENCE = 1.0
 DOUBTED_M = 1000.0
 # Of the own codes, so many are kept; and s, from whose difference the velocity of a sway is taken.
 MOST_CODES, SWAY_S = 32, 0.05
+# s: a measurement of the range finder that is older tells nothing of the ground that is below now.
+OLDEST_GROUND_S = 1.0
 # m/s per axis: nobody whose name is not known is taken to be calmer. Who has hovered for long and then comes straight
 # on grows in the image, and no more; a filter that knows it to be calm takes that for an error of its boxes.
 STRANGERS_SPEED = 1.0
@@ -135,6 +138,13 @@ class _Picture(NamedTuple):
 
     detections: Detections
     orientation: Orientation
+
+
+class GroundBelow(NamedTuple):
+    """Where the range finder found the ground at t [s]: m, down in the team frame."""
+
+    t: float
+    down: float
 
 
 class OnboardCamera(NamedTuple):
@@ -200,6 +210,9 @@ class Onboard:
         self._far_off = FarOff()
         self._frames = Frames(drone_id, relative)
         self._range_watch = RangeWatch()
+        self._said_heights = SaidHeights()
+        self._height_sights: tuple[HeightSight, ...] = ()
+        self._ground: GroundBelow | None = None
         self._own_codes: deque[AgreedMotion] = deque(maxlen=MOST_CODES)
         self._drone_id = drone_id
         self._consensus = Consensus()
@@ -227,6 +240,7 @@ class Onboard:
                 self._settle()
             case EgoPose():
                 self._ego.append(event)
+                self._see_ground(event)
                 if self._doubted:
                     # Where its place goes on from it is not, it seems: what is left is its autopilot's word.
                     self._ego.believe_leaps()
@@ -240,11 +254,13 @@ class Onboard:
                 self._settle()
             case SightingReport():
                 self._identities.on_report(event)
+                self._said_heights.hear_sightings(event)
                 self._compare(event)
                 self._hear_place(event)
             case MotionReport():
                 self._identities.on_motion(event)
                 if event.drone_id != self._drone_id:
+                    self._said_heights.hear_motion(event)
                     self._relative.hear_motion(self._frames.motion_in_ours(event))
             case RangeReport():
                 self._hear_range(event)
@@ -265,6 +281,7 @@ class Onboard:
                 self._watch_clash(event)
                 if isinstance(event, IdClash | PeerExpelled):
                     self._relative.forget(event.drone_id)
+                    self._said_heights.forget(event.drone_id)
             case AutopilotRebooted():
                 self._ego.restart()
                 self._bias.restart()
@@ -374,7 +391,20 @@ class Onboard:
             clash=bool(self._clashing),
             doubted=self._doubted,
             sways=self._own_sway(now),
+            ground=self._ground_below(now, pose.position[2] + way[2]),
+            height_sights=self._height_sights,
         )
+
+    def _see_ground(self, pose: EgoPose) -> None:
+        here = self._ego.at(pose.t) if pose.ground else None
+        if here is not None and pose.ground is not None:
+            self._ground = GroundBelow(pose.t, float(here.position[2]) + pose.ground)
+
+    def _ground_below(self, now: float, down: float) -> float | None:
+        """m below a drone that is at `down` [m], by its range finder; None where that said nothing lately."""
+        ground = self._ground
+        fresh = ground is not None and 0.0 <= now - ground.t <= OLDEST_GROUND_S
+        return float(ground.down - down) if ground is not None and fresh else None
 
     def _own_sway(self, now: float) -> OwnSway:
         """By its code, where it sways just now."""
@@ -614,7 +644,9 @@ class Onboard:
         self._relative.observe(look)
         first = observer.pose @ self._mounting.body_from_camera
         own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))
-        return _with_places(tracks, self._relative.at(observer.t, own))
+        states = self._relative.at(observer.t, own)
+        self._height_sights = self._said_heights.sights(look, states)
+        return _with_places(tracks, states)
 
     def _placed(self, tracks: tuple[IdentifiedTrack, ...], now: float) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, and where those are by now that are teammates: the own camera has flown on, too."""

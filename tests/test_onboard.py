@@ -536,3 +536,14 @@ def test_what_another_drone_s_radio_measures_is_not_ours():
     _, state, _ = ranged_flight(lambda t: 37.0**0.5, of=3)
     assert (state.position == honest.position).all()
     assert state.sources == honest.sources
+
+
+def test_the_ground_is_where_the_range_finder_found_it_for_a_second_however_the_drone_climbs():
+    drone = onboard()
+    for k in range(26):
+        t = 0.02 * k
+        climbed = np.array([0.0, 0.0, -3.0 - t])
+        drone.tell(EgoPose(t, climbed, np.eye(3), ground=3.2 if k == 0 else None))
+    assert drone.own_flight(0.5).ground == pytest.approx(3.7, abs=0.05)
+    assert drone.own_flight(1.1).ground is None
+    assert onboard().own_flight(0.0).ground is None

@@ -16,6 +16,7 @@ import numpy as np
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
 from swarmtrack.formation.setpoint import OwnFlight, Setpoint, Velocity
 from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, Track, TrackStatus
+from swarmtrack.relative.heights import HeightSight
 
 Story = tuple[dict[int, RelativeState], OwnFlight, list[IdentifiedTrack], float]
 
@@ -88,7 +89,17 @@ class Stories:
             clash=flags[0],
             doubted=flags[1],
             clock_known=not flags[2],
+            ground=float(self._numbers(1, 5.0, odd=odd)[0]) if rng.random() < 0.5 else None,
+            height_sights=self._sights(odd=odd),
         )
+
+    def _sights(self, *, odd: bool) -> tuple[HeightSight, ...]:
+        """Of drone 1, mostly of now."""
+        if self._rng.random() < 0.3:
+            return ()
+        off, late, *lengths = self._numbers(5, 1.0, odd=odd).tolist()
+        sigma, level, lever = map(abs, lengths)
+        return (HeightSight(1, "a moved", self._t + 0.01 * late, off, sigma, 5.0 * level, lever),)
 
     def _triple(self, scale: float, *, odd: bool) -> Velocity:
         north, east, down = self._numbers(3, scale, odd=odd).tolist()

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,7 +62,12 @@ FAULTS = (
     ("leaders-clock-2-h", Failure(fault=Fault.CLOCK, victim=LEADER, begins_s=-math.inf)),
     ("gps-glitch", Failure(fault=Fault.GLITCH, victim=VICTIM, ends_s=30.0)),
     ("leaders-gps-glitch", Failure(fault=Fault.GLITCH, victim=LEADER, ends_s=30.0)),
+    ("drift-height-0.1", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.1)),
+    ("drift-height-0.3", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.3)),
+    ("not-obeyed", Failure(fault=Fault.PUSHED, victim=VICTIM, speed_m_s=1.0)),
 )
+# Which fault is to be found, and as what.
+WATCHED = {Fault.HEIGHT_DRIFT: Why.HEIGHT_DOUBT, Fault.PUSHED: Why.DIVERGES}
 FLIGHTS = {
     plan.name: plan
     for plan in (
@@ -80,21 +85,40 @@ FLIGHTS = {
         FlightPlan(name="intruder-2", drones=3, speed_m_s=0.0, intruder_m_s=2.0, ends_s=INTRUDED_ENDS_S),
         FlightPlan(name="ghosts", drones=3, ghosts=3),
         FlightPlan(name="ghosts-hover", drones=3, ghosts=3, speed_m_s=0.0, ends_s=40.0),
+        FlightPlan(
+            name="drift-height-0.3-ranged",
+            failure=Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.3),
+            range_finders=True,
+            ends_s=FAILED_ENDS_S,
+        ),
         *(FlightPlan(name=name, drones=3, failure=failure, ends_s=FAILED_ENDS_S) for name, failure in FAULTS),
     )
 }
 
 
+class Noticed(NamedTuple):
+    """after_s: from the beginning of a fault until its victim held by it, inf: never; drift_m: by how much its height
+    was wrong by then, of one that never noticed at the end; lowest_m: the least height of the victim."""
+
+    after_s: float
+    drift_m: float
+    lowest_m: float
+
+
 @dataclass(frozen=True, slots=True)
 class FlownFormation:
     """One flight. slots: how they were held, while the leader flew; held: share of that time in which a follower held;
-    farthest: m, that any was off its slot from being engaged on; gone: where the leader vanished."""
+    farthest: m, that any was off its slot from being engaged on; gone: where the leader vanished; noticed: by whom
+    something broke, and what became of it; alarmed: share of the time since they were engaged in which those that
+    nothing is wrong with found their height or their flight wrong."""
 
     seed: int
     slots: SlotErrors
     held: float
     farthest: float
     gone: LeaderGone | None = None
+    noticed: Noticed | None = None
+    alarmed: float = 0.0
 
 
 def fly(name: str, seed: int) -> FlownFormation:
@@ -119,7 +143,35 @@ def fly(name: str, seed: int) -> FlownFormation:
         sum(why is not Why.FOLLOW for why in whys) / max(len(whys), 1),
         float(slot_errors(t, team, beside, ENGAGED_S, plan.gone_s).errors.max(initial=0.0)),
         after_it_vanished(t, team[:, 1:], plan.gone_s) if math.isfinite(plan.gone_s) else None,
+        _noticed(flight) if plan.failure is not None and plan.failure.fault in WATCHED else None,
+        _alarmed(flight),
     )
+
+
+def _noticed(flight: FormationFlight) -> Noticed:
+    failure = flight.plan.failure
+    assert failure is not None
+    why, k = WATCHED[failure.fault], failure.victim - LEADER
+    t = next(
+        (one.t for one in flight.samples if one.t >= failure.begins_s and one.whys[k - 1] is why), math.inf
+    )
+    lowest = min(-float(one.positions[k, 2]) for one in flight.samples)
+    return Noticed(
+        t - failure.begins_s, flight.height_drift(failure.victim, min(t, flight.plan.ends_s)), lowest
+    )
+
+
+def _alarmed(flight: FormationFlight) -> float:
+    failure = flight.plan.failure
+    wrong = failure.victim - LEADER - 1 if failure is not None and failure.fault in WATCHED else None
+    whys = [
+        why
+        for one in flight.samples
+        if one.t >= ENGAGED_S
+        for k, why in enumerate(one.whys)
+        if k != wrong or (failure is not None and one.t < failure.begins_s)
+    ]
+    return sum(why in WATCHED.values() for why in whys) / max(len(whys), 1)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -167,7 +219,16 @@ def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
             "max": max(flight.farthest for flight in flown),
         },
         "held_share": float(np.mean([flight.held for flight in flown])),
+        "false_alarms": float(np.mean([flight.alarmed for flight in flown])),
     }
+    noticed = [flight.noticed for flight in flown if flight.noticed is not None]
+    if noticed:
+        row["noticed"] = {
+            "never": sum(math.isinf(one.after_s) for one in noticed),
+            "after_s": _middle_and_most([one.after_s for one in noticed]),
+            "drift_m": _middle_and_most([one.drift_m for one in noticed]),
+            "lowest_m": min(one.lowest_m for one in noticed),
+        }
     gone = [flight.gone for flight in flown if flight.gone is not None]
     if gone:
         row["leader_gone"] = {
@@ -180,11 +241,15 @@ def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
     return row
 
 
+def _middle_and_most(values: Sequence[float]) -> dict[str, float]:
+    return {"p50": float(np.median(values)), "max": max(values)}
+
+
 def _markdown(rows: Iterable[dict[str, Any]]) -> str:
     rows = list(rows)
     header = [
         "flight", "runs", "error p50, p95 m", "end p95 m", "smallest separation m", "runs below 1.5 m",
-        "farthest off m, p50, max", "runs with a lost follower", "held",
+        "farthest off m, p50, max", "runs with a lost follower", "held", "false alarms",
     ]  # fmt: skip
     cells = [
         [
@@ -197,6 +262,7 @@ def _markdown(rows: Iterable[dict[str, Any]]) -> str:
             f"{row['farthest_off_m']['p50']:.1f}, {row['farthest_off_m']['max']:.1f}",
             str(row["runs_with_a_lost_follower"]),
             f"{row['held_share']:.1%}",
+            f"{row['false_alarms']:.2%}",
         ]
         for row in rows
     ]
@@ -208,4 +274,17 @@ def _markdown(rows: Iterable[dict[str, Any]]) -> str:
         for row in rows
         if "leader_gone" in row
     ]
+    lines += [_noticed_in_words(row) for row in rows if "noticed" in row]
     return "\n\n".join(["# Formation by sight", report.table(header, cells), *lines])
+
+
+def _noticed_in_words(row: dict[str, Any]) -> str:
+    noticed = row["noticed"]
+    after, drift = noticed["after_s"], noticed["drift_m"]
+    height = (
+        f", {drift['p50']:.2f} m off in height by then, at most {drift['max']:.2f} m" if drift["max"] else ""
+    )
+    return (
+        f"{row['flight']}: noticed after {after['p50']:.1f} s, at most {after['max']:.1f} s{height}; never in "
+        f"{noticed['never']} of {row['runs']}; lowest {noticed['lowest_m']:.1f} m."
+    )

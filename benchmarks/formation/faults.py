@@ -24,6 +24,7 @@ from swarmtrack.messages import (
     PeerDeparted,
     SightingReport,
 )
+from swarmtrack.simulation.response import Triple
 from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.simulation.sensors import EgoParameters
 from swarmtrack.transport.sender_clock import (
@@ -52,16 +53,19 @@ class Fault(enum.Enum):
     REBOOT = "its autopilot is silent, and comes back with a new frame; its pilot engages it again"
     CLOCK = "its wall clock is two hours off, from the beginning"
     GLITCH = "its autopilot's position leaps by ten metres, and back"
+    HEIGHT_DRIFT = "its autopilot believes that it climbs, and flies by that"
+    PUSHED = "it flies otherwise than its autopilot is told, level"
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """A fault, of the drone `victim`, from begins_s to ends_s, world time."""
+    """A fault, of the drone `victim`, from begins_s to ends_s, world time. speed_m_s: of a drift, or of a push."""
 
     fault: Fault
     victim: int
     begins_s: float = 20.0
     ends_s: float = math.inf
+    speed_m_s: float = 0.0
 
     def lasts(self, now: float) -> bool:
         return self.begins_s <= now < self.ends_s
@@ -113,6 +117,27 @@ class FailingSwarm(VirtualSwarm):
             for sender, receiver in silent:
                 self.onboard(receiver).tell(PeerArrived(sender, f"{sender:08x}"))
 
+    def flown_as_told(self, drone_id: int, told: Triple, now: float) -> Triple:
+        """What an autopilot makes of a velocity [m/s], NED, that it is told."""
+        north, east, down = told
+        failure = self.failure
+        if failure is None:
+            return told
+        if self._is(Fault.HEIGHT_DRIFT, now, drone_id):
+            # It holds the height that it believes in, and sinks.
+            return north, east, down + failure.speed_m_s
+        if self._is(Fault.PUSHED, now, drone_id):
+            way = self.scenario.world.chance("push", drone_id).uniform(-math.pi, math.pi)
+            return north + failure.speed_m_s * math.cos(way), east + failure.speed_m_s * math.sin(way), down
+        return told
+
+    def height_drift(self, drone_id: int, now: float) -> float:
+        """m: by how much its autopilot believes to be higher than it is."""
+        failure = self.failure
+        if failure is None or failure.fault is not Fault.HEIGHT_DRIFT or failure.victim != drone_id:
+            return 0.0
+        return failure.speed_m_s * max(min(now, failure.ends_s) - failure.begins_s, 0.0)
+
     def engagement_of(self, drone_id: int, engaged_s: float, now: float) -> int:
         """How often its pilot has engaged it by now; 0: it is not."""
         failure = self.failure
@@ -139,6 +164,9 @@ class FailingSwarm(VirtualSwarm):
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
         pose = super()._pose(drone_id, index)
+        drift = self.height_drift(drone_id, pose.t)
+        if drift and pose.position is not None:
+            pose = dataclasses.replace(pose, position=pose.position - (0.0, 0.0, drift))
         if not self._is(Fault.GLITCH, pose.t, drone_id):
             return pose
         way = self.scenario.world.chance("glitch", drone_id).uniform(-math.pi, math.pi)

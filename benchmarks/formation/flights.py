@@ -20,7 +20,7 @@ from swarmtrack.follower import Engagement, Follower
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters, Place
 from swarmtrack.formation.setpoint import Why
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, Detections
+from swarmtrack.messages import Array, Detections, EgoPose
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.simulation.airframe import Airframe
@@ -42,6 +42,8 @@ from swarmtrack.simulation.world import World
 LEADER, INTRUDER = 1, 99
 HEIGHT_M = 8.0
 COMMAND_HZ = 10.0
+# Poses, of which one comes with what the range finder measures.
+GROUND_EVERY = 5
 JUDGE_HZ = 20.0
 FPS, LATENCY_S, IMU_HZ = 20.0 / 3.0, 0.15, 50.0
 START_SIGMA_M = 0.3
@@ -68,7 +70,8 @@ class FlightPlan:
     size_drone, size_white: how far boxes are off, from drone to drone and from frame to frame, as shares. gone_s: when
     the leader vanishes from everybody's sight, world time; intruder_m_s: as fast a drone that is nobody's flies through
     the slot of the first follower, 0: there is none, while the leader hovers; sure: of names, see the law's parameters.
-    ghosts: in front of each follower, parts of houses that look like drones at 3 to 7 m; failure: what breaks.
+    ghosts: in front of each follower, parts of houses that look like drones at 3 to 7 m; failure: what breaks;
+    range_finders: all have one that looks down.
     """
 
     name: str
@@ -87,6 +90,7 @@ class FlightPlan:
     ends_s: float = ENDS_S
     ghosts: int = 0
     failure: Failure | None = None
+    range_finders: bool = False
 
 
 class FlightSample(NamedTuple):
@@ -168,7 +172,8 @@ class FormationFlight(FailingSwarm):
             # It stays where its pilot has it.
             drone.tell(now, SetPoint(now))
             return
-        drone.tell(now, SetPoint(now, velocity=told.velocity, yaw_rate=told.yaw_rate))
+        flown = self.flown_as_told(drone_id, told.velocity, now)
+        drone.tell(now, SetPoint(now, velocity=flown, yaw_rate=told.yaw_rate))
 
     def _intrude(self, now: float) -> None:
         intruder = self.scenario.world.drones.get(INTRUDER)
@@ -201,6 +206,12 @@ class FormationFlight(FailingSwarm):
             return False
         seen = visible(scenario.world, LEADER + 1, scenario.camera, scenario.body_from_camera, now)
         return INTRUDER in seen
+
+    def _pose(self, drone_id: int, index: int) -> EgoPose:
+        pose = super()._pose(drone_id, index)
+        if not self.plan.range_finders or index % GROUND_EVERY:
+            return pose
+        return replace(pose, ground=-float(self.scenario.world.flown(drone_id).position(pose.t)[2]))
 
     def _scan(self, drone_id: int, camera: int, index: int) -> None:
         if drone_id != LEADER and self._runs(drone_id, self.scenario.cameras[camera].exposure(index)):

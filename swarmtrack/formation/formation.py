@@ -33,9 +33,11 @@ from swarmtrack.formation.barrier import (
     nearest_velocity,
     sidestep,
 )
+from swarmtrack.formation.divergence import DivergenceWatch
+from swarmtrack.formation.heights import HeightWatch
 from swarmtrack.formation.law import SeenReference, added, displacement, saturated, towards, turn_rate
-from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.references import ReferenceWatch
+from swarmtrack.formation.parameters import FlightLimits, FormationParameters
+from swarmtrack.formation.references import DOUBTED, ReferenceWatch
 from swarmtrack.formation.setpoint import FASTEST_M_S, NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
 from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
@@ -69,6 +71,9 @@ FARTHEST_M = 1e3
 # What a busy computer or link delays for a moment: only where it lasts so long [s] it costs the references their trust.
 LATE, LATE_S = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA), 0.5
 
+# Where one of these holds it, what the autopilot says of its velocity is not how it flies.
+MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)
+
 HOLDS = {
     Why.OWN_POSE: "own position is old",
     Why.VAGUE: f"own position is known worse than {VAGUEST_PLACE_M:g} m",
@@ -79,6 +84,8 @@ HOLDS = {
     Why.HEADING: "heading has stepped",
     Why.LEAP: "own place has leapt",
     Why.CLOCK: "autopilot's clock is unknown",
+    Why.HEIGHT_DOUBT: "own height seems wrong",
+    Why.DIVERGES: "flies otherwise than told",
     Why.BROKEN: "no number came of it",
 }
 
@@ -116,6 +123,8 @@ class Formation:
         self._t: float | None = None
         self._engaged_at: Velocity | None = None
         self._at_height = False
+        self._heights = HeightWatch(self.parameters.references)
+        self._divergence = DivergenceWatch()
         self._berth: Berth | None = None
         self._bent_at = -math.inf
         self._flown = STILL
@@ -142,6 +151,7 @@ class Formation:
         why = _forbidden(own, self._cameras(own))
         if self._lasts(why, t):
             self._forget()
+        doubt = self._watched(own, tracks, why, t)
         if why in (Why.OWN_POSE, Why.VAGUE, Why.GYRO):
             return self._brake(t, dt, why)
         if self._engaged_at is None:
@@ -149,9 +159,12 @@ class Formation:
         error = slot = None
         if why is not None:
             wanted, text = STILL, HOLDS[why]
+        elif doubt is not None:
+            wanted, (why, text) = STILL, doubt
         elif trusted:
             slot = self._law(trusted, states, own)
             wanted, error = slot.wanted, math.hypot(*slot.error)
+            self._divergence.follow(t, slot.error, slot.velocity)
             why, text = Why.FOLLOW, f"{error:.1f} m off its slot"
         else:
             wanted, why, text = self._alone(t)
@@ -226,6 +239,23 @@ class Formation:
         for watch in self._watches:
             watch.restart()
         self._followed_at = -math.inf
+
+    def _watched(
+        self, own: OwnFlight, tracks: Sequence[IdentifiedTrack], why: Why | None, t: float
+    ) -> tuple[Why, str] | None:
+        """What the last seconds tell against flying on, whatever holds the drone now. It costs nobody's name."""
+        # What drifts contradicts the name's place, and costs it some of what made it sure.
+        sure = {
+            entry.identity
+            for entry in tracks
+            if isinstance(entry.identity, int)
+            and entry.identity_probability
+            > (DOUBTED if self._heights.knows(entry.identity) else self.parameters.sure)
+        }
+        self._heights.see((sight for sight in own.height_sights if sight.drone_id in sure), t)
+        self._divergence.see(t, self._flown, own.velocity, usable=why not in MOVES_UNKNOWN)
+        watches = (Why.HEIGHT_DOUBT, self._heights.doubt), (Why.DIVERGES, self._divergence.doubt(t))
+        return next(((doubt, text) for doubt, text in watches if text is not None), None)
 
     # ── the law ──────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -309,7 +339,7 @@ class Formation:
             own.position,
             here,
             radius=limits.fence_radius,
-            lowest=min(-limits.least_height, here[2] + limits.fence_height),
+            lowest=_lowest(limits, own, here),
             highest=here[2] - limits.fence_height,
             pull=limits.climb,
         )
@@ -423,6 +453,15 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
         (not any(_is_new(own.scan_ages[camera]) for camera in cameras), Why.CAMERA),
     )
     return next((why for holds, why in reasons if holds), None)
+
+
+def _lowest(limits: FlightLimits, own: OwnFlight, engaged: Velocity) -> float:
+    """m, down: nothing leads below. The highest of the fence's floor, of the least height by the own autopilot, and of
+    that above the ground that the range finder measures."""
+    floors = [-limits.least_height, engaged[2] + limits.fence_height]
+    if own.ground is not None and 0.0 <= own.ground < FARTHEST_M:
+        floors.append(own.position[2] + own.ground - limits.least_height)
+    return min(floors)
 
 
 def _is_new(scan_age: float) -> bool:

@@ -7,6 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from swarmtrack.relative.heights import HeightSight
+
 Velocity = tuple[float, float, float]
 STILL: Velocity = (0.0, 0.0, 0.0)
 # m from the team frame's origin, and m/s: no drone is beyond.
@@ -29,6 +31,8 @@ class Why(enum.StrEnum):
     DOUBT = "doubt"
     HEADING = "heading"
     LEAP = "leap"  # the own place has leapt
+    HEIGHT_DOUBT = "height_doubt"  # the own height drifts, or that of who is followed
+    DIVERGES = "diverges"  # it flies otherwise than it was told
     CLOCK = "clock"
     NOT_ENGAGED = "not_engaged"
     BROKEN = "broken"  # what came of it was no number
@@ -58,7 +62,9 @@ class OwnFlight:
     exposure of its newest scan that showed anything new, since the heading last stepped and since the place last leapt;
     inf where there was none.
     clash: another process speaks as this drone; doubted: what it sees tells that its own start or heading is wrong;
-    clock_known: the autopilot's clock is mapped. sways: as its code has it.
+    clock_known: the autopilot's clock is mapped. sways: as its code has it. ground [m]: what is below it, by the last
+    measurement of its range finder; None where there is none, or none of the last second. height_sights: of the last
+    scan, by which the own height is tried.
     """
 
     position: Velocity
@@ -74,6 +80,8 @@ class OwnFlight:
     doubted: bool = False
     clock_known: bool = True
     sways: OwnSway = NO_SWAY
+    ground: float | None = None
+    height_sights: tuple[HeightSight, ...] = ()
 
     @property
     def is_possible(self) -> bool:

@@ -100,6 +100,7 @@ FORMS: tuple[Form, ...] = (
             Entry("position_sigma", "position_sigma_m"),
             Entry("attitude_sigma", "attitude_sigma_rad"),
             Entry("vertical_sigma", "vertical_sigma_m", added=True),
+            Entry("ground", "ground_m", added=True, sparse=True),
         ),
     ),
     Form(

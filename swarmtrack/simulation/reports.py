@@ -18,6 +18,8 @@ from swarmtrack.simulation.truth import TrueState
 
 UNKNOWN_HEADING = 65535
 NOT_MEASURED = 0.0
+# cm: the nearest and the farthest that a range finder says that it measures.
+RANGE_FINDER_CM = (20, 5000)
 
 
 def _highres_imu(stamp: float, sensed: Inertial) -> Any:
@@ -71,6 +73,23 @@ def _gps_raw(stamp: float, sensed: SensedState) -> Any:
     )
 
 
+def _distance_sensor(stamp: float, sensed: SensedState) -> Any:
+    """In cm; a range finder that finds nothing is silent here."""
+    if sensed.ground is None:
+        return None
+    return common.MAVLink_distance_sensor_message(
+        _ms(stamp),
+        RANGE_FINDER_CM[0],
+        RANGE_FINDER_CM[1],
+        round(1e2 * sensed.ground),
+        common.MAV_DISTANCE_SENSOR_LASER,
+        0,
+        common.MAV_SENSOR_ROTATION_PITCH_270,
+        0,
+        signal_quality=100,
+    )
+
+
 def _sim_state(stamp: float, true: TrueState) -> Any:
     """ArduPilot's truth. It has no stamp; latitude and longitude are exact in its integer fields alone."""
     latitude, longitude, _ = _degrees_and_millimetres(true.place)
@@ -115,6 +134,7 @@ SENSED: dict[int, Callable[[float, SensedState], Any]] = {
     common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     common.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
+    common.MAVLINK_MSG_ID_DISTANCE_SENSOR: _distance_sensor,
 }
 """By message id, what writes it: of what was sensed at `stamp`, seconds since boot on the autopilot's own clock."""
 

@@ -38,7 +38,8 @@ class Inertial(NamedTuple):
 
 class SensedState(NamedTuple):
     """gyro (3,) rad/s and accel (3,) m/s², body FRD; q (w, x, y, z) world_from_body; position (3,) m, None while it
-    knows none, and velocity (3,) m/s in the autopilot's local frame, NED; gps: None while there is no fix."""
+    knows none, and velocity (3,) m/s in the autopilot's local frame, NED; gps: None while there is no fix; ground [m]:
+    along the downward beam of its range finder, None where it has none or finds nothing."""
 
     gyro: Array
     accel: Array
@@ -46,6 +47,7 @@ class SensedState(NamedTuple):
     position: Array | None
     velocity: Array
     gps: GpsFix | None = None
+    ground: float | None = None
 
 
 class LastingErrors(NamedTuple):
@@ -83,6 +85,7 @@ class DroneSenses:
     earth: where the world's origin lies on the Earth, None for a drone without GPS. GPS has one error for the whole
     flight, as it hardly changes within minutes: gps_sigma m north and east, gps_vertical_sigma m in height. The local
     frame has the axes of the world and its origin where the drone is at world time 0, as ArduPilot sets it at arming.
+    range_finder_m: how far a range finder that looks down sees, None: there is none; the ground is at world height 0.
     Noise is a function of the seed and of the time in milliseconds.
     """
 
@@ -97,6 +100,7 @@ class DroneSenses:
         earth: Geodetic | None = None,
         gps_sigma: float = 0.8,
         gps_vertical_sigma: float | None = None,
+        range_finder_m: float | None = None,
     ) -> None:
         self._world = world
         self._drone = world.flown(drone_id)
@@ -113,6 +117,7 @@ class DroneSenses:
         self.lasting_errors = LastingErrors(
             self._ego.heading_error, (0.0, 0.0, self._ego.height_error), tuple(self._gps_error.tolist())
         )
+        self._range_finder_m = range_finder_m
         self._position_from = -math.inf
         self._block: int | None = None
         self._noise = np.zeros((0, 4, 3))
@@ -135,6 +140,7 @@ class DroneSenses:
             position=position if located else None,
             velocity=motion.velocity,
             gps=self._fix(motion.position) if located else None,
+            ground=self._below(-float(motion.position[2]), float(motion.attitude[2, 2])),
         )
 
     def inertial(self, t: float) -> Inertial:
@@ -146,6 +152,13 @@ class DroneSenses:
             return None
         place = from_ned(position + self._gps_error, self._earth)
         return GpsFix(place, self._gps_sigma, self._gps_vertical_sigma)
+
+    def _below(self, height: float, upright: float) -> float | None:
+        """m along a beam that is as tilted as the drone; upright: cosine of that."""
+        if self._range_finder_m is None or upright <= 0.0:
+            return None
+        distance = max(height, 0.0) / upright
+        return distance if distance < self._range_finder_m else None
 
     def _white(self, ms: int) -> Array:
         """White noise of unit variance, (4, 3), of that millisecond of world time."""

@@ -23,8 +23,10 @@ from swarmtrack.messages import AutopilotRebooted, EgoPose, MotionReport, PeerAr
 class Told(FormationFlight):
     """A pair, of which the follower is drone 2; `heard` is what each was told, with the time."""
 
-    def __init__(self, fault, victim, ends_s=8.0, begins_s=5.0, lasts_s=1.0):
-        failure = Failure(fault=fault, victim=victim, begins_s=begins_s, ends_s=5.0 + lasts_s)
+    def __init__(self, fault, victim, ends_s=8.0, begins_s=5.0, lasts_s=1.0, speed_m_s=0.0):
+        failure = Failure(
+            fault=fault, victim=victim, begins_s=begins_s, ends_s=5.0 + lasts_s, speed_m_s=speed_m_s
+        )
         super().__init__(FlightPlan(name="pair", drones=2, ends_s=ends_s, failure=failure), seed=4)
         self.now = 0.0
         self.heard = {drone: [] for drone in (1, 2)}
@@ -113,6 +115,27 @@ def test_an_autopilot_that_reboots_is_silent_and_its_drone_is_not_flown_until_it
     assert whys[4.5] is not Why.NOT_ENGAGED
     assert {whys[t] for t in (6.0, 12.0, 18.0)} == {Why.NOT_ENGAGED}
     assert whys[21.0] is not Why.NOT_ENGAGED
+
+
+def test_a_drift_of_the_height_is_believed_and_flown_down_and_the_other_is_honest():
+    flight = Told(Fault.HEIGHT_DRIFT, 2, ends_s=15.0, lasts_s=100.0, speed_m_s=0.3)
+    samples = {round(sample.t, 1): sample for sample in flight.run()}
+    sunk = samples[14.0].positions[:, 2] - samples[5.0].positions[:, 2]
+    assert sunk == pytest.approx([0.0, 2.7], abs=0.4)
+    poses = [event for _, event in flight.heard[2] if isinstance(event, EgoPose)]
+    believed = {round(pose.t, 1): pose.position[2] for pose in poses}
+    assert believed[14.0] - believed[5.0] == pytest.approx(0.0, abs=0.4)
+    assert flight.height_drift(2, 14.0) == pytest.approx(2.7)
+    assert flight.height_drift(1, 14.0) == flight.height_drift(2, 4.0) == 0.0
+
+
+def test_a_push_is_flown_beside_what_is_told_and_its_drone_notices_and_holds():
+    flight = Told(Fault.PUSHED, 2, ends_s=12.0, lasts_s=100.0, speed_m_s=1.0)
+    samples = {round(sample.t, 1): sample for sample in flight.run()}
+    assert samples[5.0].whys[0] is not Why.DIVERGES
+    assert samples[11.0].whys == (Why.DIVERGES,)
+    moved = samples[11.5].positions[1] - samples[10.5].positions[1]
+    assert np.linalg.norm(moved[:2]) == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("victim", [1, 2])

@@ -8,6 +8,7 @@ from swarmtrack.formation.formation import AT_HEIGHT_M, FADED_S, HOLDS, MOST_ASI
 from swarmtrack.formation.references import ENTRY_S, UNSEEN_S
 from swarmtrack.formation.setpoint import STILL, OwnSway, Why
 from swarmtrack.messages import TrackStatus
+from swarmtrack.relative.heights import HeightSight
 
 
 @pytest.fixture
@@ -81,6 +82,8 @@ def test_a_command_begins_at_rest_and_changes_by_no_more_than_its_acceleration()
     assert first.yaw_rate == 0.0
     before = first.velocity
     for _ in range(40):
+        # As its autopilot flies it.
+        own = in_slot(velocity=before)
         velocity = flying.tell(own, {10: leader_from(own, velocity=(2.4, 0.0, 0.0))}, [track()]).velocity
         assert math.dist(velocity, before) <= 0.1 + 1e-9
         before = velocity
@@ -132,8 +135,13 @@ def test_a_name_that_is_not_sure_is_made_no_surer_by_a_missed_detection(flying):
 def test_a_name_that_does_not_hold_ends_it_at_once_softly_and_it_comes_back_after_a_second(flying, tracks):
     own = in_slot(velocity=(1.0, 0.0, 0.0))
     seen = {n: leader_from(own, velocity=(1.0, 0.0, 0.0)) for n in (10, 11)}
-    flying.tell(own, seen, [track()], seconds=3.0)
-    speeds = [level(setpoint := flying.tell(own, seen, tracks)) for _ in range(round(10 * FADED_S) + 1)]
+    setpoint = flying.tell(own, seen, [track()], seconds=3.0)
+    speeds = []
+    for _ in range(round(10 * FADED_S) + 1):
+        own = in_slot(velocity=setpoint.velocity)
+        seen = {n: leader_from(own, velocity=(1.0, 0.0, 0.0)) for n in (10, 11)}
+        setpoint = flying.tell(own, seen, tracks)
+        speeds.append(level(setpoint))
     assert speeds == sorted(speeds, reverse=True)
     assert speeds[0] > 0.7
     assert speeds[-1] == 0.0
@@ -433,3 +441,77 @@ def test_a_drone_at_its_height_sways_about_it_by_its_code_and_one_that_climbs_do
     below = in_slot(off=(0.0, 0.0, 0.5), **swaying)
     climbing = flying.tell(below, {10: leader_from(below)}, [track()], seconds=1.0)
     assert climbing.velocity[2] == pytest.approx(-0.8 * 0.5)
+
+
+# ── heights that drift, and commands that are not flown ──────────────────────────────────────────────────────────────
+
+
+def drifting(flying, drift, *, drone_id=1, seconds=20.0, probability=0.999):
+    """In its slot, while its camera finds it lower than it says, more so each time; the whys."""
+    own = in_slot()
+    whys = []
+    for _ in range(round(10.0 * seconds)):
+        t = flying.t + 0.1
+        off = 8.0 + drift * t
+        own = in_slot(height_sights=(HeightSight(drone_id, "a moved", t, off, 0.1, 5.0, 0.1),))
+        setpoint = flying.tell(own, {10: leader_from(own)}, [track(probability=probability)])
+        whys.append(setpoint.why)
+    return whys, setpoint
+
+
+def test_a_height_that_drifts_holds_the_drone_and_costs_its_leader_no_name(flying):
+    whys, setpoint = drifting(flying, 0.0)
+    assert whys[-1] is Why.FOLLOW
+    whys, setpoint = drifting(flying, 0.2, seconds=10.0)
+    assert setpoint.why is Why.HEIGHT_DOUBT
+    assert setpoint.holds
+    assert setpoint.text.startswith("own or drone 1's height seems wrong by ")
+    assert setpoint.velocity == pytest.approx(STILL, abs=1e-9)
+    assert Why.ENTRY not in whys
+    # Whoever engages it again says that its height is right by now.
+    flying.formation.engage()
+    assert drifting(flying, 0.0)[0][-1] is Why.FOLLOW
+
+
+@pytest.mark.parametrize("told", [{"drone_id": 3}, {"probability": 0.85}])
+def test_who_is_not_surely_named_tells_nothing_of_heights(flying, told):
+    assert Why.HEIGHT_DOUBT not in drifting(flying, 0.3, **told)[0]
+
+
+def test_a_drone_that_does_not_fly_as_it_is_told_holds_and_is_told_so(flying):
+    pushed = in_slot(velocity=(0.0, 1.2, 0.0))
+    flying.settled(in_slot())
+    setpoint = flying.tell(pushed, {10: leader_from(pushed)}, [track()], seconds=6.0)
+    assert setpoint.why is Why.DIVERGES
+    assert setpoint.holds
+    assert "otherwise than told" in setpoint.text
+    # It has to obey for a while.
+    own = in_slot()
+    whys = [flying.tell(own, {10: leader_from(own)}, [track()]).why for _ in range(100)]
+    assert whys[20] is Why.DIVERGES
+    assert whys[-1] is Why.FOLLOW
+    assert whys == sorted(whys, key=[Why.DIVERGES, Why.FOLLOW].index)
+
+
+def test_nothing_leads_below_the_least_height_above_what_the_range_finder_measures():
+    flying = Flying(Formation(parameters(limits={"least_height": 2.0})))
+    own = in_slot(off=(0.0, 0.0, -1.0), ground=2.5)
+    # Its slot is a metre lower.
+    setpoint = flying.tell(own, {10: leader_from(own)}, [track()], seconds=3.0)
+    assert setpoint.velocity[2] == pytest.approx(0.25)
+    own = in_slot(off=(0.0, 0.0, -1.0), ground=2.0)
+    assert flying.tell(own).velocity[2] == pytest.approx(0.0)
+    own = in_slot(ground=1.0)
+    assert flying.tell(own).velocity[2] == pytest.approx(-0.5)
+    # Where the ground is farther than the own height says, that counts.
+    own = in_slot(off=(0.0, 0.0, 2.0), ground=40.0)
+    assert own.position[2] == -4.0
+    flying = Flying(Formation(parameters(limits={"least_height": 4.5})))
+    assert flying.tell(own).velocity[2] == pytest.approx(-0.25)
+
+
+@pytest.mark.parametrize("ground", [math.nan, math.inf, -1.0, 1e9])
+def test_a_ground_that_is_none_is_no_floor(ground):
+    flying = Flying(Formation(parameters()))
+    own = in_slot(off=(0.0, 0.0, -1.0), ground=ground)
+    assert flying.tell(own, {10: leader_from(own)}, [track()], seconds=3.0).velocity[2] == pytest.approx(0.8)

@@ -32,6 +32,7 @@ from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.links import records
 from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
+from swarmtrack.simulation.autopilot import SimulatedArduPilot
 from swarmtrack.simulation.channel import Channel
 
 SHARED = SHARED / "mavlink"
@@ -215,6 +216,69 @@ async def test_an_autopilot_without_any_imu_is_said_and_not_pestered():
         flight.fly(30.0)
         assert "requesting: heartbeat, no IMU" in flight.text
         assert len(autopilot.commands) < 30 * 15
+
+
+def distances_asked(autopilot: FakeAutopilot) -> list[float]:
+    """Of DISTANCE_SENSOR [Hz]."""
+    return [
+        1e6 / us for message, us in autopilot.commands if message == common.MAVLINK_MSG_ID_DISTANCE_SENSOR
+    ]
+
+
+async def test_what_a_range_finder_measures_comes_with_a_pose_a_few_times_per_second():
+    autopilot = FakeAutopilot()
+    autopilot.ground = 4.0
+    # 20° of roll.
+    autopilot.q = np.array((math.cos(math.radians(10.0)), math.sin(math.radians(10.0)), 0.0, 0.0))
+    async with Flight(autopilot) as flight:
+        flight.fly(10.0)
+        grounds = [pose.ground for pose in flight.listener.poses[-250:] if pose.ground is not None]
+        assert distances_asked(autopilot) == [4.0]
+        assert 18 <= len(grounds) <= 22
+        assert grounds == pytest.approx(len(grounds) * [4.0 * math.cos(math.radians(20.0))])
+
+
+WITHOUT = tuple(n for n in SimulatedArduPilot.offers if n != common.MAVLINK_MSG_ID_DISTANCE_SENSOR)
+
+
+@pytest.mark.parametrize("offered", [None, WITHOUT], ids=["silent", "unknown"])
+async def test_a_range_finder_that_is_not_there_is_asked_for_once_and_missed_by_nobody(offered):
+    autopilot = FakeAutopilot(offered=offered)
+    async with Flight(autopilot) as flight:
+        flight.fly(60.0)
+        assert len(distances_asked(autopilot)) == 1
+        # Nobody takes the autopilot for one of old that has to be asked the old way.
+        assert autopilot.streams_asked == []
+        assert flight.unit.status().ok
+        assert all(pose.ground is None for pose in flight.listener.poses)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"orientation": common.MAV_SENSOR_ROTATION_NONE},
+        {"current_distance": 10},
+        {"current_distance": 5000},
+        {"current_distance": 0, "min_distance": 0},
+        {"signal_quality": 1},
+    ],
+    ids=" ".join,
+)
+async def test_what_looks_elsewhere_or_found_nothing_is_no_ground(wrong):
+    said = {
+        "time_boot_ms": 0, "min_distance": 20, "max_distance": 5000, "current_distance": 400, "type": 0, "id": 0,
+        "orientation": common.MAV_SENSOR_ROTATION_PITCH_270, "covariance": 255, "signal_quality": 0,
+    }  # fmt: skip
+    autopilot = FakeAutopilot()
+    async with Flight(autopilot) as flight:
+        flight.fly(3.0)
+        for message, is_ground in (({**said, **wrong}, False), (said, True)):
+            before = len(flight.listener.poses)
+            report = common.MAVLink_distance_sensor_message(**message)
+            flight.unit.received(flight.clock.now(), autopilot.frame(report))
+            flight.fly(0.5)
+            grounds = [pose.ground for pose in flight.listener.poses[before:] if pose.ground is not None]
+            assert grounds == ([pytest.approx(4.0)] if is_ground else [])
 
 
 async def test_other_systems_components_and_our_own_echo_are_counted_and_ignored():

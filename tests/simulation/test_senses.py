@@ -38,6 +38,19 @@ def yaw_error(world: World, t: float) -> float:
     return math.degrees(math.atan2(turned[1, 0], turned[0, 0]))
 
 
+def test_a_range_finder_measures_along_its_beam_as_far_as_it_sees_and_who_has_none_says_nothing():
+    world = errand()
+    flying = [t for t in np.arange(0.0, 30.0, 0.5) if world.flown(1).position(t)[2] < -1.0]
+    assert flying
+    for t in flying:
+        motion = world.flown(1).motion(t)
+        height = -motion.position[2]
+        sensed = DroneSenses(world, 1, 0.0, range_finder_m=100.0).at(t)
+        assert sensed.ground * motion.attitude[2, 2] == pytest.approx(height)
+        assert DroneSenses(world, 1, 0.0, range_finder_m=0.5 * height).at(t).ground is None
+        assert DroneSenses(world, 1, 0.0).at(t).ground is None
+
+
 def test_the_gyro_is_that_of_a_two_pole_low_pass_of_20_hz():
     world = errand()
     imu, rate = Imu(world, 1, NO_NOISE), 2000.0

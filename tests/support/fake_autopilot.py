@@ -44,6 +44,7 @@ class FakeVehicle(SimulatedVehicle):
         self.position = np.array((1.0, 2.0, -3.0))
         self.velocity = np.zeros(3)
         self.gps: GpsFix | None = None
+        self.ground: float | None = None  # m, by a range finder
         self.commands: list[tuple[int, float]] = []  # (message id, interval in µs) as asked
         self.streams_asked: list[int] = []  # REQUEST_DATA_STREAM
         self.companion_heartbeats = 0
@@ -59,7 +60,7 @@ class FakeVehicle(SimulatedVehicle):
         """What it senses is told by the test."""
 
     def at(self, t: float) -> SensedState:
-        return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps)
+        return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps, self.ground)
 
     def inertial(self, t: float) -> Inertial:
         return Inertial(self.gyro, self.accel)

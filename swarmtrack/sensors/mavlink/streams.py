@@ -40,6 +40,9 @@ ATTITUDE_RATE = 50.0  # Hz
 # Hz: carried on by its velocity in between, at 5 m/s² to 4 mm and to 25 mm.
 LOCAL_POSITION_RATE, GLOBAL_POSITION_RATE = 25.0, 10.0
 FIX_RATE = 5.0  # Hz: that of most receivers
+GROUND_RATE = (
+    4.0  # Hz: of a range finder, where there is one; the ground is wanted, and little of the line for it
+)
 LINE_SHARE = 0.7  # of what the line carries may be ours; the rest is for parameters and other programs
 
 NOT_MEASURED = np.full(3, np.nan)
@@ -50,10 +53,13 @@ ATTITUDE_QUATERNION: int = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 LOCAL_POSITION_NED: int = common.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 GLOBAL_POSITION_INT: int = common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS_RAW_INT: int = common.MAVLINK_MSG_ID_GPS_RAW_INT
+DISTANCE_SENSOR: int = common.MAVLINK_MSG_ID_DISTANCE_SENSOR
 
 # Message and rate [Hz], beside the attitude.
 LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: LOCAL_POSITION_RATE}
 GLOBAL_POSE: dict[int, float] = {GLOBAL_POSITION_INT: GLOBAL_POSITION_RATE, GPS_RAW_INT: FIX_RATE}
+# What many drones do not have: it is asked for once, after all else, and missed by nobody.
+OPTIONAL: dict[int, float] = {DISTANCE_SENSOR: GROUND_RATE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +145,11 @@ class MessageStream:
     def request_hz(self) -> float:
         return self.factor * self.target_hz
 
+    @property
+    def optional(self) -> bool:
+        """Whether nothing is amiss where it does not come."""
+        return self.id in OPTIONAL
+
 
 class StreamRequests:
     """Asks, watches and asks again. `tick` and `acknowledged` return the messages to send now.
@@ -185,7 +196,7 @@ class StreamRequests:
     def _choose(self) -> None:
         rates = {self.imu.id: self.imu_rate_hz}
         rates[ATTITUDE_QUATERNION] = max(ATTITUDE_RATE, rates.get(ATTITUDE_QUATERNION, 0.0))
-        rates |= self._positions
+        rates |= self._positions | OPTIONAL
         self.streams = {i: MessageStream(i, rate) for i, rate in rates.items()}
         for i, granted in self._granted.items():
             if i in self.streams:
@@ -198,7 +209,8 @@ class StreamRequests:
     def bytes_per_second(self) -> float:
         """What the wanted streams put on the line, all of them as they are asked for."""
         overhead = HEADER_V2 + CRC_LENGTH + (SIGNATURE_LENGTH if self._signed else 0)
-        return sum((PAYLOAD_SIZE[s.id] + overhead) * s.request_hz for s in self.streams.values())
+        coming = (s for s in self.streams.values() if s.came or not s.optional)
+        return sum((PAYLOAD_SIZE[s.id] + overhead) * s.request_hz for s in coming)
 
     @property
     def line_share(self) -> float:
@@ -217,7 +229,7 @@ class StreamRequests:
             if self._busy.attempts >= ATTEMPTS:
                 self._busy.answer = Answer.SILENT
                 self._busy.answered_at = now
-                self.legacy = True
+                self.legacy = self.legacy or not self._busy.optional
             else:
                 self._busy.answer = Answer.TO_ASK
             self._busy = None
@@ -241,6 +253,7 @@ class StreamRequests:
                 stream.answer not in (Answer.TO_ASK, Answer.ASKED)
                 and stream.answered_at is not None
                 and now - stream.answered_at >= stream.again_after
+                and (stream.came or not stream.optional)
             ):
                 if not self._try_double(stream):
                     stream.again_after = min(2 * stream.again_after, AGAIN_AT_MOST)
@@ -297,7 +310,7 @@ class StreamRequests:
             # Not even the lowest rate: it was the message that is not offered, forget what we learned of its rate.
             self._granted.pop(stream.id, None)
             stream.target_hz = stream.asked_hz
-            if result == common.MAV_RESULT_UNSUPPORTED:
+            if result == common.MAV_RESULT_UNSUPPORTED and not stream.optional:
                 self.legacy = True
             if stream is self.imu_stream and stream.rate_hz == 0.0:
                 self._fall_back(now)
@@ -340,7 +353,7 @@ class StreamRequests:
                 param7=0,
             )
         ]
-        if self.legacy:
+        if self.legacy and not stream.optional:
             messages.append(_data_stream(stream, system))
         return messages
 

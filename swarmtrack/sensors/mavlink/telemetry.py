@@ -18,6 +18,7 @@ from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.gyro_delay import GyroDelay, GyroDelays
 from swarmtrack.sensors.mavlink.streams import (
     ATTITUDE_QUATERNION,
+    DISTANCE_SENSOR,
     GLOBAL_POSITION_INT,
     GPS_RAW_INT,
     HIGHRES_IMU,
@@ -42,6 +43,10 @@ POSITION_AGE = 0.5  # s that a position is carried on by its velocity
 POSE_MISMATCH = 5.0  # s between a pose's mapped time and its arrival: it is stamped by another clock
 TIMESYNC_EVERY = 1.0  # s
 TIMESYNC_FIRST, TIMESYNC_FIRST_EVERY = 10, 0.2  # the first exchanges come faster, so that sigma is soon known
+DOWNWARD = common.MAV_SENSOR_ROTATION_PITCH_270
+INVALID_SIGNAL = 1  # of a DISTANCE_SENSOR's quality; 0 is one that tells none
+FRESH_GROUND = 0.2  # s between what the range finder measured and the pose that it is told with
+LEAST_UPRIGHT = 0.8  # cosine of the tilt, 37°: beyond, it measures the ground beside the drone
 RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
 RATE_WINDOW = 2.0  # s over which the IMU's rate is counted
 
@@ -75,6 +80,7 @@ class Telemetry:
             SCALED_IMU: self._on_imu,
             ATTITUDE_QUATERNION: self._on_attitude,
             LOCAL_POSITION_NED: self._on_local_position,
+            DISTANCE_SENSOR: self._on_distance,
         }
         if gps is not None:
             del self.readers[LOCAL_POSITION_NED]
@@ -100,6 +106,7 @@ class Telemetry:
         self._window_count = 0
         self._pose_stamp: float | None = None
         self._position: tuple[float, Array, Array] | None = None
+        self._below: tuple[float, float] | None = None
         self._asked_time: dict[int, float] = {}
         self._exchanges = 0
         self._next_timesync = -math.inf
@@ -246,7 +253,23 @@ class Telemetry:
         gps = self._gps
         sigma, vertical = (LOCAL_SIGMA, None) if gps is None else (gps.sigma, gps.vertical_sigma)
         attitude = from_quaternion(q)
-        self.listener.on_pose(EgoPose(ours, where, attitude, position_sigma=sigma, vertical_sigma=vertical))
+        ground = self._ground(t, float(attitude[2, 2]))
+        self.listener.on_pose(
+            EgoPose(ours, where, attitude, position_sigma=sigma, vertical_sigma=vertical, ground=ground)
+        )
+
+    def _on_distance(self, t: float, m: Any) -> None:
+        # In cm. Outside of its limits, and at the farther one, it has found nothing.
+        found = m.min_distance <= m.current_distance < m.max_distance and m.current_distance > 0
+        if m.orientation == DOWNWARD and found and m.signal_quality != INVALID_SIGNAL:
+            self._below = t, 1e-2 * m.current_distance
+
+    def _ground(self, t: float, upright: float) -> float | None:
+        """m straight down to what the range finder has measured since the last pose; upright: cosine of the tilt."""
+        below, self._below = self._below, None
+        if below is None or t - below[0] > FRESH_GROUND or upright < LEAST_UPRIGHT:
+            return None
+        return below[1] * upright
 
     def _rebooted(self, stamp: float) -> None:
         self._reboots += 1
@@ -259,7 +282,7 @@ class Telemetry:
         )
         self.clock_map.reset()
         self.cadence.reset()
-        self._pose_stamp = self._position = self.place = None
+        self._pose_stamp = self._position = self.place = self._below = None
         self._asked_time.clear()
         self._exchanges = 0
         self._requests.reset()

@@ -1,0 +1,156 @@
+"""A drift of the own height is found by the camera, and nothing else is taken for one."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from swarmtrack.formation.heights import GONE_M, LEAPS_S, SAID_M, STALE_S, TILT, TILT_S, HeightWatch
+from swarmtrack.relative.heights import HeightSight
+
+DT, LEVEL, LEVER, SIGMA = 0.15, 5.0, 0.1, 0.1
+
+
+def sight(t, off, drone_id=1, word="a moved"):
+    return HeightSight(drone_id, word, t, off, SIGMA, LEVEL, LEVER)
+
+
+class Seen:
+    """What a camera sees of teammates for a while, with the errors that the filter believes in; `drift` [m/s] is that
+    of the own height, or of those named in `drifting`."""
+
+    def __init__(self, seed, drones=(1,)):
+        self.rng = np.random.default_rng(seed)
+        self.t = 0.0
+        self.constant = {drone: self.rng.normal(0.0, 2.0) for drone in drones}
+        self.distance = {drone: self.rng.standard_normal() for drone in drones}
+        self.tilt = self.rng.normal(0.0, TILT)
+        self.off = dict.fromkeys(drones, 0.0)
+
+    def fly(self, watch, seconds, drift=0.0, drifting=None):
+        """The time at which something is said; None where nothing is."""
+        for _ in range(round(seconds / DT)):
+            self.t += DT
+            share = math.exp(-DT / TILT_S)
+            self.tilt = share * self.tilt + TILT * math.sqrt(1.0 - share**2) * self.rng.standard_normal()
+            for drone in self.off if drifting is None else drifting:
+                self.off[drone] += drift * DT
+            watch.see(
+                [
+                    sight(
+                        self.t,
+                        self.constant[drone]
+                        + off
+                        + LEVEL * self.tilt
+                        + LEVER * self.distance[drone]
+                        + self.rng.normal(0.0, SIGMA),
+                        drone,
+                    )
+                    for drone, off in self.off.items()
+                ],
+                self.t,
+            )
+            if watch.doubt is not None:
+                return self.t
+        return None
+
+
+@pytest.mark.parametrize("drift", [0.1, -0.1, 0.3])
+def test_a_drift_is_said_before_it_is_a_metre(drift):
+    for seed in range(20):
+        watch, seen = HeightWatch((1,)), Seen(seed)
+        assert seen.fly(watch, 20.0) is None
+        assert seen.fly(watch, 20.0, drift) is not None
+        assert 0.2 < abs(seen.off[1]) < 1.0
+
+
+def test_an_honest_height_is_said_of_nobody_and_the_filter_is_as_good_as_it_thinks():
+    nees = []
+    for seed in range(40):
+        watch, seen = HeightWatch((1, 3)), Seen(seed, (1, 3))
+        assert seen.fly(watch, 60.0) is None
+        nees += [(drift.off / drift.sigma) ** 2 for drift in watch.drifts]
+    # It allows for drifts, of which there were none: it may be too modest, not too sure.
+    assert 0.05 < np.mean(nees) < 1.3
+
+
+def test_a_constant_between_two_heights_is_no_drift():
+    for off in (-3.0, 3.0):
+        watch = HeightWatch((1,))
+        for k in range(400):
+            watch.see([sight(k * DT, off)], k * DT)
+        assert watch.doubt is None
+        assert abs(watch.drifts[0].off) < 0.05
+
+
+def test_a_height_that_leaps_is_said_and_a_single_wrong_box_is_not():
+    watch, seen = HeightWatch((1,)), Seen(1)
+    seen.fly(watch, 10.0)
+    watch.see([sight(seen.t + 0.01, seen.constant[1] + 4.0)], seen.t + 0.01)
+    assert watch.doubt is None
+    assert seen.fly(watch, 3.0) is None
+    seen.off[1] = 3.0
+    leapt = seen.t
+    assert leapt < seen.fly(watch, 3.0) < leapt + LEAPS_S + 3 * DT
+    assert "wrong by 3." in watch.doubt or "wrong by 2." in watch.doubt
+
+
+def test_it_is_said_no_more_once_the_heights_agree_again():
+    watch, seen = HeightWatch((1,)), Seen(2)
+    seen.fly(watch, 10.0)
+    seen.fly(watch, 10.0, 0.2)
+    assert watch.doubt is not None
+    assert abs(watch.drifts[0].off) > SAID_M
+    while seen.off[1] > 0.0:
+        seen.fly(watch, DT, -0.2)
+    for _ in range(round(3.0 / DT)):
+        seen.fly(watch, DT)
+    assert watch.doubt is None
+    assert abs(watch.drifts[0].off) < GONE_M
+
+
+def test_of_two_that_agree_the_third_is_wrong():
+    watch, seen = HeightWatch((1,)), Seen(3, (1, 3))
+    seen.fly(watch, 10.0)
+    seen.fly(watch, 20.0, 0.2)
+    while len([drift for drift in watch.drifts if drift.said]) < 2:
+        seen.fly(watch, DT, 0.2)
+    assert watch.doubt.startswith("own height seems wrong by 0.")
+    watch, seen = HeightWatch((1,)), Seen(3, (1, 3))
+    seen.fly(watch, 10.0)
+    seen.fly(watch, 20.0, 0.2, drifting=(1,))
+    assert watch.doubt.startswith("drone 1's height seems wrong by 0.")
+    watch, seen = HeightWatch((1,)), Seen(3)
+    seen.fly(watch, 10.0)
+    seen.fly(watch, 20.0, 0.2)
+    assert watch.doubt.startswith("own or drone 1's height seems wrong by 0.")
+
+
+def test_a_teammate_by_whom_nobody_flies_holds_nobody():
+    watch, seen = HeightWatch((1,)), Seen(4, (1, 3))
+    seen.fly(watch, 10.0)
+    assert seen.fly(watch, 15.0, 0.2, drifting=(3,)) is None
+    assert [drift.drone_id for drift in watch.drifts if drift.said] == [3]
+
+
+def test_another_life_of_a_teammate_and_a_long_silence_begin_anew():
+    for word, pause in (("b moved", 0.0), ("a moved", STALE_S + 1.0)):
+        watch, seen = HeightWatch((1,)), Seen(5)
+        seen.fly(watch, 10.0)
+        seen.fly(watch, 20.0, 0.2)
+        assert watch.doubt is not None
+        t = seen.t + pause
+        watch.see([], t)
+        watch.see([sight(t + DT, 0.0, word=word)], t + DT)
+        assert watch.doubt is None
+
+
+def test_the_same_sight_counts_once_and_what_is_no_number_never():
+    once, often = HeightWatch((1,)), HeightWatch((1,))
+    for k in range(50):
+        seen = sight(k * DT, 0.1 * (k % 3))
+        once.see([seen], k * DT)
+        for _ in range(3):
+            often.see([seen, sight(k * DT + 0.01, math.nan)], k * DT)
+    assert all(a == b for a, b in itertools.zip_longest(once.drifts, often.drifts))
