@@ -52,7 +52,8 @@ class HeightDrift(NamedTuple):
 
 class HeightWatch:
     """From the moment on that it is made. Told of sights, it says whether the own height seems wrong, or that of one of
-    the references, by which it is flown. Teammates beside those only bear witness."""
+    the references, by which it is flown. Teammates beside those only bear witness: a name that is doubted for its
+    drift may be lost before it is said."""
 
     def __init__(self, references: Collection[int]) -> None:
         self._references = references
@@ -87,13 +88,10 @@ class HeightWatch:
         """In words, whose height seems wrong; None where nobody's does."""
         drifts = self.drifts
         said = [drift for drift in drifts if drift.said]
-        worst = max(
-            (drift for drift in said if drift.drone_id in self._references),
-            key=lambda drift: abs(drift.off),
-            default=None,
-        )
-        if worst is None:
+        followed = [drift for drift in drifts if drift.drone_id in self._references]
+        if not said or (not any(drift.said for drift in followed) and any(map(_agrees, followed))):
             return None
+        worst = max(said, key=lambda drift: (drift.drone_id in self._references, abs(drift.off)))
         if any(abs(drift.off) < AGREES_M for drift in drifts):
             whose = f"drone {worst.drone_id}'s"
         elif len(said) > 1:
@@ -146,6 +144,10 @@ class _Row:
         Q[DRIFT, CLIMB] = Q[CLIMB, DRIFT] = q * dt**2 / 2.0
         self.x = F @ self.x
         self.P = F @ self.P @ F.T + Q
+
+
+def _agrees(drift: HeightDrift) -> bool:
+    return abs(drift.off) < GONE_M
 
 
 def _is_possible(sight: HeightSight) -> bool:

@@ -105,7 +105,10 @@ class FormationPilot:
     def _decision(self, told: LocalSetpoint) -> Decision:
         place_t, place = self._autopilot.place or (-math.inf, NOWHERE)
         own = self._door.perceived.own_flight(told.setpoint.t)
-        room = math.nan if own is None else -self._least_height - own.position[2]
+        room = math.nan
+        if own is not None:
+            above = [-own.position[2]] if own.ground is None else [-own.position[2], own.ground]
+            room = min(above) - self._least_height
         return Decision(
             self._engagement.number, told.setpoint.t, told.velocity, told.yaw_rate, place, place_t, room
         )

@@ -134,6 +134,17 @@ def test_a_teammate_by_whom_nobody_flies_holds_nobody():
     assert [drift.drone_id for drift in watch.drifts if drift.said] == [3]
 
 
+def test_a_leader_that_was_lost_while_it_drifted_is_no_witness_for_the_own_height():
+    watch, seen = HeightWatch((1,)), Seen(4, (1, 3))
+    seen.fly(watch, 10.0)
+    while watch.drifts[0].off < GONE_M:
+        assert seen.fly(watch, DT, 0.2) is None
+    assert watch.drifts[0].off < SAID_M
+    seen.off = {3: seen.off[3]}
+    assert seen.fly(watch, 5.0, 0.2) is not None
+    assert watch.doubt.startswith("own or drone 3's height seems wrong by 0.")
+
+
 def test_another_life_of_a_teammate_and_a_long_silence_begin_anew():
     for word, pause in (("b moved", 0.0), ("a moved", STALE_S + 1.0)):
         watch, seen = HeightWatch((1,)), Seen(5)
