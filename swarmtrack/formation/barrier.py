@@ -61,9 +61,10 @@ def not_closing(
     return HalfSpace(direction, GAMMA * max(nearest - clearance, 0.0) + leaves, track)
 
 
-def sidestep(place: Velocity, motion: Velocity) -> Velocity:
+def sidestep(place: Velocity, motion: Velocity, lasts: float = SOON_S) -> Velocity:
     """m/s, level: out of the way of somebody at `place` [m, from here] who passes soon and near. motion [m/s]: its
-    velocity less the wanted one. Who comes straight on is passed on its left: both step to their right."""
+    velocity less the wanted one, and lasts [s]: for how long. Who comes straight on is passed on its left: both step to
+    their right."""
     north, east, _ = place
     vn, ve, _ = motion
     square = vn * vn + ve * ve
@@ -72,6 +73,7 @@ def sidestep(place: Velocity, motion: Velocity) -> Velocity:
     soon = -(north * vn + east * ve) / square
     if not 0.0 < soon < SOON_S:
         return STILL
+    soon = min(soon, lasts)
     pn, pe = north + soon * vn, east + soon * ve
     miss = math.hypot(pn, pe)
     if miss >= PASSES_M:

@@ -23,6 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.formation.barrier import (
+    COMES_M_S,
+    SOON_S,
     STEPS_ASIDE_M_S,
     HalfSpace,
     binding,
@@ -100,6 +102,12 @@ class SlotFlight(NamedTuple):
     error: Velocity
     velocity: Velocity
 
+    @property
+    def arrives(self) -> float:
+        """s: in about that time it is in its slot."""
+        north, east, _ = (wanted - along for wanted, along in zip(self.wanted, self.velocity, strict=True))
+        return math.hypot(*self.error) / max(math.hypot(north, east), 1e-3)
+
 
 class Formation:
     """Told what is seen and how the drone flies, `command` answers with what to fly. `engage` begins each flight."""
@@ -165,7 +173,7 @@ class Formation:
             self._followed, self._followed_at = slewed, t
         self._berth = self._berthed(slot, own, t)
         near = self._in_the_way(states, own, tracks, t)
-        velocity, clear_of = self._bent(slewed, wanted, near, own, dt)
+        velocity, clear_of = self._bent(slewed, _aside(near, wanted, slot), near, own, dt)
         yaw_rate = self._turned(own, t, dt) if why is not Why.HEADING else 0.0
         if not _are_numbers((*velocity, yaw_rate)):
             return self._brake(t, dt, Why.BROKEN)
@@ -174,7 +182,8 @@ class Formation:
             self._bent_at = t
         if clear_of:
             text += ", keeps clear"
-        return Setpoint(t, velocity, yaw_rate, why, text, error, clear_of)
+        nearest = min((other.nearest for other in near), default=None)
+        return Setpoint(t, velocity, yaw_rate, why, text, error, clear_of, nearest)
 
     def _step_to(self, t: float) -> float:
         """s since the last command; 0 where time does not go on."""
@@ -300,13 +309,13 @@ class Formation:
     def _bent(
         self,
         velocity: Velocity,
-        wanted: Velocity,
+        aside: Velocity,
         near: Sequence[Obstacle],
         own: OwnFlight,
         dt: float,
     ) -> tuple[Velocity, tuple[int, ...]]:
-        """Away from everybody who is near, and within the fence; and of whom it had to keep clear. wanted: if nobody
-        were in the way, where `velocity` may be the rest of an evasion."""
+        """Away from everybody who is near, and within the fence; and of whom it had to keep clear. aside: a step out
+        of their way."""
         limits, here = self.parameters.limits, self._engaged_at
         assert here is not None
         spaces = fence(
@@ -322,7 +331,7 @@ class Formation:
         goal = velocity
         if near:
             height = self._layer(own, here)
-            goal = nearest_velocity(added(velocity, _aside(near, wanted)), spaces + clear + height)
+            goal = nearest_velocity(added(velocity, aside), spaces + clear + height)
             held += height
             if self._berth is not None:
                 berth = self._berth
@@ -420,13 +429,17 @@ class Formation:
         return Setpoint(t, self._flown, self._yaw_rate, why, HOLDS[why])
 
 
-def _aside(near: Sequence[Obstacle], wanted: Velocity) -> Velocity:
-    """m/s: out of the way of those who come. To whom is retreating from them nobody comes: what counts is what is
-    wanted."""
+def _aside(near: Sequence[Obstacle], wanted: Velocity, slot: SlotFlight | None = None) -> Velocity:
+    """m/s: out of the way of those who come. To whom is retreating from them nobody comes: what counts is what would be
+    flown if nobody were in the way. To those who stand, or fly along with the slot, this drone comes no nearer than its
+    slot is: on its way there it does not turn about one who stands behind it."""
     aside = STILL
     for other in near:
         north, east, down = (flies - wants for flies, wants in zip(other.velocity, wanted, strict=True))
-        aside = added(aside, sidestep(other.place, (north, east, down)))
+        lasts = SOON_S
+        if slot is not None and math.dist(other.velocity[:2], slot.velocity[:2]) < COMES_M_S:
+            lasts = slot.arrives
+        aside = added(aside, sidestep(other.place, (north, east, down), lasts))
     return saturated(aside, STEPS_ASIDE_M_S)
 
 

@@ -1,4 +1,4 @@
-"""Who has just left the picture is still there: it flies on as it was last seen, and is known worse every moment."""
+"""Who came when it left the picture still comes: it flies on as it was last seen, and is known worse every moment."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.formation.barrier import COMES_M_S
 from swarmtrack.formation.setpoint import OwnFlight, Velocity
 from swarmtrack.messages import Array, RelativeState
 
@@ -21,8 +22,10 @@ SAME_M = 2.0
 
 
 class LastSeen(NamedTuple):
-    """t [s]; here [m] and flies [m/s]: the own drone then, team frame; state: of the other against it."""
+    """since, t [s]: from when to when it was seen; here [m], flies [m/s]: the own drone then; state: of the other
+    against it."""
 
+    since: float
     t: float
     here: Velocity
     flies: Velocity
@@ -59,13 +62,22 @@ class OutOfSight:
             if track in seen:
                 continue
             age = t - last.t
-            state = last.after(age, own) if 0.0 <= age < min(REMEMBERED_S, frame_age) else None
-            if state is None or not _is_elsewhere(state, seen.values()):
+            # Clutter is over as soon as it came: nobody is remembered for longer than it was seen.
+            lasts = min(REMEMBERED_S, last.t - last.since, frame_age)
+            state = last.after(age, own) if 0.0 <= age < lasts else None
+            if state is None or not _comes(last.state) or not _is_elsewhere(state, seen.values()):
                 del self._seen[track]
             else:
                 expected[track] = state
-        self._seen |= {track: LastSeen(t, own.position, own.velocity, state) for track, state in seen.items()}
+        for track, state in seen.items():
+            since = self._seen[track].since if track in self._seen else t
+            self._seen[track] = LastSeen(since, t, own.position, own.velocity, state)
         return expected
+
+
+def _comes(state: RelativeState) -> bool:
+    """Who did not come when it was last seen is in nobody's way."""
+    return float(state.position @ state.velocity) < -COMES_M_S * math.hypot(*state.position)
 
 
 def _is_elsewhere(state: RelativeState, seen: Iterable[RelativeState]) -> bool:
