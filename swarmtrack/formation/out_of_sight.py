@@ -21,7 +21,7 @@ CHANGES = 0.3
 SAME_M = 2.0
 
 
-class LastSeen(NamedTuple):
+class LastSight(NamedTuple):
     """since, t [s]: from when to when it was seen; here [m], flies [m/s]: the own drone then; state: of the other
     against it."""
 
@@ -48,7 +48,7 @@ class OutOfSight:
     """Told whom a drone sees, by track, each time; `states` are those whom it does not see any more."""
 
     def __init__(self) -> None:
-        self._seen: dict[int, LastSeen] = {}
+        self._seen: dict[int, LastSight] = {}
 
     def forget(self) -> None:
         self._seen.clear()
@@ -71,7 +71,7 @@ class OutOfSight:
                 expected[track] = state
         for track, state in seen.items():
             since = self._seen[track].since if track in self._seen else t
-            self._seen[track] = LastSeen(since, t, own.position, own.velocity, state)
+            self._seen[track] = LastSight(since, t, own.position, own.velocity, state)
         return expected
 
 
