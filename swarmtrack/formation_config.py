@@ -41,7 +41,11 @@ class FormationLimits(Section):
     climb_m_s: Annotated[Number, _within("climb")] = Field(default=USUAL.climb, description="up and down")
     acceleration_m_s2: Annotated[Number, _within("acceleration")] = Field(
         default=USUAL.acceleration,
-        description="how fast a setpoint changes; evading is not slowed down by it",
+        description="how fast a setpoint changes, but for evading",
+    )
+    evasion_m_s2: Annotated[Number, _within("evasion")] = Field(
+        default=USUAL.evasion,
+        description="how fast a setpoint changes where it evades somebody; none ever changes faster",
     )
     yaw_rate_deg_s: Annotated[Number, _within("yaw_rate", 180.0 / math.pi)] = Field(
         default=45.0, description="how fast it turns"
@@ -61,6 +65,7 @@ class FormationLimits(Section):
             speed=self.speed_m_s,
             climb=self.climb_m_s,
             acceleration=self.acceleration_m_s2,
+            evasion=self.evasion_m_s2,
             yaw_rate=math.radians(self.yaw_rate_deg_s),
             least_height=self.least_height_m,
             fence_radius=self.fence_radius_m,

@@ -1,8 +1,9 @@
-"""Stories that no flight tells: whatever a formation may be told, its answers are numbers within the limits.
+"""Stories that no flight tells: whatever a formation may be told, its answers are numbers within the limits, and no
+command closes in on anybody who is too near, where standing would not.
 
-States are NaN, huge or tiny; covariances singular, of no shape a covariance has, or infinite; names come and go, 0 to
-20 tracks at once; poses are old; time stands, leaps and runs back. `RelativeState` refuses some of this at its birth;
-here it gets past.
+`Stories`: states are NaN, huge or tiny; covariances singular, of no shape a covariance has, or infinite; names come and
+go, 0 to 20 tracks at once; poses are old; time stands, leaps and runs back. `RelativeState` refuses some of this at its
+birth; here it gets past. `Squeezes`: everybody is nearer than the clearance, around this drone.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from swarmtrack.formation.formation import LONGEST_STEP_S
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
-from swarmtrack.formation.setpoint import OwnFlight, Setpoint, Velocity
+from swarmtrack.formation.setpoint import STILL, OwnFlight, Setpoint, Velocity
 from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, Track, TrackStatus
 from swarmtrack.relative.heights import HeightSight
 
@@ -149,8 +151,77 @@ def _born(**values: Any) -> RelativeState:
     return state
 
 
-def wrong_with(setpoint: Setpoint, limits: FlightLimits) -> str:
-    """What a setpoint breaks; nothing where it is sound."""
+class Squeezes:
+    """Endless; the same one to five others, nearer than the clearance, each time elsewhere around this drone, which
+    is at its height; in half of the states all are at rest."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self.parameters = FormationParameters(
+            drone_id=2, leader=1, slots=SLOTS, references=(1,), height=HEIGHT_M
+        )
+        self._others = int(self._rng.integers(1, 6))
+        self._t = 0.0
+
+    def __iter__(self) -> Iterator[Story]:
+        while True:
+            yield self._next()
+
+    def _next(self) -> Story:
+        rng = self._rng
+        self._t += 0.1
+        n, rests = self._others, rng.random() < 0.5
+        north, east = (SLOTS[2][:2] + rng.normal(0.0, 1.0, 2)).tolist()
+        flies = STILL if rests else self._velocity()
+        heading = float(rng.uniform(-math.pi, math.pi))
+        own = OwnFlight((north, east, self.parameters.down), flies, heading)
+        ways = rng.standard_normal((n, 3))
+        ways *= rng.uniform(0.2, self.parameters.clearance, (n, 1)) / np.linalg.norm(ways, axis=1)[:, None]
+        speeds = rng.normal(0.0, 0.0 if rests else 1.0, (n, 3))
+        states = {
+            k: RelativeState(
+                0,
+                self._t,
+                ways[k],
+                speeds[k] - flies,
+                rng.uniform(0.01, 0.3) ** 2 * np.eye(6),
+                0.1,
+                ("size",),
+            )
+            for k in range(n)
+        }
+        return states, own, [_seen(k, self._t) for k in range(n)], self._t
+
+    def _velocity(self) -> Velocity:
+        north, east, down = self._rng.normal(0.0, 1.0, 3).tolist()
+        return north, east, down
+
+
+def _seen(track: int, t: float) -> IdentifiedTrack:
+    """Confirmed, without a name."""
+    return IdentifiedTrack(
+        Track(track, t, SEEN_AT, SEEN_COV, TrackStatus.CONFIRMED, 1.0, SEEN_SIZE, None), None, 0.0
+    )
+
+
+def closing(velocity: Velocity, story: Story) -> float:
+    """m/s: as fast this closes in on any of those in the story; negative where it does so on nobody."""
+    states, own, _, _ = story
+    return max(
+        float(state.position @ (velocity - state.velocity - own.velocity)) / math.hypot(*state.position)
+        for state in states.values()
+    )
+
+
+def closes_in(setpoint: Setpoint, before: Setpoint | None, story: Story) -> float:
+    """m/s: how much faster a command closes in on somebody who is too near than if the drone stood, or flew on."""
+    flown = STILL if before is None else before.velocity
+    least = max(closing(STILL, story), closing(flown, story), 0.0)
+    return closing(setpoint.velocity, story) - least
+
+
+def wrong_with(setpoint: Setpoint, limits: FlightLimits, before: Setpoint | None = None) -> str:
+    """What a setpoint breaks, after the last one; nothing where it is sound."""
     numbers = (*setpoint.velocity, setpoint.yaw_rate)
     if not all(map(math.isfinite, numbers)):
         return f"no numbers: {numbers}"
@@ -160,4 +231,8 @@ def wrong_with(setpoint: Setpoint, limits: FlightLimits) -> str:
         return f"climbs faster than {limits.climb} m/s: {setpoint.velocity}"
     if abs(setpoint.yaw_rate) > limits.yaw_rate + SLACK:
         return f"turns faster than {limits.yaw_rate} rad/s: {setpoint.yaw_rate}"
+    last, since = (STILL, 0.0) if before is None else (before.velocity, setpoint.t - before.t)
+    most = limits.evasion * min(max(since, 0.0), LONGEST_STEP_S)
+    if math.dist(setpoint.velocity, last) > most + SLACK:
+        return f"changes by more than {most} m/s: {last} to {setpoint.velocity}"
     return ""

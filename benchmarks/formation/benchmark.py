@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,7 @@ from swarmtrack.benchmarks.formation.flights import (
     FlightPlan,
     FormationFlight,
 )
+from swarmtrack.benchmarks.formation.meetings import Meeting, meet, meetings_row
 from swarmtrack.evaluation.formation_score import (
     LOST_M,
     NEAR_M,
@@ -43,11 +44,15 @@ from swarmtrack.evaluation.formation_score import (
 from swarmtrack.formation.setpoint import Why
 
 NAME = "formation"
+# Of the law alone, without pictures (`meetings.py`).
+MEETINGS = "meetings"
 SEEDS, QUICK_SEEDS = 100, 2
 # s that an intruder is in view before it counts.
 SEEN_S = 1.0
 GONE_S, GONE_ENDS_S = 22.0, 32.0
 INTRUDED_ENDS_S = 32.0
+# m/s, of who steers at the first follower; and s.
+HOMING_M_S, HOMED_ENDS_S = (1, 2, 3, 4, 5), 36.0
 FAILED_ENDS_S = 52.0
 # A follower, the first.
 VICTIM = LEADER + 1
@@ -83,6 +88,27 @@ FLIGHTS = {
             name="intruder-1", drones=3, speed_m_s=0.0, intruder_m_s=1.0, ends_s=INTRUDED_ENDS_S + 8.0
         ),
         FlightPlan(name="intruder-2", drones=3, speed_m_s=0.0, intruder_m_s=2.0, ends_s=INTRUDED_ENDS_S),
+        *(
+            FlightPlan(
+                name=f"homing-{speed}",
+                drones=3,
+                speed_m_s=0.0,
+                intruder_m_s=speed,
+                homes=True,
+                ends_s=HOMED_ENDS_S,
+            )
+            for speed in HOMING_M_S
+        ),
+        *(
+            FlightPlan(
+                name=f"homing-leader-{speed}",
+                drones=3,
+                speed_m_s=0.0,
+                leader_homes_m_s=speed,
+                ends_s=HOMED_ENDS_S,
+            )
+            for speed in HOMING_M_S
+        ),
         FlightPlan(name="ghosts", drones=3, ghosts=3),
         FlightPlan(name="ghosts-hover", drones=3, ghosts=3, speed_m_s=0.0, ends_s=40.0),
         FlightPlan(
@@ -179,8 +205,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seeds(parser, SEEDS, QUICK_SEEDS)
     add_processes(parser)
     parser.add_argument(
-        "--flights", nargs="+", choices=list(FLIGHTS), default=list(FLIGHTS), metavar="NAME",
-        help=f"which of {', '.join(FLIGHTS)} (default: all)",
+        "--flights", nargs="+", choices=[*FLIGHTS, MEETINGS], default=[*FLIGHTS, MEETINGS], metavar="NAME",
+        help=f"which of {', '.join(FLIGHTS)}, {MEETINGS} (default: all)",
     )  # fmt: skip
 
 
@@ -192,16 +218,24 @@ def run(args: argparse.Namespace) -> None:
 def publish(out: Path, names: Sequence[str], seeds: int, processes: int) -> dict[str, Any]:
     """Fly, write formation.json and .md into `out`, and return what is in the JSON."""
     rows: dict[str, dict[str, Any]] = {}
+    result: dict[str, Any] = {"rows": []}
     with report.progress(NAME, len(names) * seeds) as advance, ProcessPoolExecutor(processes) as pool:
         for name in names:
-            flown = []
-            for flight in pool.map(fly, [name] * seeds, range(seeds)):
+            flown: list[FlownFormation] = []
+            met: list[Meeting] = []
+            for flight in pool.map(fly, [name] * seeds, range(seeds)) if name in FLIGHTS else ():
                 flown.append(flight)
                 rows[name] = _row(name, flown)
+                result["rows"] = list(rows.values())
                 # As far as it has come: hours of flights are not lost with the last of them.
-                report.write(out, NAME, {"rows": list(rows.values())}, _markdown(rows.values()))
+                report.write(out, NAME, result, _markdown(result))
                 advance(name)
-    return {"rows": list(rows.values())}
+            for meeting in pool.map(meet, range(seeds)) if name == MEETINGS else ():
+                met.append(meeting)
+                result[MEETINGS] = meetings_row(met)
+                advance(name)
+        report.write(out, NAME, result, _markdown(result))
+    return result
 
 
 def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
@@ -245,8 +279,8 @@ def _middle_and_most(values: Sequence[float]) -> dict[str, float]:
     return {"p50": float(np.median(values)), "max": max(values)}
 
 
-def _markdown(rows: Iterable[dict[str, Any]]) -> str:
-    rows = list(rows)
+def _markdown(result: dict[str, Any]) -> str:
+    rows = result["rows"]
     header = [
         "flight", "runs", "error p50, p95 m", "end p95 m", "smallest separation m", "runs below 1.5 m",
         "farthest off m, p50, max", "runs with a lost follower", "held", "false alarms",
@@ -275,6 +309,12 @@ def _markdown(rows: Iterable[dict[str, Any]]) -> str:
         if "leader_gone" in row
     ]
     lines += [_noticed_in_words(row) for row in rows if "noticed" in row]
+    if MEETINGS in result:
+        met = result[MEETINGS]
+        lines.append(
+            f"{met['runs']} meetings of 2 to 5: longest wait {met['waited_s']['max']:.1f} s, the smallest separation "
+            f"{met['min_separation_m']:.2f} m; in {met['runs_with_one_not_arrived']} somebody did not arrive."
+        )
     return "\n\n".join(["# Formation by sight", report.table(header, cells), *lines])
 
 

@@ -3,7 +3,8 @@
 * Cost: `Formation.command` with its barrier, of 1, 5, 10 and 20 tracks that are all near enough to be kept clear of,
   half of which it would fly into. Processor time, median.
 * Soundness: as many random states as `--states` says (`any_states.py`), each told twice: answers are numbers within the
-  limits, and the same both times.
+  limits, and the same both times. Every fifth is one in which all others are too near: no command closes in on any of
+  them faster than standing, or flying on, would.
 
     swarmtrack bench formation-command [--states N] [--quick] --out DIR
 """
@@ -20,11 +21,19 @@ import numpy as np
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common
-from swarmtrack.benchmarks.formation.any_states import HEIGHT_M, SLOTS, Stories, Story, wrong_with
+from swarmtrack.benchmarks.formation.any_states import (
+    HEIGHT_M,
+    SLOTS,
+    Squeezes,
+    Stories,
+    Story,
+    closes_in,
+    wrong_with,
+)
 from swarmtrack.benchmarks.relative_cost import median_cpu
 from swarmtrack.formation.formation import Formation
 from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.setpoint import OwnFlight
+from swarmtrack.formation.setpoint import OwnFlight, Setpoint
 from swarmtrack.messages import IdentifiedTrack, RelativeState, Track, TrackStatus
 
 NAME = "formation-command"
@@ -34,14 +43,20 @@ BUDGET_TRACKS = 10
 REPEATS, QUICK_REPEATS = 3000, 300
 STATES, QUICK_STATES = 1_000_000, 20_000
 STATES_OF_A_STORY = 1000
+SQUEEZED_EVERY = 5
+# m/s
+SLACK_M_S = 1e-6
 
 
 class Soundness(NamedTuple):
-    """Of random states; wrong: the first few that were not sound, in words."""
+    """Of random states; squeezed: so many with all others too near; closing_in: answers to those that closed in on
+    somebody without need; wrong: the first few that were not sound, in words."""
 
     states: int
+    squeezed: int
     answers_unlike: int
     unsound: int
+    closing_in: int
     wrong: list[str]
 
 
@@ -75,19 +90,28 @@ def cost(n: int, repeats: int) -> float:
 
 def soundness(stories: int) -> Soundness:
     """Of so many stories of `STATES_OF_A_STORY` states each."""
-    unlike = unsound = 0
+    squeezed = unlike = unsound = closing_in = 0
     wrong: list[str] = []
     for seed in range(stories):
-        told = Stories(seed)
+        is_squeezed = seed % SQUEEZED_EVERY == 0
+        told = Squeezes(seed) if is_squeezed else Stories(seed)
         one, again = Formation(told.parameters), Formation(told.parameters)
+        before: Setpoint | None = None
         for story in itertools.islice(told, STATES_OF_A_STORY):
             setpoint = one.command(*story)
             unlike += again.command(*story) != setpoint
-            words = wrong_with(setpoint, told.parameters.limits)
+            words = wrong_with(setpoint, told.parameters.limits, before)
+            unsound += bool(words)
+            if is_squeezed:
+                squeezed += 1
+                faster = closes_in(setpoint, before, story)
+                if faster > SLACK_M_S:
+                    closing_in += 1
+                    words = words or f"closes in {faster:.3f} m/s faster than it need"
             if words:
-                unsound += 1
                 wrong = [*wrong, f"story {seed}: {words}"][:5]
-    return Soundness(stories * STATES_OF_A_STORY, unlike, unsound, wrong)
+            before = setpoint
+    return Soundness(stories * STATES_OF_A_STORY, squeezed, unlike, unsound, closing_in, wrong)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,7 +150,8 @@ def _markdown(costs: dict[int, float], found: Soundness) -> str:
     ]
     words = (
         f"Of {found.states} random states {found.unsound} answers were not sound and {found.answers_unlike} were not "
-        "the same again."
+        f"the same again. Of {found.squeezed} in which all others were too near {found.closing_in} closed in on "
+        "somebody without need."
     )
     return "\n\n".join(
         [

@@ -51,7 +51,7 @@ START_SIGMA_M = 0.3
 ENGAGED_S, DEPARTS_S, TURNS_S, TURN_S, STOPS_S, ENDS_S = 3.0, 14.0, 26.0, 5.0, 40.0, 50.0
 # s: before that the leader flies a square, by which it is known: so long each side; and m/s.
 SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 2.0, 0.8
-# s, world time: the intruder sets out, so far from the slot that it flies through [m].
+# s, world time: the intruder sets out, so far from the slot that it flies through [m]; and a leader that homes in.
 INTRUDES_S, INTRUDER_FROM_M = 16.0, 14.0
 SPAN_M = 0.5
 # Ghosts: m from a follower, in front of it give or take rad; m, how near a drone would be that looks as large; m above
@@ -69,7 +69,8 @@ class FlightPlan:
 
     size_drone, size_white: how far boxes are off, from drone to drone and from frame to frame, as shares. gone_s: when
     the leader vanishes from everybody's sight, world time; intruder_m_s: as fast a drone that is nobody's flies through
-    the slot of the first follower, 0: there is none, while the leader hovers; sure: of names, see the law's parameters.
+    the slot of the first follower, 0: there is none, while the leader hovers; homes: it steers at that follower,
+    wherever it goes; leader_homes_m_s: so does the leader; sure: of names, see the law's parameters.
     ghosts: in front of each follower, parts of houses that look like drones at 3 to 7 m; failure: what breaks;
     range_finders: all have one that looks down.
     """
@@ -86,6 +87,8 @@ class FlightPlan:
     latency_s: float = LATENCY_S
     gone_s: float = math.inf
     intruder_m_s: float = 0.0
+    homes: bool = False
+    leader_homes_m_s: float = 0.0
     sure: float = 0.99
     ends_s: float = ENDS_S
     ghosts: int = 0
@@ -158,7 +161,10 @@ class FormationFlight(FailingSwarm):
             return
         self.fail(now)
         if drone_id == LEADER:
-            drone.tell(now, SetPoint(now, velocity=leader_velocity(now, self.plan.speed_m_s), yaw_rate=0.0))
+            velocity = leader_velocity(now, self.plan.speed_m_s)
+            if self.plan.leader_homes_m_s and now >= INTRUDES_S:
+                velocity = self._pursuit(LEADER, self.plan.leader_homes_m_s, now)
+            drone.tell(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
             self._intrude(now)
             return
         if not self._runs(drone_id, now):
@@ -181,7 +187,17 @@ class FormationFlight(FailingSwarm):
             way = _intruder_way(self.slots[LEADER + 1], self.scenario.seed)
             speed = self.plan.intruder_m_s
             velocity = speed * math.cos(way), speed * math.sin(way), 0.0
+            if self.plan.homes:
+                velocity = self._pursuit(INTRUDER, speed, now)
             intruder.tell(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
+
+    def _pursuit(self, pursuer: int, speed: float, now: float) -> Triple:
+        """m/s: straight at the first follower, where it truly is."""
+        here, there = (
+            self.scenario.world.flown(drone).motion(now).position for drone in (pursuer, LEADER + 1)
+        )
+        north, east, down = (speed * (there - here) / max(float(np.linalg.norm(there - here)), 1e-3)).tolist()
+        return north, east, down
 
     def _judge(self, now: float) -> None:
         """Once per instant."""

@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from swarmtrack.formation.law import dot, towards
 from swarmtrack.formation.setpoint import STILL, Velocity
 
 # 1/s: how fast the distance left may be used up. Faster, a camera that is 150 ms late sees too late who comes.
@@ -52,9 +53,18 @@ def keep_clear(
     return HalfSpace(direction, max(bound, -fastest), track)
 
 
-def sidestep(place: Velocity, motion: Velocity) -> Velocity:
+def not_closing(
+    track: int, direction: Velocity, nearest: float, leaves: float, *, clearance: float
+) -> HalfSpace:
+    """What is left of `keep_clear` where it cannot be had of everybody: nobody nearer than the clearance is closed in
+    on, and beyond it the distance left is used up no faster. leaves [m/s]: as fast the other is expected to fly off."""
+    return HalfSpace(direction, GAMMA * max(nearest - clearance, 0.0) + leaves, track)
+
+
+def sidestep(place: Velocity, motion: Velocity, lasts: float = SOON_S) -> Velocity:
     """m/s, level: out of the way of somebody at `place` [m, from here] who passes soon and near. motion [m/s]: its
-    velocity less the wanted one. Who comes straight on is passed on its left: both step to their right."""
+    velocity less the wanted one, and lasts [s]: for how long. Who comes straight on is passed on its left: both step to
+    their right."""
     north, east, _ = place
     vn, ve, _ = motion
     square = vn * vn + ve * ve
@@ -63,6 +73,7 @@ def sidestep(place: Velocity, motion: Velocity) -> Velocity:
     soon = -(north * vn + east * ve) / square
     if not 0.0 < soon < SOON_S:
         return STILL
+    soon = min(soon, lasts)
     pn, pe = north + soon * vn, east + soon * ve
     miss = math.hypot(pn, pe)
     if miss >= PASSES_M:
@@ -102,8 +113,31 @@ def binding(velocity: Velocity, spaces: Sequence[HalfSpace]) -> tuple[int, ...]:
     return tuple(
         space.track
         for space in spaces
-        if space.track is not None and _dot(space.normal, velocity) > space.bound + SETTLED
+        if space.track is not None and dot(space.normal, velocity) > space.bound + SETTLED
     )
+
+
+def excess(velocity: Velocity, spaces: Sequence[HalfSpace]) -> float:
+    """m/s: how far a velocity is beyond that half-space which it is farthest beyond; negative within all of them."""
+    return max((dot(space.normal, velocity) - space.bound for space in spaces), default=-math.inf)
+
+
+def stepped(now: Velocity, wanted: Velocity, most: float, spaces: Sequence[HalfSpace]) -> Velocity:
+    """From one velocity towards another, which is within `spaces`, by no more than `most` [m/s]. To come within them
+    is first."""
+    if math.dist(now, wanted) <= most:
+        return wanted
+    within = nearest_velocity(now, spaces)
+    # From there on straight to what is wanted, which stays within: as far as |off + share * way| = most.
+    off = [there - here for there, here in zip(within, now, strict=True)]
+    way = [there - here for there, here in zip(wanted, within, strict=True)]
+    left = most * most - sum(x * x for x in off)
+    if left <= 0.0:
+        return towards(now, within, most)
+    square, along = sum(x * x for x in way), sum(a * b for a, b in zip(off, way, strict=True))
+    share = (math.sqrt(along * along + square * left) - along) / square
+    north, east, down = (here + share * x for here, x in zip(within, way, strict=True))
+    return north, east, down
 
 
 def fence(
@@ -131,7 +165,7 @@ def leash(position: Velocity, place: Velocity, velocity: Velocity, most: float) 
     if away < 1e-3:
         return []
     outward = (north / away, east / away, 0.0)
-    return [HalfSpace(outward, max(GAMMA * (most - away) + _dot(outward, velocity), 0.0))]
+    return [HalfSpace(outward, max(GAMMA * (most - away) + dot(outward, velocity), 0.0))]
 
 
 def layer(down: float, least: float, most: float, *, speed: float, gain: float) -> list[HalfSpace]:
@@ -141,7 +175,3 @@ def layer(down: float, least: float, most: float, *, speed: float, gain: float) 
         HalfSpace((0.0, 0.0, 1.0), max(gain * (most - down) + speed, 0.0)),
         HalfSpace((0.0, 0.0, -1.0), max(gain * (down - least) - speed, 0.0)),
     ]
-
-
-def _dot(a: Velocity, b: Velocity) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

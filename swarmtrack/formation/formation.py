@@ -23,22 +23,28 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.formation.barrier import (
+    COMES_M_S,
+    SOON_S,
     STEPS_ASIDE_M_S,
     HalfSpace,
     binding,
+    excess,
     fence,
-    keep_clear,
     layer,
     leash,
     nearest_velocity,
     sidestep,
+    stepped,
 )
 from swarmtrack.formation.divergence import DivergenceWatch
 from swarmtrack.formation.heights import HeightWatch
 from swarmtrack.formation.law import SeenReference, added, displacement, saturated, towards, turn_rate
+from swarmtrack.formation.obstacles import Obstacle, obstacles
+from swarmtrack.formation.out_of_sight import OutOfSight
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
 from swarmtrack.formation.references import DOUBTED, ReferenceWatch
 from swarmtrack.formation.setpoint import FASTEST_M_S, NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
+from swarmtrack.formation.squeezed import best_of, least_closing, no_faster_than_asked
 from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
 # s: of a pose, of the gyro, of a scan: older than this they tell nothing of now.
@@ -56,12 +62,8 @@ HEIGHT_GAIN, AT_HEIGHT_M = 0.8, 0.3
 YAW_GAIN = 1.5
 # s: a step of time is never longer.
 LONGEST_STEP_S = 0.3
-# m beyond the clearance: who is farther away need not be kept clear of.
-WATCHED_M = 6.0
-# Sigmas of ln(range) that somebody may be nearer than it seems; a range that is not known at all counts as 0.6.
-SIGMAS, VAGUEST_RANGE = 2.0, 0.6
-# m/s, one sigma: nobody's speed is taken to be known worse.
-VAGUEST_SPEED = 1.0
+# m/s: the sweeps of the barrier end so near to what they look for; farther off there is nothing to be found.
+CONTRADICTS = 0.05
 # m: so far from its slot a drone is led by whom it keeps clear of; who holds, from where it began to. And s: within so
 # long it is back, or what keeps it off is something else.
 MOST_ASIDE_M, BACK_S = 12.0, 10.0
@@ -107,6 +109,12 @@ class SlotFlight(NamedTuple):
     error: Velocity
     velocity: Velocity
 
+    @property
+    def arrives(self) -> float:
+        """s: in about that time it is in its slot."""
+        north, east, _ = (wanted - along for wanted, along in zip(self.wanted, self.velocity, strict=True))
+        return math.hypot(*self.error) / max(math.hypot(north, east), 1e-3)
+
 
 class Formation:
     """Told what is seen and how the drone flies, `command` answers with what to fly. `engage` begins each flight."""
@@ -131,6 +139,7 @@ class Formation:
         self._followed = STILL
         self._followed_at = -math.inf
         self._yaw_rate = 0.0
+        self._out_of_sight = OutOfSight()
         self._late_since: float | None = None
         """Since when it stands for nothing but what came late."""
 
@@ -176,7 +185,8 @@ class Formation:
         if why is Why.FOLLOW:
             self._followed, self._followed_at = slewed, t
         self._berth = self._berthed(slot, own, t)
-        velocity, clear_of = self._bent(slewed, wanted, states, own, tracks)
+        near = self._in_the_way(states, own, tracks, t)
+        velocity, clear_of = self._bent(slewed, _aside(near, wanted, slot), near, own, dt)
         yaw_rate = self._turned(own, t, dt) if why is not Why.HEADING else 0.0
         if not _are_numbers((*velocity, yaw_rate)):
             return self._brake(t, dt, Why.BROKEN)
@@ -185,7 +195,8 @@ class Formation:
             self._bent_at = t
         if clear_of:
             text += ", keeps clear"
-        return Setpoint(t, velocity, yaw_rate, why, text, error, clear_of)
+        nearest = min((other.nearest for other in near), default=None)
+        return Setpoint(t, velocity, yaw_rate, why, text, error, clear_of, nearest)
 
     def _step_to(self, t: float) -> float:
         """s since the last command; 0 where time does not go on."""
@@ -292,8 +303,10 @@ class Formation:
         lost_for = t - self._followed_at
         names = " and ".join(str(watch.drone_id) for watch in self._watches)
         if 0.0 <= lost_for < FADED_S:
-            share = math.exp(-lost_for / FADE_S)
             north, east, _ = self._followed
+            flown, followed = math.hypot(*self._flown[:2]), math.hypot(north, east)
+            # Who had to brake meanwhile does not speed up again.
+            share = min(math.exp(-lost_for / FADE_S), flown / followed if followed > flown else 1.0)
             return (share * north, share * east, 0.0), Why.FADE, f"drone {names} is lost: slows down"
         entering = [watch.drone_id for watch in self._watches if watch.entering]
         if entering:
@@ -326,13 +339,13 @@ class Formation:
     def _bent(
         self,
         velocity: Velocity,
-        wanted: Velocity,
-        states: Mapping[int, RelativeState],
+        aside: Velocity,
+        near: Sequence[Obstacle],
         own: OwnFlight,
-        tracks: Sequence[IdentifiedTrack],
+        dt: float,
     ) -> tuple[Velocity, tuple[int, ...]]:
-        """Away from everybody who is seen, and within the fence; and of whom it had to keep clear. wanted: if nobody
-        were in the way, where `velocity` may be the rest of an evasion."""
+        """Away from everybody who is near, and within the fence; and of whom it had to keep clear. aside: a step out
+        of their way."""
         limits, here = self.parameters.limits, self._engaged_at
         assert here is not None
         spaces = fence(
@@ -343,18 +356,54 @@ class Formation:
             highest=here[2] - limits.fence_height,
             pull=limits.climb,
         )
-        near, aside = self._in_the_way(wanted, states, own, tracks)
-        height = self._layer(own, here) if near else []
-        north, east, down = nearest_velocity(added(velocity, aside), spaces + near + height)
-        if near and self._berth is not None:
-            berth = self._berth
-            held = height + leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
-            # What nobody is led beyond: where the barrier wants it otherwise, these have the last word.
-            north, east, down = nearest_velocity((north, east, down), spaces + held)
-        most_down, most_up = (min(space.bound, limits.climb) for space in spaces[:2])
-        down = min(max(down, -most_up), most_down)
-        bent = saturated((north, east, down), limits.speed)
-        return bent, binding(velocity, spaces + near)
+        clear = [other.to_keep_clear(self.parameters) for other in near]
+        held = list(spaces)
+        goal = velocity
+        if near:
+            height = self._layer(own, here)
+            goal = nearest_velocity(added(velocity, aside), spaces + clear + height)
+            held += height
+            if self._berth is not None:
+                berth = self._berth
+                held += leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
+        # What nobody is led beyond: where the barrier wants it otherwise, these have the last word.
+        goal = nearest_velocity(goal, held)
+        bent = self._limited(goal, held)
+        if excess(bent, clear) > CONTRADICTS:
+            closing = [other.not_to_close_in(self.parameters) for other in near]
+            if excess(goal, clear) > CONTRADICTS or excess(bent, closing) > max(excess(STILL, closing), 0.0):
+                bent = self._squeezed(bent, near, closing, clear, held)
+        step = stepped(self._flown, bent, limits.evasion * dt, held)
+        return self._at_most(step), binding(velocity, spaces + clear)
+
+    def _limited(self, velocity: Velocity, held: Sequence[HalfSpace]) -> Velocity:
+        """held: floor and ceiling first."""
+        north, east, down = velocity
+        most_down, most_up = (space.bound for space in held[:2])
+        return self._at_most((north, east, min(max(down, -most_up), most_down)))
+
+    def _at_most(self, velocity: Velocity) -> Velocity:
+        """The nearest that climbs and flies no faster than allowed."""
+        limits = self.parameters.limits
+        north, east, down = velocity
+        return saturated((north, east, min(max(down, -limits.climb), limits.climb)), limits.speed)
+
+    def _squeezed(
+        self,
+        compromise: Velocity,
+        near: Sequence[Obstacle],
+        closing: Sequence[HalfSpace],
+        clear: Sequence[HalfSpace],
+        held: Sequence[HalfSpace],
+    ) -> Velocity:
+        """Where not everybody can be kept clear of: as if this drone stood, with a step aside from those who come."""
+        limits = self.parameters.limits
+        # Nobody is drawn back within the fence, or to its slot, into another.
+        may = [space._replace(bound=max(space.bound, 0.0)) for space in held]
+        climb = [HalfSpace((0.0, 0.0, sense), limits.climb) for sense in (1.0, -1.0)]
+        least = least_closing(_aside(near, STILL), closing, may + climb, limits.speed)
+        least = self._limited(nearest_velocity(least, may), may)
+        return best_of((no_faster_than_asked(least, clear), least, compromise, STILL), closing)
 
     def _layer(self, own: OwnFlight, engaged: Velocity) -> list[HalfSpace]:
         """Out of its slot's height nobody is led by whom it keeps clear of; nor, until the drone is there, off the way
@@ -367,45 +416,19 @@ class Formation:
 
     def _in_the_way(
         self,
-        wanted: Velocity,
         states: Mapping[int, RelativeState],
         own: OwnFlight,
         tracks: Sequence[IdentifiedTrack],
-    ) -> tuple[list[HalfSpace], Velocity]:
-        """A half-space for every track that was confirmed and whose distance is known, named or not; and a step aside,
-        m/s, from those who come: to whom is retreating from them nobody comes, so that counts which is wanted."""
-        near = [
-            (entry.track.id, states[entry.track.id])
+        t: float,
+    ) -> list[Obstacle]:
+        """Confirmed tracks whose distance is known, named or not; and who has just left the picture."""
+        seen = {
+            entry.track.id: states[entry.track.id]
             for entry in tracks
             if entry.track.status is not TrackStatus.TENTATIVE and entry.track.id in states
-        ]
-        if not near:
-            return [], STILL
-        r = np.array([state.position for _, state in near])
-        v = np.array([state.velocity for _, state in near]) + own.velocity
-        distance = np.sqrt((r * r).sum(axis=1))
-        d = r / distance[:, None]
-        cov = np.array([state.cov for _, state in near])
-        place, speed = (
-            np.sqrt(np.maximum((d[:, :, None] * cov[:, k, k] * d[:, None, :]).sum(axis=(1, 2)), 0.0))
-            for k in (slice(0, 3), slice(3, 6))
-        )
-        nearest = distance * np.exp(-SIGMAS * np.minimum(place / distance, VAGUEST_RANGE))
-        away = (d * v).sum(axis=1) - np.minimum(speed, VAGUEST_SPEED)
-        p = self.parameters
-        spaces, aside = [], STILL
-        rows = zip(
-            near, d.tolist(), nearest.tolist(), away.tolist(), r.tolist(), (v - wanted).tolist(), strict=True
-        )
-        for (track, _), ray, least, leaves, there, motion in rows:
-            if least < p.clearance + WATCHED_M:
-                spaces.append(
-                    keep_clear(
-                        track, tuple(ray), least, leaves, clearance=p.clearance, fastest=p.limits.speed
-                    )
-                )
-                aside = added(aside, sidestep(tuple(there), tuple(motion)))
-        return spaces, saturated(aside, STEPS_ASIDE_M_S)
+        }
+        everybody = self._out_of_sight.states(seen, own, t) | seen
+        return obstacles(everybody, own.velocity, self.parameters.clearance)
 
     # ── the view ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -434,6 +457,20 @@ class Formation:
         self._flown = towards(self._flown, STILL, self.parameters.limits.acceleration * dt)
         self._yaw_rate = self._slewed_rate(0.0, dt)
         return Setpoint(t, self._flown, self._yaw_rate, why, HOLDS[why])
+
+
+def _aside(near: Sequence[Obstacle], wanted: Velocity, slot: SlotFlight | None = None) -> Velocity:
+    """m/s: out of the way of those who come. To whom is retreating from them nobody comes: what counts is what would be
+    flown if nobody were in the way. To those who stand, or fly along with the slot, this drone comes no nearer than its
+    slot is: on its way there it does not turn about one who stands behind it."""
+    aside = STILL
+    for other in near:
+        north, east, down = (flies - wants for flies, wants in zip(other.velocity, wanted, strict=True))
+        lasts = SOON_S
+        if slot is not None and math.dist(other.velocity[:2], slot.velocity[:2]) < COMES_M_S:
+            lasts = slot.arrives
+        aside = added(aside, sidestep(other.place, (north, east, down), lasts))
+    return saturated(aside, STEPS_ASIDE_M_S)
 
 
 def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:

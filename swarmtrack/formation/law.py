@@ -65,6 +65,10 @@ def added(a: Velocity, b: Velocity) -> Velocity:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
+def dot(a: Velocity, b: Velocity) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 def towards(now: Velocity, wanted: Velocity, most: float) -> Velocity:
     """From one velocity to another, by no more than `most`."""
     north, east, down = (goal - here for here, goal in zip(now, wanted, strict=True))

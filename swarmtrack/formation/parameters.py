@@ -18,10 +18,9 @@ class FlightLimits:
     climb: float = 1.0
     """m/s, up and down."""
     acceleration: float = 1.5
-    """m/s²: how fast a command changes. Evading is not slowed down by it. A drone tilts for it, and so does its camera:
-    by 9° for this."""
+    """m/s²: how fast a command changes, but for evading. A drone tilts for it, and so does its camera: by 9° here."""
     evasion: float = 6.0
-    """m/s²: how fast a command changes at most, when it evades."""
+    """m/s²: how fast a command changes where it evades somebody, or a fence. No command ever changes faster."""
     yaw_rate: float = 0.8
     """rad/s"""
     yaw_acceleration: float = 3.0
@@ -45,7 +44,8 @@ BOUNDS = {
     "speed": (0.1, 5.0),
     "climb": (0.1, 2.0),
     "acceleration": (0.2, 5.0),
-    "evasion": (1.0, 20.0),
+    # Never less than an acceleration may be; a fence asks for 2.5 m/s² at the highest speed.
+    "evasion": (5.0, 20.0),
     "yaw_rate": (0.05, 1.5),
     "yaw_acceleration": (0.2, 10.0),
     "least_height": (0.5, 100.0),

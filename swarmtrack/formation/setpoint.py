@@ -95,7 +95,8 @@ class Setpoint(NamedTuple):
     """What to fly from t [s] on. velocity [m/s] NED in team axes; yaw_rate [rad/s], clockwise seen from above.
 
     text: why, for people. error [m]: how far off its slot the drone is, level; None where nobody can tell. clear_of:
-    the tracks that the velocity was bent away from.
+    the tracks that the velocity was bent away from. nearest [m]: the least that anybody's distance may be; None
+    where nobody is near, or nobody can tell.
     """
 
     t: float
@@ -105,6 +106,7 @@ class Setpoint(NamedTuple):
     text: str
     error: float | None = None
     clear_of: tuple[int, ...] = ()
+    nearest: float | None = None
 
     @property
     def holds(self) -> bool:

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -123,11 +124,15 @@ def test_a_distance_that_is_known_badly_counts_as_the_least_that_it_may_be():
     assert retreat(0.4) == pytest.approx(0.5 * (1.5 - 2.0 * math.exp(-0.4)), abs=1e-6)
 
 
-def test_evading_is_not_slowed_down_by_the_acceleration_of_commands():
-    flying = Flying(Formation(parameters(limits={"acceleration": 0.2})))
+def test_evading_changes_a_command_by_its_own_acceleration_and_no_faster():
+    flying = Flying(Formation(parameters(limits={"acceleration": 0.2, "evasion": 6.0})))
     flying.tell(in_slot())
     seen = {12: state((0.0, -2.0, 0.0), (0.0, 2.0, 0.0), drone_id=0)}
-    assert flying.tell(in_slot(), seen, [track(None, 12)]).velocity[1] > 1.5
+    told = [flying.tell(in_slot(), seen, [track(None, 12)]).velocity for _ in range(6)]
+    steps = [math.dist(before, after) for before, after in itertools.pairwise(((0.0, 0.0, 0.0), *told))]
+    assert max(steps) <= 0.6 + 1e-9
+    assert steps[:3] == pytest.approx([0.6, 0.6, 0.6])
+    assert math.hypot(*told[-1]) > 2.4
 
 
 @pytest.mark.parametrize(("speed", "seed"), [(1.0, 1), (1.0, 2), (1.5, 3), (1.5, 4)])

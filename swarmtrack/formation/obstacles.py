@@ -1,0 +1,69 @@
+"""Whom a drone has to keep clear of: how near each may be and how it moves, from what is known of it and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.formation.barrier import HalfSpace, keep_clear, not_closing
+from swarmtrack.formation.parameters import FormationParameters
+from swarmtrack.formation.setpoint import Velocity
+from swarmtrack.messages import RelativeState
+
+# m beyond the clearance: who is farther away need not be kept clear of.
+WATCHED_M = 6.0
+# Sigmas of ln(range) that somebody may be nearer than it seems; a range that is not known at all counts as 0.6.
+SIGMAS, VAGUEST_RANGE = 2.0, 0.6
+# m/s, one sigma: nobody's speed is taken to be known worse.
+VAGUEST_SPEED = 1.0
+
+
+class Obstacle(NamedTuple):
+    """Of a track. place [m, from here], velocity [m/s, its own]; direction: of length 1, to it; nearest [m]: the least
+    that its distance may be; away and leaves [m/s]: how fast it flies off along that, at least and as expected."""
+
+    track: int
+    place: Velocity
+    velocity: Velocity
+    direction: Velocity
+    nearest: float
+    away: float
+    leaves: float
+
+    def to_keep_clear(self, p: FormationParameters) -> HalfSpace:
+        """What keeping clear of it asks for."""
+        return keep_clear(
+            self.track, self.direction, self.nearest, self.away, clearance=p.clearance, fastest=p.limits.speed
+        )
+
+    def not_to_close_in(self, p: FormationParameters) -> HalfSpace:
+        """What is left of that where it cannot be had of everybody."""
+        return not_closing(self.track, self.direction, self.nearest, self.leaves, clearance=p.clearance)
+
+
+def obstacles(
+    states: Mapping[int, RelativeState], own_velocity: Velocity, clearance: float
+) -> list[Obstacle]:
+    """By track; those that are near enough to count."""
+    if not states:
+        return []
+    r = np.array([state.position for state in states.values()])
+    v = np.array([state.velocity for state in states.values()]) + own_velocity
+    distance = np.sqrt((r * r).sum(axis=1))
+    d = r / distance[:, None]
+    cov = np.array([state.cov for state in states.values()])
+    place, speed = (
+        np.sqrt(np.maximum((d[:, :, None] * cov[:, k, k] * d[:, None, :]).sum(axis=(1, 2)), 0.0))
+        for k in (slice(0, 3), slice(3, 6))
+    )
+    nearest = distance * np.exp(-SIGMAS * np.minimum(place / distance, VAGUEST_RANGE))
+    leaves = (d * v).sum(axis=1)
+    away = leaves - np.minimum(speed, VAGUEST_SPEED)
+    columns = (r.tolist(), v.tolist(), d.tolist(), nearest.tolist(), away.tolist(), leaves.tolist())
+    return [
+        Obstacle(track, tuple(there), tuple(motion), tuple(ray), least, slow, expected)
+        for track, there, motion, ray, least, slow, expected in zip(states, *columns, strict=True)
+        if least < clearance + WATCHED_M
+    ]

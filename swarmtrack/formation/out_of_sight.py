@@ -1,0 +1,95 @@
+"""Who came when it left the picture still comes: it flies on as it was last seen, and is known worse every moment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.formation.barrier import COMES_M_S
+from swarmtrack.formation.setpoint import OwnFlight, Velocity
+from swarmtrack.messages import Array, RelativeState
+
+# s: so long somebody is remembered.
+REMEMBERED_S = 3.0
+# m/s², one sigma: how somebody may change its velocity meanwhile.
+CHANGES = 0.3
+# m: who is seen so near to where somebody was expected is that one, on another track.
+SAME_M = 2.0
+
+
+class LastSight(NamedTuple):
+    """since, t [s]: from when to when it was seen; here [m], flies [m/s]: the own drone then; state: of the other
+    against it."""
+
+    since: float
+    t: float
+    here: Velocity
+    flies: Velocity
+    state: RelativeState
+
+    def after(self, age: float, own: OwnFlight) -> RelativeState:
+        """As it is expected that much later, against where this drone is and how it flies by then."""
+        flies = self.state.velocity + self.flies
+        place = self.state.position + self.here + age * flies - own.position
+        return replace(
+            self.state,
+            t=self.t + age,
+            position=place,
+            velocity=flies - own.velocity,
+            cov=_grown(self.state.cov, age),
+        )
+
+
+class OutOfSight:
+    """Told whom a drone sees, by track, each time; `states` are those whom it does not see any more."""
+
+    def __init__(self) -> None:
+        self._seen: dict[int, LastSight] = {}
+
+    def forget(self) -> None:
+        self._seen.clear()
+
+    def states(self, seen: Mapping[int, RelativeState], own: OwnFlight, t: float) -> dict[int, RelativeState]:
+        """By the track that each had; what places were measured in before the own one leapt, or the own heading
+        stepped, is forgotten."""
+        frame_age = min(own.leap_age, own.heading_step_age)
+        expected = {}
+        for track, last in list(self._seen.items()):
+            if track in seen:
+                continue
+            age = t - last.t
+            # Clutter is over as soon as it came: nobody is remembered for longer than it was seen.
+            lasts = min(REMEMBERED_S, last.t - last.since, frame_age)
+            state = last.after(age, own) if 0.0 <= age < lasts else None
+            if state is None or not _comes(last.state) or not _is_elsewhere(state, seen.values()):
+                del self._seen[track]
+            else:
+                expected[track] = state
+        for track, state in seen.items():
+            since = self._seen[track].since if track in self._seen else t
+            self._seen[track] = LastSight(since, t, own.position, own.velocity, state)
+        return expected
+
+
+def _comes(state: RelativeState) -> bool:
+    """Who did not come when it was last seen is in nobody's way."""
+    return float(state.position @ state.velocity) < -COMES_M_S * math.hypot(*state.position)
+
+
+def _is_elsewhere(state: RelativeState, seen: Iterable[RelativeState]) -> bool:
+    """Than this drone itself, and than all those who are seen."""
+    return bool(state.position.any()) and all(
+        math.dist(state.position, other.position) >= SAME_M for other in seen
+    )
+
+
+def _grown(cov: Array, age: float) -> Array:
+    """(6, 6), after so many seconds of unknown acceleration."""
+    F = np.eye(6)
+    F[:3, 3:] = age * np.eye(3)
+    noise = np.diag([(0.5 * CHANGES * age * age) ** 2] * 3 + [(CHANGES * age) ** 2] * 3)
+    return F @ cov @ F.T + noise
