@@ -22,5 +22,13 @@ def test_a_crowd_is_kept_clear_of_while_its_leader_is_followed(tmp_path):
 def test_every_figure_is_written(tmp_path):
     result = command.publish(tmp_path, 5, 1)
     assert list(result["cost_ms"]) == ["1", "5", "10", "20"]
-    assert result["soundness"] == {"states": 1000, "answers_unlike": 0, "unsound": 0, "wrong": []}
+    soundness = {
+        "states": 1000,
+        "squeezed": 1000,
+        "answers_unlike": 0,
+        "unsound": 0,
+        "closing_in": 0,
+        "wrong": [],
+    }
+    assert result["soundness"] == soundness
     assert "10 | " in (tmp_path / "formation-command.md").read_text(encoding="utf-8")
