@@ -27,6 +27,9 @@ MEAN_S, LONGEST_STEP_S = 2.0, 0.3
 # Of the speed: a PX4 in its simulator falls short by 0.3 of it at first, by drag that its integral takes up within
 # seconds: half of that is left on the average.
 SHORT = 0.15
+# Of how far what it is told is from how it flies, averaged likewise: an autopilot at the limits of its acceleration and
+# jerk is modelled that badly.
+LIMITED = 0.5
 # m/s: more is said, once it is that much; and less than that ends it, once it has lasted so long [s].
 SAID_M_S, AGREES_M_S, AGREES_S = 0.6, 0.3, 3.0
 # m: so much farther off its slot within so many seconds, while it was told to come nearer by so much; and s: so long it
@@ -50,6 +53,7 @@ class DivergenceWatch:
         """m/s: flown less told, averaged."""
         self._t: float | None = None
         self._expected: Velocity = STILL
+        self._demand = 0.0
         self._said = False
         self._agrees_since: float | None = None
         self._way: deque[_Off] = deque()
@@ -68,6 +72,7 @@ class DivergenceWatch:
         off = _beyond_short(_minus(flown, self._expected), self._expected)
         share = min(dt / MEAN_S, 1.0)
         self.difference = _plus(self.difference, _minus(off, self.difference), share)
+        self._demand += share * (math.hypot(*_minus(told, self._expected)) - self._demand)
         self._judge(t)
 
     def follow(self, t: float, error: Velocity, along: Velocity) -> None:
@@ -102,7 +107,7 @@ class DivergenceWatch:
         size = math.hypot(*self.difference)
         if size > AGREES_M_S:
             self._agrees_since = None
-            self._said = self._said or size > SAID_M_S
+            self._said = self._said or size > SAID_M_S + LIMITED * self._demand
             return
         if self._agrees_since is None:
             self._agrees_since = t
