@@ -30,6 +30,10 @@ log = logging.getLogger(__name__)
 PERIOD_S = 0.1
 # s that a reason to hold must last to be said.
 SAID_AFTER_S = 0.5
+# Times the clearance: whoever comes nearer is said to the pilot; and again, once nobody was so near for so long [s].
+NEAR, FORGOTTEN_S = 1.5, 5.0
+# What holds a drone that may be moving all the same.
+TAKE_OVER = (Why.HEIGHT_DOUBT, Why.DIVERGES)
 NOWHERE: Velocity = (math.nan, math.nan, math.nan)
 
 
@@ -63,6 +67,8 @@ class FormationPilot:
             ("slot_east_m", east),
         )
         self._least_height = parameters.limits.least_height
+        self._near = NEAR * parameters.clearance
+        self._near_at = -math.inf
         self._newest: LocalSetpoint | None = None
         self._number = 0
         self._flown = 0
@@ -99,6 +105,7 @@ class FormationPilot:
             self._newest = told
             guard.decide(self._decision(told))
             self._look_for_news(told.setpoint.why, told.setpoint.text, now)
+            self._look_for_near(told.setpoint.nearest, now)
         elif engagement.wants_stream:
             guard.stand()
 
@@ -204,7 +211,16 @@ class FormationPilot:
         self._said = why
         if why.holds:
             self.holds += 1
+            text += ": take over" if why in TAKE_OVER else ""
             self._notices.add(Severity.WARNING, f"formation holds: {text}")
             log.warning("formation: holds: %s", text)
         else:
             self._notices.add(Severity.INFO, "in formation" if why is Why.FOLLOW else f"formation: {text}")
+
+    def _look_for_near(self, nearest: float | None, now: float) -> None:
+        if nearest is None or nearest >= self._near:
+            return
+        if now - self._near_at > FORGOTTEN_S:
+            self._notices.add(Severity.WARNING, f"formation: somebody {nearest:.1f} m away")
+            log.warning("formation: somebody is %.1f m away, at least", nearest)
+        self._near_at = now

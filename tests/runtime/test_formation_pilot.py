@@ -96,12 +96,14 @@ class ScriptedDoor:
         return OwnFlight((0.0, 0.0, -10.0), (0.0, 0.0, 0.0), 0.0)
 
     def __init__(self):
-        self.velocity, self.why, self.asked = VELOCITY, Why.FOLLOW, []
+        self.velocity, self.why, self.asked, self.nearest = VELOCITY, Why.FOLLOW, [], None
 
     def command(self, now, engagement):
         self.asked.append((now, engagement))
         return LocalSetpoint(
-            self.velocity, YAW_RATE, Setpoint(now, self.velocity, YAW_RATE, self.why, "words")
+            self.velocity,
+            YAW_RATE,
+            Setpoint(now, self.velocity, YAW_RATE, self.why, "words", nearest=self.nearest),
         )
 
 
@@ -333,6 +335,30 @@ async def test_holds_are_said_once_they_last_and_that_it_goes_on():
         companion.to(FlightMode.HOLD)
         companion.fly(0.5)
         assert dict(companion.pilot.status().counters)["engaged"] == 0.0
+
+
+async def test_the_pilot_hears_of_whoever_is_nearer_than_one_and_a_half_times_the_clearance_once():
+    async with Companion(FlownArduPilot()) as companion:
+        companion.to(FlightMode.GUIDED)
+        companion.door.nearest = 2.3
+        companion.fly(1.0)
+        assert not any("away" in text for text in companion.notices.said)
+        companion.door.nearest = 2.2
+        companion.fly(3.0)
+        companion.door.nearest = None
+        companion.fly(6.0)
+        companion.door.nearest = 1.0
+        companion.fly(1.0)
+        heard = [text for text in companion.notices.said if "away" in text]
+        assert heard == ["formation: somebody 2.2 m away", "formation: somebody 1.0 m away"]
+
+
+async def test_what_may_drift_while_it_holds_asks_the_pilot_to_take_over():
+    async with Companion(FlownArduPilot()) as companion:
+        companion.to(FlightMode.GUIDED)
+        companion.door.why = Why.HEIGHT_DOUBT
+        companion.fly(2.0)
+        assert companion.notices.said[-1] == "formation holds: words: take over"
 
 
 async def test_px4_gets_zeros_before_it_is_engaged_and_velocities_after():
