@@ -37,6 +37,7 @@ from swarmtrack.formation.barrier import (
     stepped,
 )
 from swarmtrack.formation.divergence import DivergenceWatch
+from swarmtrack.formation.escape import Room, room, way_out, who_collides
 from swarmtrack.formation.heights import HeightWatch
 from swarmtrack.formation.law import SeenReference, added, displacement, saturated, towards, turn_rate
 from swarmtrack.formation.obstacles import Obstacle, obstacles
@@ -58,6 +59,8 @@ SETTLES_S = 3.0
 FADE_S, FADED_S = 1.0, 2.0
 # 1/s, on the error of the height; and m: nearer to its height than this a drone may fly level.
 HEIGHT_GAIN, AT_HEIGHT_M = 0.8, 0.3
+# 1/s: of the room that is left up or down as much is used up, where somebody is about to collide.
+ESCAPE_GAIN = 3.0
 # 1/s, on the error of the heading.
 YAW_GAIN = 1.5
 # s: a step of time is never longer.
@@ -133,6 +136,8 @@ class Formation:
         self._at_height = False
         self._heights = HeightWatch(self.parameters.references)
         self._divergence = DivergenceWatch()
+        self._escapes = False
+        """Whether it may be out of its height, since somebody was about to collide with it."""
         self._berth: Berth | None = None
         self._bent_at = -math.inf
         self._flown = STILL
@@ -186,7 +191,15 @@ class Formation:
             self._followed, self._followed_at = slewed, t
         self._berth = self._berthed(slot, own, t)
         near = self._in_the_way(states, own, tracks, t)
-        velocity, clear_of = self._bent(slewed, _aside(near, wanted, slot), near, own, dt)
+        collides = who_collides(near, slewed)
+        up_or_down = STILL
+        if collides is not None:
+            up_or_down = way_out(collides, own.position[2], self._room(own), limits.climb)
+        # Until nobody is near any more: a height that is left is not fetched back in front of somebody.
+        self._escapes = collides is not None or (self._escapes and bool(near))
+        velocity, clear_of = self._bent(
+            slewed, near, own, dt, aside=_aside(near, wanted, slot), up_or_down=up_or_down
+        )
         yaw_rate = self._turned(own, t, dt) if why is not Why.HEADING else 0.0
         if not _are_numbers((*velocity, yaw_rate)):
             return self._brake(t, dt, Why.BROKEN)
@@ -339,13 +352,15 @@ class Formation:
     def _bent(
         self,
         velocity: Velocity,
-        aside: Velocity,
         near: Sequence[Obstacle],
         own: OwnFlight,
         dt: float,
+        *,
+        aside: Velocity,
+        up_or_down: Velocity,
     ) -> tuple[Velocity, tuple[int, ...]]:
         """Away from everybody who is near, and within the fence; and of whom it had to keep clear. aside: a step out
-        of their way."""
+        of their way, up_or_down: and out of their height."""
         limits, here = self.parameters.limits, self._engaged_at
         assert here is not None
         spaces = fence(
@@ -361,7 +376,7 @@ class Formation:
         goal = velocity
         if near:
             height = self._layer(own, here)
-            goal = nearest_velocity(added(velocity, aside), spaces + clear + height)
+            goal = nearest_velocity(added(added(velocity, aside), up_or_down), spaces + clear + height)
             held += height
             if self._berth is not None:
                 berth = self._berth
@@ -372,7 +387,7 @@ class Formation:
         if excess(bent, clear) > CONTRADICTS:
             closing = [other.not_to_close_in(self.parameters) for other in near]
             if excess(goal, clear) > CONTRADICTS or excess(bent, closing) > max(excess(STILL, closing), 0.0):
-                bent = self._squeezed(bent, near, closing, clear, held)
+                bent = self._squeezed(bent, near, closing, clear, held, up_or_down=up_or_down)
         step = stepped(self._flown, bent, limits.evasion * dt, held)
         return self._at_most(step), binding(velocity, spaces + clear)
 
@@ -395,21 +410,34 @@ class Formation:
         closing: Sequence[HalfSpace],
         clear: Sequence[HalfSpace],
         held: Sequence[HalfSpace],
+        *,
+        up_or_down: Velocity,
     ) -> Velocity:
         """Where not everybody can be kept clear of: as if this drone stood, with a step aside from those who come."""
         limits = self.parameters.limits
         # Nobody is drawn back within the fence, or to its slot, into another.
         may = [space._replace(bound=max(space.bound, 0.0)) for space in held]
         climb = [HalfSpace((0.0, 0.0, sense), limits.climb) for sense in (1.0, -1.0)]
-        least = least_closing(_aside(near, STILL), closing, may + climb, limits.speed)
+        aside = added(_aside(near, STILL), up_or_down)
+        least = least_closing(aside, closing, may + climb, limits.speed)
         least = self._limited(nearest_velocity(least, may), may)
         return best_of((no_faster_than_asked(least, clear), least, compromise, STILL), closing)
 
+    def _room(self, own: OwnFlight) -> Room:
+        """Of heights, to escape to."""
+        p = self.parameters
+        others = [place[2] - p.height for drone, place in p.slots.items() if drone != p.drone_id]
+        return room(p.down + own.sways.down, others)
+
     def _layer(self, own: OwnFlight, engaged: Velocity) -> list[HalfSpace]:
         """Out of its slot's height nobody is led by whom it keeps clear of; nor, until the drone is there, off the way
-        to it from where it was engaged."""
+        to it from where it was engaged. Whoever was about to collide may have left it, a little."""
         sways = own.sways if self._at_height else NO_SWAY
         slot = self.parameters.down + sways.down
+        if self._escapes and self._at_height:
+            free = self._room(own)
+            least, most = min(free.highest, slot - AT_HEIGHT_M), max(free.lowest, slot + AT_HEIGHT_M)
+            return layer(own.position[2], least, most, speed=sways.speed, gain=ESCAPE_GAIN)
         begun = slot if self._at_height else engaged[2]
         least, most = min(slot, begun) - AT_HEIGHT_M, max(slot, begun) + AT_HEIGHT_M
         return layer(own.position[2], least, most, speed=sways.speed, gain=HEIGHT_GAIN)
