@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
@@ -20,7 +21,7 @@ ARDUPILOT, PX4 = common.MAV_AUTOPILOT_ARDUPILOTMEGA, common.MAV_AUTOPILOT_PX4
 LONGEST_S = 1.0
 # Times our own limit: a runaway shall not be much faster.
 FASTER = 2.0
-# m beyond the formation's fence that the autopilot's own may stand: it is there for what goes wrong.
+# m beyond the formation's fence, and above it, that the autopilot's own may stand: it is there for what goes wrong.
 WIDER_M = 20.0
 # bits of FENCE_TYPE: highest altitude, circle; of COM_RC_OVERRIDE: sticks end OFFBOARD.
 ALTITUDE_AND_CIRCLE, STICKS_END_OFFBOARD = 0b11, 0b10
@@ -29,110 +30,133 @@ OFFBOARD_LOST = {
 }  # fmt: skip
 
 
+class Asked(NamedTuple):
+    """What the formation asks: its limits, and how high [m] the slot is above the team frame's origin."""
+
+    limits: FlightLimits
+    height: float
+
+
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """is_met: of a value, with the formation's limits; wanted: the value to set; why: what happens otherwise.
+    """names: with the unit [SI] of each; they change with versions, and the first that the firmware has counts.
 
-    names: the first that the firmware has counts: they change with versions.
+    is_met: of a value in SI; wanted: the value to set, likewise; why: what happens otherwise; unit: as people read it.
     """
 
-    names: tuple[str, ...]
-    is_met: Callable[[float, FlightLimits], bool]
-    wanted: Callable[[FlightLimits], float]
+    names: Mapping[str, float]
+    is_met: Callable[[float, Asked], bool]
+    wanted: Callable[[Asked], float]
     why: str
+    unit: str = ""
 
 
-def _at_most(most: Callable[[FlightLimits], float]) -> Callable[[float, FlightLimits], bool]:
-    return lambda value, limits: 0.0 < value <= most(limits) + 1e-6
+def _at_most(most: Callable[[Asked], float]) -> Callable[[float, Asked], bool]:
+    return lambda value, asked: 0.0 < value <= most(asked) + 1e-6
 
 
-def _speed(limits: FlightLimits) -> float:
-    return FASTER * limits.speed
+def _one_of(*choices: int) -> Callable[[float, Asked], bool]:
+    return lambda value, asked: value in choices
 
 
-def _climb(limits: FlightLimits) -> float:
-    return FASTER * limits.climb
+def _has_bits(bits: int) -> Callable[[float, Asked], bool]:
+    """Of a whole number; what is none, or below zero, has none of them."""
+    return lambda value, asked: value >= 0.0 and value == int(value) and int(value) & bits == bits
 
 
-def _radius(limits: FlightLimits) -> float:
-    return math.ceil(limits.fence_radius + WIDER_M)
+def _speed(asked: Asked) -> float:
+    return FASTER * asked.limits.speed
 
 
+def _climb(asked: Asked) -> float:
+    return FASTER * asked.limits.climb
+
+
+def _radius(asked: Asked) -> float:
+    return math.ceil(asked.limits.fence_radius + WIDER_M)
+
+
+def _ceiling(asked: Asked) -> float:
+    return math.ceil(asked.height + asked.limits.fence_height + WIDER_M)
+
+
+FLIES_ON = "a drone whose agent and guard have died flies on for as long"
 DEMANDS: dict[int, tuple[Demand, ...]] = {
     ARDUPILOT: (
         Demand(
-            ("GUID_TIMEOUT",),
-            _at_most(lambda limits: LONGEST_S),
-            lambda limits: LONGEST_S,
-            "a drone whose agent and guard have died flies on for so many seconds",
+            {"GUID_TIMEOUT": 1.0}, _at_most(lambda asked: LONGEST_S), lambda asked: LONGEST_S, FLIES_ON, " s"
         ),
+        Demand({"FENCE_ENABLE": 1.0}, _one_of(1), lambda asked: 1.0, "no fence of its own is on"),
+        Demand({"FENCE_ACTION": 1.0}, _one_of(*range(1, 9)), lambda asked: 1.0, "its fence only reports"),
         Demand(
-            ("FENCE_ENABLE",),
-            lambda value, limits: value >= 1.0,
-            lambda limits: 1.0,
-            "no fence of its own is on",
-        ),
-        Demand(
-            ("FENCE_ACTION",),
-            lambda value, limits: value >= 1.0,
-            lambda limits: 1.0,
-            "its fence only reports",
-        ),
-        Demand(
-            ("FENCE_TYPE",),
-            lambda value, limits: int(value) & ALTITUDE_AND_CIRCLE == ALTITUDE_AND_CIRCLE,
-            lambda limits: float(ALTITUDE_AND_CIRCLE),
+            {"FENCE_TYPE": 1.0},
+            _has_bits(ALTITUDE_AND_CIRCLE),
+            lambda asked: float(ALTITUDE_AND_CIRCLE),
             "its fence lacks the circle or the highest altitude",
         ),
+        Demand({"FENCE_RADIUS": 1.0}, _at_most(_radius), _radius, "far outside the formation's fence", " m"),
+        Demand({"FENCE_ALT_MAX": 1.0}, _at_most(_ceiling), _ceiling, "far above the formation's fence", " m"),
         Demand(
-            ("FENCE_RADIUS",), _at_most(_radius), _radius, "its circle is far outside the formation's fence"
-        ),
-        Demand(
-            ("WPNAV_SPEED",),
-            lambda value, limits: 0.0 < value <= 100.0 * _speed(limits),
-            lambda limits: 100.0 * _speed(limits),
-            "cm/s, much faster than the formation flies",
+            {"WP_SPD": 1.0, "WPNAV_SPEED": 0.01},
+            _at_most(_speed),
+            _speed,
+            "much faster than the formation flies",
+            " m/s",
         ),
     ),
     PX4: (
         Demand(
-            ("COM_OF_LOSS_T",),
-            _at_most(lambda limits: LONGEST_S),
-            lambda limits: LONGEST_S,
-            "a drone whose agent and guard have died flies on for so many seconds",
+            {"COM_OF_LOSS_T": 1.0}, _at_most(lambda asked: LONGEST_S), lambda asked: LONGEST_S, FLIES_ON, " s"
         ),
         Demand(
-            ("COM_OBL_RC_ACT",),
-            lambda value, limits: int(value) in (0, 4, 5),
-            lambda limits: 0.0,
+            {"COM_OBL_RC_ACT": 1.0},
+            _one_of(0, 4, 5),
+            lambda asked: 0.0,
             "what it does without set points: 0 Position, 5 Hold and 4 Land keep it where it is",
         ),
         Demand(
-            ("COM_RC_OVERRIDE",),
-            lambda value, limits: bool(int(value) & STICKS_END_OFFBOARD),
-            lambda limits: 3.0,
+            {"COM_RC_OVERRIDE": 1.0},
+            _has_bits(STICKS_END_OFFBOARD),
+            lambda asked: 3.0,
             "moving the sticks does not end OFFBOARD",
         ),
         Demand(
-            ("GF_ACTION",),
-            lambda value, limits: int(value) in (2, 3, 5),
-            lambda limits: 2.0,
+            {"GF_ACTION": 1.0},
+            _one_of(2, 3, 5),
+            lambda asked: 2.0,
             "its geofence is off, only warns, or drops the drone",
         ),
         Demand(
-            ("GF_MAX_HOR_DIST",),
+            {"GF_MAX_HOR_DIST": 1.0},
             _at_most(_radius),
             _radius,
-            "0 is no fence; this is far outside the formation's",
+            "0, or far beyond the formation's fence",
+            " m",
         ),
         Demand(
-            ("MPC_XY_VEL_MAX",),
-            _at_most(_speed),
-            _speed,
-            "m/s, much faster than the formation flies",
+            {"GF_MAX_VER_DIST": 1.0},
+            _at_most(_ceiling),
+            _ceiling,
+            "0, or far above the formation's fence",
+            " m",
         ),
-        Demand(("MPC_Z_VEL_MAX_UP",), _at_most(_climb), _climb, "m/s, much faster than the formation climbs"),
-        Demand(("MPC_Z_VEL_MAX_DN",), _at_most(_climb), _climb, "m/s, much faster than the formation sinks"),
+        Demand(
+            {"MPC_XY_VEL_MAX": 1.0}, _at_most(_speed), _speed, "much faster than the formation flies", " m/s"
+        ),
+        Demand(
+            {"MPC_Z_VEL_MAX_UP": 1.0},
+            _at_most(_climb),
+            _climb,
+            "much faster than the formation climbs",
+            " m/s",
+        ),
+        Demand(
+            {"MPC_Z_VEL_MAX_DN": 1.0},
+            _at_most(_climb),
+            _climb,
+            "much faster than the formation sinks",
+            " m/s",
+        ),
     ),
 }
 
@@ -142,7 +166,7 @@ def asked_of(kind: int) -> tuple[str, ...]:
     return tuple(name for demand in DEMANDS.get(kind, ()) for name in demand.names)
 
 
-def check_limits(kind: int | None, values: Mapping[str, float], limits: FlightLimits) -> list[Finding]:
+def check_limits(kind: int | None, values: Mapping[str, float], asked: Asked) -> list[Finding]:
     """kind: MAV_AUTOPILOT, None: none was heard; values: by name, what it told."""
     demands = DEMANDS.get(kind, ()) if kind is not None else ()
     if not demands:
@@ -151,15 +175,20 @@ def check_limits(kind: int | None, values: Mapping[str, float], limits: FlightLi
     for demand in demands:
         name = next((name for name in demand.names if name in values), None)
         if name is None:
-            silent.append(demand.names[0])
-        elif not demand.is_met(values[name], limits):
+            silent.append(" or ".join(demand.names))
+            continue
+        scale = demand.names[name]
+        if not demand.is_met(scale * values[name], asked):
+            in_si = (
+                f" ({scale * values[name]:g}{demand.unit})" if demand.unit else _meaning(name, values[name])
+            )
             findings.append(
                 fault(
                     "limits.unsafe",
                     parameter=name,
-                    value=f"{values[name]:g}{_meaning(name, values[name])}",
+                    value=f"{values[name]:g}{in_si}",
                     why=demand.why,
-                    wanted=f"{demand.wanted(limits):g}",
+                    wanted=f"{demand.wanted(asked) / scale:g}",
                 )
             )
     if silent:

@@ -52,7 +52,9 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     place = config.formation.parameters(config.drone.id)
     if watch.parameters is not None and place is not None:
         told = watch.parameters
-        findings += autopilot_limits.check_limits(told.kind, told.values, place.limits)
+        findings += autopilot_limits.check_limits(
+            told.kind, told.values, autopilot_limits.Asked(place.limits, -place.down)
+        )
     if watched.autopilot.wanted and not watched.autopilot.refused:
         findings += sources.check_imu(watched.imu)
         findings += sources.check_pose(watched.pose)

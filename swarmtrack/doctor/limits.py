@@ -7,10 +7,11 @@ from contextlib import suppress
 
 from swarmtrack.clock import Clock
 from swarmtrack.config import DroneConfig
-from swarmtrack.diagnosis.autopilot_limits import asked_of, check_limits, unheard
+from swarmtrack.diagnosis.autopilot_limits import Asked, asked_of, check_limits, unheard
 from swarmtrack.diagnosis.findings import Finding, skipped
 from swarmtrack.doctor.watching import SampleCollector
 from swarmtrack.runtime.assembly import make_autopilot
+from swarmtrack.sensors.mavlink.address import is_recording
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.parameters import ParameterReader
 
@@ -23,6 +24,8 @@ async def read_limits(config: DroneConfig, clock: Clock, seconds: float = WITHIN
     place = config.formation.parameters(config.drone.id)
     if place is None:
         return [skipped("limits", "this drone follows nobody: nobody but its pilot flies it")]
+    if is_recording(config.autopilot.link):
+        return [skipped("limits", f"{config.autopilot.link} is a recording: nobody to be asked")]
     autopilot = make_autopilot(config, clock, None)
     if not isinstance(autopilot, MavlinkAutopilot):
         return [skipped("limits", f"autopilot.link is {config.autopilot.link}: nobody to be asked")]
@@ -39,4 +42,4 @@ async def read_limits(config: DroneConfig, clock: Clock, seconds: float = WITHIN
     if reader.kind is None:
         reason = f"{autopilot.status().text}; no heartbeat within {seconds:g} s"
         return unheard(reason)
-    return check_limits(reader.kind, reader.values, place.limits)
+    return check_limits(reader.kind, reader.values, Asked(place.limits, -place.down))

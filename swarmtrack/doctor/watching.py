@@ -199,9 +199,9 @@ class SensorWatch:
         self.heard = SampleCollector()
         self.parameters: ParameterReader | None = None
         """Of the autopilot, where the agent may fly the drone."""
-        if config.formation.parameters(config.drone.id) is not None and isinstance(
-            self._autopilot, MavlinkAutopilot
-        ):
+        follows = config.formation.parameters(config.drone.id) is not None
+        live = isinstance(self._autopilot, MavlinkAutopilot) and not is_recording(config.autopilot.link)
+        if follows and live and isinstance(self._autopilot, MavlinkAutopilot):
             self.parameters = ParameterReader(asked_of)
             self._autopilot.read_parameters(self.parameters)
 

@@ -16,6 +16,7 @@ ParameterValue = int | float
 # Values as a fresh ArduCopter 4.7 and a fresh PX4 1.15 have them.
 ARDUPILOT_PARAMETERS: Mapping[str, ParameterValue] = {
     "FENCE_ACTION": 1,
+    "FENCE_ALT_MAX": 100.0,
     "FENCE_ENABLE": 0,
     "FENCE_RADIUS": 300.0,
     "FENCE_TYPE": 7,
@@ -23,7 +24,7 @@ ARDUPILOT_PARAMETERS: Mapping[str, ParameterValue] = {
     "GUID_TIMEOUT": 3.0,
     "INS_GYRO_FILTER": 20,
     "SCHED_LOOP_RATE": 400,
-    "WPNAV_SPEED": 1000.0,
+    "WP_SPD": 10.0,
     "WP_YAW_BEHAVIOR": 2,
 }
 PX4_PARAMETERS: Mapping[str, ParameterValue] = {
@@ -32,6 +33,7 @@ PX4_PARAMETERS: Mapping[str, ParameterValue] = {
     "COM_RC_OVERRIDE": 1,
     "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 0.0,
+    "GF_MAX_VER_DIST": 0.0,
     "IMU_GYRO_CUTOFF": 40.0,
     "IMU_GYRO_RATEMAX": 400,
     "IMU_INTEG_RATE": 200,
@@ -57,7 +59,7 @@ class VehicleParameters:
         self._bytewise = bytewise
 
     def answers(self, message: Any) -> Iterator[Any]:
-        """What is said to a PARAM_ message. A parameter that does not exist is passed over in silence, as both do."""
+        """What is said to a PARAM_ message. A parameter that does not exist is passed over in silence, as PX4 does."""
         names = list(self.values)
         match message.get_type():
             case "PARAM_REQUEST_READ" if message.param_index == ASKED_BY_NAME:

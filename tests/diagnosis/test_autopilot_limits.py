@@ -12,20 +12,20 @@ from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
 from support.ports import free_port
 from swarmtrack.agents.main import main
-from swarmtrack.diagnosis.autopilot_limits import ARDUPILOT, DEMANDS, PX4, asked_of, check_limits
+from swarmtrack.diagnosis.autopilot_limits import ARDUPILOT, DEMANDS, PX4, Asked, asked_of, check_limits
 from swarmtrack.diagnosis.findings import Level
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.sensors.mavlink.parameters import ATTEMPTS, ParameterReader
 
-LIMITS = FlightLimits()
+ASKED = Asked(FlightLimits(), 6.0)
 GOOD = {
     ARDUPILOT: {
         "GUID_TIMEOUT": 1.0, "FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_RADIUS": 60.0,
-        "WPNAV_SPEED": 400.0,
+        "FENCE_ALT_MAX": 30.0, "WPNAV_SPEED": 400.0,
     },
     PX4: {
         "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 3, "GF_ACTION": 2, "GF_MAX_HOR_DIST": 60.0,
-        "MPC_XY_VEL_MAX": 4.0, "MPC_Z_VEL_MAX_UP": 2.0, "MPC_Z_VEL_MAX_DN": 1.5,
+        "GF_MAX_VER_DIST": 30.0, "MPC_XY_VEL_MAX": 4.0, "MPC_Z_VEL_MAX_UP": 2.0, "MPC_Z_VEL_MAX_DN": 1.5,
     },
 }  # fmt: skip
 BAD = [
@@ -36,6 +36,14 @@ BAD = [
     (ARDUPILOT, "FENCE_TYPE", 4, "set FENCE_TYPE to 3"),
     (ARDUPILOT, "FENCE_RADIUS", 300.0, "set FENCE_RADIUS to 70"),
     (ARDUPILOT, "WPNAV_SPEED", 1000.0, "set WPNAV_SPEED to 500"),
+    (ARDUPILOT, "WP_SPD", 10.0, "set WP_SPD to 5"),
+    (ARDUPILOT, "FENCE_ALT_MAX", 100.0, "set FENCE_ALT_MAX to 36"),
+    (ARDUPILOT, "FENCE_TYPE", -1.0, "set FENCE_TYPE to 3"),
+    (ARDUPILOT, "FENCE_TYPE", 7.5, "set FENCE_TYPE to 3"),
+    (ARDUPILOT, "FENCE_ENABLE", 1e30, "set FENCE_ENABLE to 1"),
+    (PX4, "COM_OBL_RC_ACT", 0.7, "set COM_OBL_RC_ACT to 0"),
+    (PX4, "COM_RC_OVERRIDE", -1.0, "sticks"),
+    (PX4, "GF_MAX_VER_DIST", 0.0, "set GF_MAX_VER_DIST to 36"),
     (PX4, "COM_OF_LOSS_T", 5.0, "set COM_OF_LOSS_T to 1"),
     (PX4, "COM_OBL_RC_ACT", 7, "7 (Disarm)"),
     (PX4, "COM_OBL_RC_ACT", 3, "3 (Return)"),
@@ -48,13 +56,13 @@ BAD = [
 
 @pytest.mark.parametrize("kind", GOOD)
 def test_an_autopilot_that_is_set_well_is_ok(kind):
-    (finding,) = check_limits(kind, GOOD[kind], LIMITS)
+    (finding,) = check_limits(kind, GOOD[kind], ASKED)
     assert finding.level is Level.OK
 
 
 @pytest.mark.parametrize(("kind", "name", "value", "said"), BAD)
 def test_what_is_set_badly_is_said_with_the_value_to_set(kind, name, value, said):
-    (finding,) = check_limits(kind, GOOD[kind] | {name: value}, LIMITS)
+    (finding,) = check_limits(kind, GOOD[kind] | {name: value}, ASKED)
     assert finding.level is Level.WARNING
     assert finding.found.startswith(f"{name} is {value:g}")
     assert said in f"{finding.found} -> {finding.remedy}"
@@ -62,13 +70,13 @@ def test_what_is_set_badly_is_said_with_the_value_to_set(kind, name, value, said
 
 @pytest.mark.parametrize("kind", DEMANDS)
 def test_what_is_not_told_is_said(kind):
-    (finding,) = check_limits(kind, {}, LIMITS)
+    (finding,) = check_limits(kind, {}, ASKED)
     assert all(name in finding.found for name in asked_of(kind))
 
 
 def test_of_other_autopilots_and_of_none_nothing_is_demanded():
-    assert check_limits(common.MAV_AUTOPILOT_GENERIC, {}, LIMITS) == []
-    assert check_limits(None, {}, LIMITS) == []
+    assert check_limits(common.MAV_AUTOPILOT_GENERIC, {}, ASKED) == []
+    assert check_limits(None, {}, ASKED) == []
 
 
 def value(name, number, kind=common.MAV_PARAM_TYPE_REAL32):
@@ -155,6 +163,14 @@ async def test_config_check_asks_the_autopilot_over_its_link_and_writes_nothing(
     assert code == 0
     assert said in capsys.readouterr().out
     assert autopilot.parameters.written == 0
+
+
+def test_a_recording_is_asked_nothing(tmp_path, capsys):
+    config = tmp_path / "drone.toml"
+    (tmp_path / "flight.tlog").write_bytes(b"")
+    config.write_text(CONFIG.format(id=2, link="tlog:flight.tlog"))
+    assert main(["config", "check", str(config), "--autopilot"]) == 0
+    assert "is a recording" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("drone", "said"), [(1, "follows nobody"), (2, "nobody to be asked")])

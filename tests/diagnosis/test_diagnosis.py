@@ -11,7 +11,7 @@ import pytest
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
 from swarmtrack.config import MountedCamera, load_config
-from swarmtrack.diagnosis.autopilot_limits import check_limits, unheard
+from swarmtrack.diagnosis.autopilot_limits import Asked, check_limits, unheard
 from swarmtrack.diagnosis.findings import FAULTS, Finding, Level, markdown_table, worst
 from swarmtrack.diagnosis.mounting import (
     MotionFacts,
@@ -118,11 +118,18 @@ def late(age_ms):
 
 RIGHT = Consistency(2.0, 1.5, 2.5)
 # All but GUID_TIMEOUT, of an ArduCopter.
-WELL_SET = {"FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_RADIUS": 60, "WPNAV_SPEED": 400}
+WELL_SET = {
+    "FENCE_ENABLE": 1,
+    "FENCE_ACTION": 1,
+    "FENCE_TYPE": 7,
+    "FENCE_RADIUS": 60,
+    "FENCE_ALT_MAX": 30,
+    "WP_SPD": 4,
+}
 PRODUCED = {
-    "limits.unsafe": lambda: check_limits(3, {**WELL_SET, "GUID_TIMEOUT": 3.0}, FlightLimits()),
+    "limits.unsafe": lambda: check_limits(3, {**WELL_SET, "GUID_TIMEOUT": 3.0}, Asked(FlightLimits(), 6.0)),
     "limits.silent": lambda: unheard("searching: port open, 0 bytes"),
-    "limits.unknown": lambda: check_limits(3, WELL_SET, FlightLimits()),
+    "limits.unknown": lambda: check_limits(3, WELL_SET, Asked(FlightLimits(), 6.0)),
     "camera.address": lambda: check_camera(CameraFacts(8.0, 0.5, refused="camera source x: unknown scheme")),
     "camera.missing": lambda: camera("/dev/video7 is not there, and no other /dev/video*", ok=False, frames=0),
     "camera.forbidden": lambda: camera("/dev/video0: permission denied; run `sudo …`", ok=False, frames=0),

@@ -1,7 +1,7 @@
 """Parameters of an autopilot, read by name. Nothing is ever written.
 
-A parameter that does not exist is passed over in silence by both firmwares, so each is asked for a few times, and then
-counts as not told.
+A parameter that does not exist is passed over in silence by most firmwares, and PARAM_ERROR of newer ones is not read.
+So each is asked for a few times, and then counts as not told.
 """
 
 from __future__ import annotations
