@@ -489,16 +489,20 @@ class Formation:
 
 def _aside(near: Sequence[Obstacle], wanted: Velocity, slot: SlotFlight | None = None) -> Velocity:
     """m/s: out of the way of those who come. To whom is retreating from them nobody comes: what counts is what would be
-    flown if nobody were in the way. To those who stand, or fly along with the slot, this drone comes no nearer than its
-    slot is: on its way there it does not turn about one who stands behind it."""
+    flown if nobody were in the way. To those who stand, as the slot does, this drone comes no nearer than its slot is:
+    on its way there it does not turn about one who stands behind it."""
     aside = STILL
     for other in near:
         north, east, down = (flies - wants for flies, wants in zip(other.velocity, wanted, strict=True))
         lasts = SOON_S
-        if slot is not None and math.dist(other.velocity[:2], slot.velocity[:2]) < COMES_M_S:
+        if slot is not None and max(map(_level_speed, (other.velocity, slot.velocity))) < COMES_M_S:
             lasts = slot.arrives
         aside = added(aside, sidestep(other.place, (north, east, down), lasts))
     return saturated(aside, STEPS_ASIDE_M_S)
+
+
+def _level_speed(velocity: Velocity) -> float:
+    return math.hypot(velocity[0], velocity[1])
 
 
 def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
