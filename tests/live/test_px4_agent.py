@@ -1,4 +1,4 @@
-"""A real agent behind a simulated PX4, over UDP in real time: PX4 alone does not get one flown again that was frozen."""
+"""A real agent behind a simulated PX4, over UDP in real time: frozen, it is not flown again by PX4 alone."""
 
 import asyncio
 import math
