@@ -237,6 +237,48 @@ def test_what_is_heard_after_the_agent_stood_still_engages_nobody(tick_first):
     assert not pilot.to(OFFBOARD)
 
 
+@pytest.mark.parametrize("kind", [ARDU, PX4])
+def test_a_pilot_who_left_and_came_again_while_the_agent_stood_still_is_not_flown_when_it_wakes(kind):
+    """Also where it looks at the clock first, and reads then what had waited."""
+    off, on = (LOITER, GUIDED) if kind == ARDU else (HOLD, OFFBOARD)
+    pilot = Pilot() if kind == ARDU else TellingPilot()
+    pilot.to(off)
+    pilot.to(on)
+    pilot.engagement.tick(pilot.t)
+    asleep = pilot.t
+    pilot.engagement.tick(asleep + 8.0)
+    assert not pilot.to(off)
+    assert not pilot.to(on)
+    # Over a serial line what had waited has no stamp of its own.
+    pilot.t = asleep + 7.6
+    assert not pilot.to(off)
+    pilot.t -= 0.4
+    assert not pilot.to(on)
+    pilot.t += 1.0
+    pilot.engagement.tick(pilot.t - 0.4)
+    pilot.engagement.tick(pilot.t + 0.4)
+    assert not pilot.to(off)
+    assert pilot.to(on)
+
+
+def test_after_a_failure_disarming_makes_up_for_no_intention():
+    pilot = TellingPilot()
+    pilot.to(HOLD)
+    pilot.to(OFFBOARD)
+    pilot.engagement.fail("no decision")
+    pilot.to(POSITION, intended=OFFBOARD)
+    # Its failsafe lands it. Whoever arms it again is sent no zeros that would take it into OFFBOARD.
+    pilot.to(POSITION, intended=OFFBOARD, armed=False, airborne=False)
+    pilot.to(POSITION, intended=OFFBOARD, airborne=False)
+    assert not pilot.engagement.wants_stream
+    pilot.to(POSITION, intended=OFFBOARD)
+    assert not pilot.engagement.wants_stream
+    assert not pilot.to(OFFBOARD)
+    pilot.to(HOLD)
+    assert pilot.engagement.wants_stream
+    assert pilot.to(OFFBOARD)
+
+
 def test_words_say_who_ended_it():
     pilot = TellingPilot()
     pilot.to(HOLD)
@@ -294,6 +336,37 @@ def test_a_switch_that_is_on_at_take_off_engages_nobody_without_the_mode():
         pilot.engagement.on_channels(pilot.t, channels(1900))
         pilot.to(mode)
     assert pilot.engagement.engaged
+
+
+def test_after_a_failure_the_switch_makes_up_for_no_intention():
+    """Zeros would end the failsafe of a PX4 whose pilot has just thrown the switch off."""
+    pilot = TellingPilot(switch=PilotSwitch(7, 1700.0))
+
+    def to(mode, us, **more):
+        pilot.engagement.on_channels(pilot.t, channels(us))
+        return pilot.to(mode, **more)
+
+    to(HOLD, 1900)
+    assert to(OFFBOARD, 1900)
+    pilot.engagement.fail("no decision")
+    to(POSITION, 1900, intended=OFFBOARD)
+    to(POSITION, 1100, intended=OFFBOARD)
+    assert not pilot.engagement.wants_stream
+    assert not to(OFFBOARD, 1900)
+    to(HOLD, 1900)
+    assert to(OFFBOARD, 1900)
+
+
+def test_a_failsafe_while_the_switch_is_off_is_a_failure_too():
+    pilot = TellingPilot(switch=PilotSwitch(7, 1700.0))
+    pilot.to(HOLD)
+    pilot.to(OFFBOARD)
+    # It waits for the switch, and streams as long as that takes.
+    assert pilot.engagement.wants_stream
+    pilot.to(POSITION, intended=OFFBOARD)
+    assert not pilot.engagement.wants_stream
+    pilot.engagement.on_channels(pilot.t, channels(1900))
+    assert not pilot.to(OFFBOARD)
 
 
 def test_every_pair_of_stage_and_event_ends_where_the_table_says():

@@ -29,6 +29,7 @@ from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.sensors.mavlink import links
 from swarmtrack.sensors.mavlink.address import LinkAddress
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
+from swarmtrack.sensors.mavlink.engagement import PilotEngagement
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.links import records
 from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
@@ -566,6 +567,16 @@ async def test_who_watches_no_switch_asks_for_none():
         flight.fly(3.0)
         assert common.MAVLINK_MSG_ID_RC_CHANNELS not in [message_id for message_id, _ in autopilot.commands]
         assert "switch" not in flight.text
+
+
+async def test_an_old_autopilot_loses_no_samples_for_an_intention_that_it_does_not_know():
+    """It is asked for groups of messages, of which none has CURRENT_MODE: a slower one would slow the gyro down."""
+    autopilot = FakeAutopilot(understands_intervals=False)
+    async with Flight(autopilot, engagement=PilotEngagement()) as flight:
+        flight.fly(12.0)
+        before = flight.count["imu_samples"]
+        flight.fly(20.0)
+        assert flight.count["imu_samples"] - before == pytest.approx(4000, abs=10)
 
 
 # ── real sockets ─────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -7,9 +7,9 @@ the drone has to have been heard in the air in another mode before.
 
 What counts is what the pilot *intends*. A failsafe of PX4 changes the mode and leaves the intention (CURRENT_MODE,
 `intended_custom_mode`): as soon as it hears set points again it goes back into OFFBOARD by itself. So leaving the mode
-means leaving the intention, and until then nothing is streamed to it after a failure. A PX4 that does not tell its
-intention can be engaged once, and again after it was disarmed. ArduCopter does not tell it, and never goes back by
-itself: its mode is the intention.
+means leaving the intention, and until then nothing is streamed to it after a failure: neither disarming nor the switch
+that may be asked for besides makes up for that. A PX4 that does not tell its intention can be engaged once, and again
+after it was disarmed. ArduCopter does not tell it, and never goes back by itself: its mode is the intention.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ ROTORCRAFT = frozenset(
 SILENT_S = 2.5
 # s between two looks at the clock: sooner than a guard lets go of an agent that stood still for as long.
 STOOD_STILL_S = 0.9
+# s after it has gone on: so long what comes may have waited in a buffer for it.
+BACKLOG_S = 0.5
 # s: so long after a change of the mode it is known whether the pilot intended that; and before it, a failsafe was told.
 SETTLES_S, FAILSAFE_TOLD_S = 0.6, 3.0
 LONGEST_REASON = 40  # characters of an autopilot's own words
@@ -60,6 +62,7 @@ class EngagementStage(Enum):
 class EngagementEvent(Enum):
     ENTERED = auto()
     LEFT = auto()
+    SWITCHED_OFF = auto()
     FAILED = auto()
 
 
@@ -68,6 +71,7 @@ TRANSITIONS: dict[tuple[EngagementStage, EngagementEvent], EngagementStage] = {
     (EngagementStage.AWAY, EngagementEvent.ENTERED): EngagementStage.ENGAGED,
     (EngagementStage.AWAY, EngagementEvent.FAILED): EngagementStage.WAITING,
     (EngagementStage.ENGAGED, EngagementEvent.LEFT): EngagementStage.AWAY,
+    (EngagementStage.ENGAGED, EngagementEvent.SWITCHED_OFF): EngagementStage.AWAY,
     (EngagementStage.ENGAGED, EngagementEvent.FAILED): EngagementStage.WAITING,
 }
 
@@ -94,8 +98,9 @@ class PilotEngagement:
         """custom_mode; None where this autopilot does not tell."""
         self._heard_at = -math.inf
         self._ticked_at: float | None = None
+        self._woke_at = -math.inf
         self._flown_by_hand = False
-        """Whether it has been heard in the air since it was armed without that the pilot wanted it."""
+        """Whether it has been heard in the air since it was armed while the pilot did not want it."""
         self._ended = ""
         self._settles_at = -math.inf
         self._failsafe, self._failsafe_at = "", -math.inf
@@ -113,21 +118,21 @@ class PilotEngagement:
 
     def on_heartbeat(self, t: float, m: Any, kind: int | None, *, airborne: bool) -> None:
         """HEARTBEAT of our autopilot at t; kind: its MAV_AUTOPILOT; airborne: whether it flies."""
-        self._look_for_gap(t)
+        self._distrust(t)
         self._heard_at = t
         self._kind, self._mode, self._airborne = kind, m.custom_mode, airborne
         self.armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         known = m.type in ROTORCRAFT and m.base_mode & common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        self._guided = bool(known) and is_guided(m.custom_mode, kind)
-        self._judge(t)
+        was_guided, self._guided = self._guided, bool(known) and is_guided(m.custom_mode, kind)
+        self._judge(t, fell_out=was_guided and not self._guided)
 
     def on_current_mode(self, t: float, m: Any) -> None:
         """CURRENT_MODE at t."""
         if m.intended_custom_mode == 0:
             return
-        self._look_for_gap(t)
+        self._distrust(t)
         self._intended = m.intended_custom_mode
-        if t < self._settles_at and self._wanted(t) is False:
+        if t < self._settles_at and self._intends() is False:
             self._ended, self._settles_at = LEFT, t
         self._judge(t)
 
@@ -138,7 +143,7 @@ class PilotEngagement:
 
     def on_channels(self, t: float, m: Any) -> None:
         """RC_CHANNELS at t."""
-        self._look_for_gap(t)
+        self._distrust(t)
         if self._switch is not None:
             self._switch.on_channels(t, m)
         self._judge(t)
@@ -154,7 +159,7 @@ class PilotEngagement:
         self._ticked_at = now
         if now - self._heard_at > SILENT_S:
             self.fail("the autopilot is silent")
-        elif self.engaged and self._wanted(now) is False:
+        elif self.engaged:
             self._judge(now)
 
     def fail(self, why: str) -> None:
@@ -163,38 +168,52 @@ class PilotEngagement:
         self.wants_stream = False
 
     def _look_for_gap(self, t: float) -> None:
-        """What was heard while this agent stood still is news of a flight that it was not part of."""
+        """Between two looks at the clock, or from the last one to what was heard."""
         gap = 0.0 if self._ticked_at is None else t - self._ticked_at
         if gap <= STOOD_STILL_S:
             return
+        self._woke_at = t
         why = f"{STOOD_STILL} for {gap:.1f} s"
         self.fail(why)
         if self._ended.startswith(STOOD_STILL):
             # Heard late, one after the other, each says a little more.
             self._ended, self._settles_at = why, t
 
-    def _wanted(self, t: float) -> bool | None:
-        """Whether the pilot wants to be flown; None: nobody knows whether the mode was left by the pilot."""
-        if self._switch is not None and not self._switch.is_on(t):
-            return False
+    def _distrust(self, t: float) -> None:
+        """What was heard while this agent stood still is news of a flight that it was not part of: also where the clock
+        was looked at first, and what had waited is read thereafter."""
+        self._look_for_gap(t)
+        if t < self._woke_at + BACKLOG_S:
+            self.fail(STOOD_STILL)
+
+    def _intends(self) -> bool | None:
+        """Whether the pilot wants the mode; None: nobody knows whether it was left by the pilot."""
         if self._intended is not None:
             return is_guided(self._intended, self._kind)
         return None if self._kind == common.MAV_AUTOPILOT_PX4 and not self._guided else self._guided
 
-    def _judge(self, t: float) -> None:
+    def _consents(self, t: float) -> bool:
+        """Whether the switch is on, where it has to be."""
+        return self._switch is None or self._switch.is_on(t)
+
+    def _judge(self, t: float, *, fell_out: bool = False) -> None:
+        """fell_out: just now the autopilot is not in the mode any more."""
         if self._heard_at == -math.inf:
             return
-        wanted = self._wanted(t)
-        flies = self._guided and wanted is not False
-        self._flown_by_hand = self.armed and self._airborne and (self._flown_by_hand or not flies)
+        intends, consents = self._intends(), self._consents(t)
+        by_hand = intends is not True or not consents
+        self._flown_by_hand = self.armed and self._airborne and (self._flown_by_hand or by_hand)
         if not self.armed:
-            self._fire(EngagementEvent.LEFT, "disarmed")
-        elif wanted is False:
-            self._fire(EngagementEvent.LEFT, self._who_left(t))
+            self._fire(EngagementEvent.FAILED if intends else EngagementEvent.LEFT, "disarmed")
+        elif intends is False:
+            self._fire(EngagementEvent.LEFT, LEFT if self._intended is not None else self._mode_in_words(t))
+        elif not self._guided and (fell_out or self.engaged):
+            self._settles_at = t + SETTLES_S if self.engaged and self._intended is not None else t
+            self._fire(EngagementEvent.FAILED, self._mode_in_words(t))
+        elif not consents:
+            self._fire(EngagementEvent.SWITCHED_OFF, self._who_withdrew(t))
         elif not self._guided:
-            if self.engaged:
-                self._settles_at = t + SETTLES_S if self._intended is not None else t
-                self._fire(EngagementEvent.FAILED, self._mode_in_words(t))
+            pass  # it is asked for, and not yet in force
         elif self._flown_by_hand:
             self._fire(EngagementEvent.ENTERED, "")
         else:
@@ -203,10 +222,9 @@ class PilotEngagement:
         px4 = self._kind == common.MAV_AUTOPILOT_PX4
         self.wants_stream = px4 and self.armed and self.stage is EngagementStage.AWAY
 
-    def _who_left(self, t: float) -> str:
-        if self._switch is not None and not self._switch.is_on(t):
-            return "the pilot's switch is off" if self._switch.is_heard(t) else "the transmitter is not heard"
-        return LEFT if self._intended is not None else self._mode_in_words(t)
+    def _who_withdrew(self, t: float) -> str:
+        heard = self._switch is not None and self._switch.is_heard(t)
+        return "the pilot's switch is off" if heard else "the transmitter is not heard"
 
     def _mode_in_words(self, t: float) -> str:
         why = f" ({self._failsafe})" if t - self._failsafe_at < FAILSAFE_TOLD_S else ""

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.mavlink_dialect import CURRENT_MODE
 from swarmtrack.messages import Array
 from swarmtrack.sensors.mavlink.framer import CRC_LENGTH, HEADER_V2, PAYLOAD_SIZE, SIGNATURE_LENGTH
 from swarmtrack.sensors.mavlink.pilot_switch import RC_CHANNELS
@@ -58,8 +59,10 @@ DISTANCE_SENSOR: int = common.MAVLINK_MSG_ID_DISTANCE_SENSOR
 # Message and rate [Hz], beside the attitude.
 LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: LOCAL_POSITION_RATE}
 GLOBAL_POSE: dict[int, float] = {GLOBAL_POSITION_INT: GLOBAL_POSITION_RATE, GPS_RAW_INT: FIX_RATE}
-# What many drones do not have: it is asked for once, after all else, and missed by nobody.
+# What many drones do not have: it is asked for once, after all else.
 OPTIONAL: dict[int, float] = {DISTANCE_SENSOR: GROUND_RATE}
+# Asked for once, and missed by nobody; and in none of the groups by which old autopilots are asked.
+NOT_MISSED = frozenset({*OPTIONAL, CURRENT_MODE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +151,7 @@ class MessageStream:
     @property
     def optional(self) -> bool:
         """Whether nothing is amiss where it does not come."""
-        return self.id in OPTIONAL
+        return self.id in NOT_MISSED
 
 
 class StreamRequests:
