@@ -28,7 +28,7 @@ LEVEL_M = 0.3
 BEGUN_M = 0.05
 
 
-class Room(NamedTuple):
+class FreeHeights(NamedTuple):
     """Heights [m, down] between which a drone may give way, and that of its slot."""
 
     highest: float
@@ -36,7 +36,7 @@ class Room(NamedTuple):
     slot: float
 
 
-def room(own: float, others: Iterable[float]) -> Room:
+def room(own: float, others: Iterable[float]) -> FreeHeights:
     """Around the own slot's height; others: of the other slots; all m, down. Whose slot is as high as the own one, or
     nearer than `APART_M`, leaves none on its side."""
     highest, lowest = own - MOST_M, own + MOST_M
@@ -45,7 +45,7 @@ def room(own: float, others: Iterable[float]) -> Room:
             lowest = min(lowest, max(other - APART_M, own))
         if other <= own:
             highest = max(highest, min(other + APART_M, own))
-    return Room(highest, lowest, own)
+    return FreeHeights(highest, lowest, own)
 
 
 def who_collides(near: Sequence[Obstacle], flies: Velocity) -> Obstacle | None:
@@ -65,7 +65,7 @@ def who_collides(near: Sequence[Obstacle], flies: Velocity) -> Obstacle | None:
     return first
 
 
-def way_out(other: Obstacle, down: float, free: Room, climb: float) -> Velocity:
+def way_out(other: Obstacle, down: float, free: FreeHeights, climb: float) -> Velocity:
     """m/s, up or down as fast as it may climb: past somebody, from a height [m, down]."""
     offset, begun = other.place[2], down - free.slot
     if abs(offset) >= LEVEL_M:

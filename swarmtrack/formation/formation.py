@@ -37,7 +37,7 @@ from swarmtrack.formation.barrier import (
     stepped,
 )
 from swarmtrack.formation.divergence import DivergenceWatch
-from swarmtrack.formation.escape import Room, room, way_out, who_collides
+from swarmtrack.formation.escape import FreeHeights, room, way_out, who_collides
 from swarmtrack.formation.heights import HeightWatch
 from swarmtrack.formation.law import SeenReference, added, displacement, saturated, towards, turn_rate
 from swarmtrack.formation.obstacles import Obstacle, obstacles
@@ -423,7 +423,7 @@ class Formation:
         least = self._limited(nearest_velocity(least, may), may)
         return best_of((no_faster_than_asked(least, clear), least, compromise, STILL), closing)
 
-    def _room(self, own: OwnFlight) -> Room:
+    def _room(self, own: OwnFlight) -> FreeHeights:
         """Of heights, to escape to."""
         p = self.parameters
         others = [place[2] - p.height for drone, place in p.slots.items() if drone != p.drone_id]

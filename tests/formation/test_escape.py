@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.formation_states import SLOTS, Flying, in_slot, parameters, state, track
-from swarmtrack.formation.escape import APART_M, MOST_M, Room, room, way_out, who_collides
+from swarmtrack.formation.escape import APART_M, MOST_M, FreeHeights, room, way_out, who_collides
 from swarmtrack.formation.formation import AT_HEIGHT_M, Formation
 from swarmtrack.formation.obstacles import Obstacle
 
@@ -53,13 +53,13 @@ def test_no_room_leads_to_another_slots_height(own, others):
 
 
 def test_it_gives_way_to_the_side_where_the_other_is_not_and_else_where_more_room_is():
-    free = Room(-11.0, -9.5, -10.0)
+    free = FreeHeights(-11.0, -9.5, -10.0)
     lower, higher, level = (obstacle((3.0, 0.0, z), STILL) for z in (0.5, -0.5, 0.0))
     assert way_out(lower, -10.0, free, 1.0) == (0.0, 0.0, -1.0)
     assert way_out(higher, -10.0, free, 1.0) == (0.0, 0.0, 1.0)
     assert way_out(level, -10.0, free, 1.0) == (0.0, 0.0, -1.0)
     assert way_out(level, -9.9, free, 1.0) == (0.0, 0.0, 1.0), "whoever has begun goes on"
-    assert way_out(level, -10.0, Room(-10.0, -10.0, -10.0), 1.0) == STILL
+    assert way_out(level, -10.0, FreeHeights(-10.0, -10.0, -10.0), 1.0) == STILL
 
 
 def heights_flown(*beside):
