@@ -91,25 +91,23 @@ def _check(args: argparse.Namespace) -> int:
     if len(configs) > 1 and not problems:
         print(f"drones {', '.join(str(config.drone.id) for config in configs)} agree with each other")
     code = 2 if problems else code
-    if args.autopilot:
-        for config in configs:
-            code = max(code, _ask_autopilot(config))
     if args.drawing is not None and code == 0:
         _write(draw_formation(args.files[0]), args.drawing, "--drawing")
+    if args.autopilot:
+        code = max([code, *map(_ask_autopilot, configs)])
     return code
 
 
 def _ask_autopilot(config: DroneConfig) -> int:
     """Prints what its own limits are like; 1 where it could not be asked."""
     from swarmtrack.clock import SystemClock
-    from swarmtrack.diagnosis.findings import Level, worst
+    from swarmtrack.diagnosis.findings import Level, as_line, worst
     from swarmtrack.doctor.limits import read_limits
 
     print(f"drone {config.drone.id}: asking {config.autopilot.link} …", file=sys.stderr)
     findings = asyncio.run(read_limits(config, SystemClock()))
     for finding in findings:
-        remedy = f" -> {finding.remedy}" if finding.remedy else ""
-        print(f"{finding.level:8} {finding.check:8} {finding.found}{remedy}")
+        print(as_line(finding))
     return int(worst(findings) is Level.FAILURE)
 
 

@@ -68,10 +68,11 @@ def as_record(finding: Finding) -> dict[str, str | None]:
 def show(findings: Sequence[Finding]) -> None:
     """Lines for people; in colour, and wrapped, on a terminal only."""
     findings = [replace(one, found=with_pages(one.found), remedy=with_pages(one.remedy)) for one in findings]
+    from swarmtrack.diagnosis.findings import as_line
+
     if not sys.stdout.isatty():
         for finding in findings:
-            remedy = f" -> {finding.remedy}" if finding.remedy else ""
-            print(f"{finding.level:8} {finding.check:12} {finding.found}{remedy}")
+            print(as_line(finding))
         print(verdict(findings))
         return
     from rich.console import Console

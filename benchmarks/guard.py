@@ -40,10 +40,11 @@ from swarmtrack.sensors.mavlink.autopilot import WayToAutopilot
 from swarmtrack.sensors.mavlink.links import Wire
 from swarmtrack.simulation.autopilot import SimulatedArduPilot
 from swarmtrack.simulation.channel import Channel
-from swarmtrack.simulation.firmware import ARDUCOPTER, FlightMode
+from swarmtrack.simulation.firmware import FlightMode
 from swarmtrack.simulation.guided import GuidedDrone
 from swarmtrack.simulation.pilot import GuidedPilot
-from swarmtrack.simulation.response import ARDUPILOT, Triple
+from swarmtrack.simulation.px4 import SimulatedPx4
+from swarmtrack.simulation.response import Triple
 from swarmtrack.simulation.senses import DroneSenses
 from swarmtrack.simulation.trajectory import wander
 from swarmtrack.simulation.world import World
@@ -93,37 +94,47 @@ class Heard(NamedTuple):
     speed: float
 
 
-class FlownAutopilot(SimulatedArduPilot):
-    """Keeps what it was told to fly."""
+class Hears:
+    """A simulated autopilot that keeps what it was told to fly."""
 
     heard: list[Heard]
 
     def understand(self, message: Any, now: float, channel: Channel) -> None:
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
             self.heard.append(Heard(now, math.hypot(message.vx, message.vy, message.vz)))
-        super().understand(message, now, channel)
+        super().understand(message, now, channel)  # type: ignore[misc]
+
+
+class FlownArduPilot(Hears, SimulatedArduPilot):
+    """An ArduCopter."""
+
+
+class FlownPx4(Hears, SimulatedPx4):
+    """A PX4."""
 
 
 @dataclass(slots=True)
 class Sky:
-    """A drone in the air, and its autopilot at port `port`, in real time."""
+    """A drone in the air, and its autopilot of the class `kind` at port `port`, in real time."""
 
     port: int
     seed: int
+    kind: type[FlownArduPilot | FlownPx4] = FlownArduPilot
     epoch: float = field(default_factory=time.monotonic)
     drone: GuidedDrone = field(init=False)
     pilot: GuidedPilot = field(init=False)
-    autopilot: FlownAutopilot = field(init=False)
+    autopilot: FlownArduPilot | FlownPx4 = field(init=False)
 
     def __post_init__(self) -> None:
+        firmware = self.kind.firmware
         drift = wander(World(self.seed, {}).chance("wander", 2), 0.1)
-        self.drone = GuidedDrone(START, 0.0, ARDUPILOT, drift, hovers=True)
+        self.drone = GuidedDrone(START, 0.0, firmware.response, drift, hovers=True)
         senses = DroneSenses(World(self.seed, {2: self.drone}), 2, self.epoch, earth=ORIGIN)
         self.pilot = GuidedPilot(
-            self.drone, ARDUCOPTER, epoch=self.epoch, origin=ORIGIN, located=lambda t: True,
+            self.drone, firmware, epoch=self.epoch, origin=ORIGIN, located=lambda t: True,
             errors=senses.lasting_errors,
         )  # fmt: skip
-        self.autopilot = FlownAutopilot(senses, pilot=self.pilot, boot_at=self.epoch - 40.0)
+        self.autopilot = self.kind(senses, pilot=self.pilot, boot_at=self.epoch - 40.0)
         self.autopilot.heard = []
 
     @property
@@ -183,6 +194,7 @@ CASES: dict[str, tuple[str, Callable[[int], Any]]] = {
     "frozen": ("SIGSTOP for 2 s", _freeze),
     "raises": ("a task raises", lambda pid: _signal(pid, signal.SIGUSR1)),
     "blocked": ("the event loop stands still for 2 s", lambda pid: _signal(pid, signal.SIGUSR2)),
+    "guard-frozen": ("SIGSTOP for 2 s to the guard", lambda pid: _freeze(guard_of(pid))),
     "guard-killed": ("SIGKILL to the guard", lambda pid: _signal(guard_of(pid), signal.SIGKILL)),
 }
 
@@ -203,35 +215,46 @@ class Flight(NamedTuple):
         return in_time and self.worst == 0.0 and self.last_s <= SILENT_AFTER_S
 
 
-async def fly(case: str, seed: int) -> Flight:
-    """One flight: engaged, at speed, and then `case` happens."""
-    sky = Sky(free_udp_port(), seed)
+@asynccontextmanager
+async def flying_agent(sky: Sky, speed: float) -> AsyncIterator[asyncio.subprocess.Process]:
+    """A real agent (`guarded_agent.py`) that flies the drone of a sky north with `speed` [m/s]; killed at the end."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "drone.toml"
         config.write_text(CONFIG.format(port=sky.port))
         async with sky.served():
             agent = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "swarmtrack.benchmarks.guarded_agent", str(config), str(SPEED_M_S)),
+                *(sys.executable, "-m", "swarmtrack.benchmarks.guarded_agent", str(config), str(speed)),
                 stdout=asyncio.subprocess.DEVNULL,
                 stderr=asyncio.subprocess.DEVNULL,
             )
             try:
-                return await _happen(case, sky, agent.pid)
+                yield agent
             finally:
                 with suppress(ProcessLookupError):
                     agent.kill()
                 await agent.wait()
 
 
-async def _happen(case: str, sky: Sky, agent: int) -> Flight:
+async def engage(sky: Sky, speed: float) -> None:
+    """By a pilot who tries until the agent is there, and flies."""
     begun = time.monotonic()
-    while not any(heard.speed > 0.99 * SPEED_M_S for heard in sky.heard):
+    while not any(heard.speed > 0.99 * speed for heard in sky.heard):
         if time.monotonic() > begun + PATIENCE_S:
-            raise report.BenchmarkError(f"{case}: no agent flew within {PATIENCE_S:g} s")
-        # A pilot who tries until the agent is there.
+            raise report.BenchmarkError(f"no agent flew within {PATIENCE_S:g} s")
         for mode in (FlightMode.HOLD, FlightMode.GUIDED):
             sky.pilot.switch_to(mode, time.monotonic())
             await asyncio.sleep(1.2)
+
+
+async def fly(case: str, seed: int) -> Flight:
+    """One flight: engaged, at speed, and then `case` happens."""
+    sky = Sky(free_udp_port(), seed)
+    async with flying_agent(sky, SPEED_M_S) as agent:
+        await engage(sky, SPEED_M_S)
+        return await _happen(case, sky, agent.pid)
+
+
+async def _happen(case: str, sky: Sky, agent: int) -> Flight:
     await asyncio.sleep(STEADY_S + 0.1 * np.random.default_rng(len(sky.heard)).random())
     event = time.monotonic()
     where = sky.north(event)

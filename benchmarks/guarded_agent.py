@@ -24,6 +24,8 @@ from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.door import Door
 
 BLOCKED_S = 2.0
+# m down to the least height.
+ROOM_M = 10.0
 
 
 class SteadyDoor(Door):
@@ -36,7 +38,8 @@ class SteadyDoor(Door):
         if self.breaks:
             raise RuntimeError("a task raises, as it was asked to")
         velocity = (self.speed, 0.0, 0.0)
-        return LocalSetpoint(velocity, 0.0, Setpoint(now, velocity, 0.0, Why.FOLLOW, "flies north"))
+        setpoint = Setpoint(now, velocity, 0.0, Why.FOLLOW, "flies north")
+        return LocalSetpoint(velocity, 0.0, setpoint, ROOM_M)
 
 
 def main(config: str, speed: float) -> None:

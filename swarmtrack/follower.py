@@ -6,10 +6,11 @@ recording gives the same ones.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from swarmtrack.formation.formation import Formation
+from swarmtrack.formation.formation import Formation, lowest
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import STILL, Setpoint, Velocity, Why
 from swarmtrack.messages import TrackList
@@ -25,11 +26,12 @@ class Engagement(NamedTuple):
 
 class LocalSetpoint(NamedTuple):
     """What is sent: velocity [m/s] in the axes of the autopilot's local frame (NED), yaw_rate [rad/s]; and whose
-    `setpoint` it is, in the team's axes."""
+    `setpoint` it is, in the team's axes. room [m]: from the drone down to its least height, NaN where nobody knows."""
 
     velocity: Velocity
     yaw_rate: float
     setpoint: Setpoint
+    room: float = math.nan
 
 
 class Follower:
@@ -57,4 +59,5 @@ class Follower:
         states |= {entry.track.id: entry.relative for entry in tracks.tracks if entry.relative is not None}
         setpoint = self.formation.command(states, own, tracks.tracks, t)
         north, east, down = (setpoint.velocity @ perceived.team_from_local).tolist()
-        return LocalSetpoint((north, east, down), setpoint.yaw_rate, setpoint)
+        room = lowest(self.formation.parameters.limits, own) - own.position[2]
+        return LocalSetpoint((north, east, down), setpoint.yaw_rate, setpoint, room)

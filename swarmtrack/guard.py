@@ -7,7 +7,7 @@ one, and after `DEAD_S` of either it sends nothing more until the pilot engages 
 or dies changes none of this: the guard needs no word from it.
 
 Theory of operation. `Guard` is told of everything and of the time, and answers with what to send: it reads no clock and
-touches nothing. `run` is the program around it: one socket to the agent, which also hands over the open link to the
+touches nothing. `Program` is around it: one socket to the agent, which also hands over the open link to the
 autopilot (SCM_RIGHTS), and one loop. It reads no config, writes no file, and imports the standard library alone. It
 speaks as a MAVLink component of its own, so that its sequence numbers and signatures are its own too.
 
@@ -95,8 +95,6 @@ class Guard:
 
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits
-        self.refused = ""
-        """Why the last decision is not flown; empty while it is."""
         self.refusals = self.stale = 0
         """Set points that were sent in a decision's stead: it was refused, or too old."""
         self._engaged = 0
@@ -167,6 +165,9 @@ class Guard:
         age = now - min(decision.t, self._heard_at)
         if not age <= DEAD_S:
             self._release(f"no decision for {age:.1f} s")
+            if now - self._sent_at > DEAD_S:
+                # It was the guard that stood still: the autopilot has long helped itself.
+                return None
             answer = ZERO
         elif gone or age > STALE_S - ROUNDING_S:
             self.stale += 1
@@ -183,8 +184,8 @@ class Guard:
             _towards(self._sent.velocity, STILL, limits.acceleration * dt),
             _turned(self._sent.yaw_rate, 0.0, limits.yaw_acceleration * dt),
         )
-        self.refused = self.refusal(decision, now)
-        if not self.refused:
+        refusal = self.refusal(decision, now)
+        if not refusal:
             self._refused_since = math.inf
             return Command(
                 _towards(self._sent.velocity, decision.velocity, limits.evasion * dt),
@@ -193,7 +194,7 @@ class Guard:
         self.refusals += 1
         self._refused_since = min(self._refused_since, now)
         if now - self._refused_since > DEAD_S:
-            self._release(f"refused: {self.refused}")
+            self._release(f"refused: {refusal}")
             return ZERO
         return slower
 
@@ -328,8 +329,7 @@ RELEASED, SENT = b"R", b"T"
 DECIDED = struct.Struct("<I10d")  # number, t, velocity, yaw_rate, place, place_t, room
 NUMBER = struct.Struct("<I")
 OPENED = struct.Struct("<BBH")  # system, component, port of the peer: 0, the link has one peer; then its host
-# Set points sent; in the stead of stale decisions; of refused ones; s from a decision until its set point was sent.
-COUNTS = struct.Struct("<IIId")
+COUNTS = struct.Struct("<III")  # set points sent; in the stead of stale decisions; of refused ones
 LARGEST = 512
 
 
@@ -358,7 +358,7 @@ class Program:
             if waiting.poll(timeout):
                 self._listen(waiting)
             if time.monotonic() >= self.guard.due():
-                self._send(math.nan)
+                self._send()
 
     def _listen(self, waiting: select.poll) -> None:
         """One datagram of the agent, or that there will be none any more."""
@@ -371,7 +371,7 @@ class Program:
         if not data:
             waiting.unregister(self._agent)
             self._gone = True
-            self._send(math.nan)
+            self._send()
             return
         with suppress(struct.error, ValueError):  # what nobody understands is no decision: the last one ages
             self._hear(data[:1], data[1:], passed)
@@ -382,15 +382,15 @@ class Program:
             number, t, *rest = DECIDED.unpack(body)
             velocity, yaw_rate, place = (rest[0], rest[1], rest[2]), rest[3], (rest[4], rest[5], rest[6])
             if guard.decided(Decision(number, t, velocity, yaw_rate, place, *rest[7:]), now):
-                self._send(t)
+                self._send()
         elif kind == STAND:
             guard.stands(now)
-            self._send(math.nan)
+            self._send()
         elif kind == END:
             guard.end(*NUMBER.unpack(body))
         elif kind == STOP:
             self._ends_at, self._gone = now + (LAST_WORDS_S if guard.engaged else 0.0), True
-            self._send(math.nan)
+            self._send()
         elif kind == KEY:
             self._speaker.key = body
         elif kind in (LINK, NO_LINK):
@@ -401,14 +401,13 @@ class Program:
                 self._speaker.system, self._speaker.component, port = OPENED.unpack(body[: OPENED.size])
                 self._peer = (body[OPENED.size :].decode(), port) if port else None
 
-    def _send(self, decided_at: float) -> None:
-        """What the guard answers now. decided_at [s]: when that was decided, if it has just come."""
+    def _send(self) -> None:
+        """What the guard answers now."""
         now = time.monotonic()
         point = self.guard.command(now, gone=self._gone)
         if point is not None and write(self._link, self._peer, self._speaker.frame(point, now, time.time())):
             self._count += 1
-            took = time.monotonic() - decided_at
-            self._tell(SENT + COUNTS.pack(self._count, self.guard.stale, self.guard.refusals, took))
+            self._tell(SENT + COUNTS.pack(self._count, self.guard.stale, self.guard.refusals))
         released = self.guard.take_release()
         if released:
             self._tell(RELEASED + NUMBER.pack(self.guard.over) + released.encode())

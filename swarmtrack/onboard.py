@@ -645,7 +645,9 @@ class Onboard:
         first = observer.pose @ self._mounting.body_from_camera
         own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))
         states = self._relative.at(observer.t, own)
-        self._height_sights = self._said_heights.sights(look, states)
+        if self._anybody is not None:
+            # Of interest where the drone flies by what it sees.
+            self._height_sights = self._said_heights.sights(look, states)
         return _with_places(tracks, states)
 
     def _placed(self, tracks: tuple[IdentifiedTrack, ...], now: float) -> tuple[IdentifiedTrack, ...]:

@@ -98,6 +98,15 @@ def test_an_agent_that_is_gone_is_zero_at_once_for_as_long_as_a_decision_may_be_
     assert DEAD_S - 0.2 < told.since(gone)[-1][0] - gone < DEAD_S + 0.2
 
 
+def test_a_guard_that_stood_still_itself_says_no_last_word():
+    told = Told().decide(1.0)
+    stood = told.now
+    told.now += 2.0
+    told.send()
+    assert told.since(stood) == []
+    assert told.releases == ["no decision for 2.1 s"]
+
+
 def test_after_its_end_an_engagement_is_never_flown_again_and_the_next_one_is():
     told = Told().decide(1.0).wait(3.0)
     begun = told.now

@@ -1,6 +1,6 @@
 """Followers that meet on their ways: random slots, each starts on the other side of the middle, all at one height.
 
-The law alone, told where everybody truly is, 150 ms late and with noise, by drones that follow a command with a lag. So
+The law alone, told where everybody truly is, 0.2 s late and with noise, by drones that follow a command with a lag. So
 what is measured is who yields, not who is seen: how near any two came, and how long anybody waited on its way.
 """
 

@@ -179,14 +179,13 @@ def check_limits(kind: int | None, values: Mapping[str, float], asked: Asked) ->
             continue
         scale = demand.names[name]
         if not demand.is_met(scale * values[name], asked):
-            in_si = (
-                f" ({scale * values[name]:g}{demand.unit})" if demand.unit else _meaning(name, values[name])
-            )
+            in_si = f"{scale * values[name]:g}{demand.unit}"
+            value = in_si if scale == 1.0 else f"{values[name]:g} ({in_si})"
             findings.append(
                 fault(
                     "limits.unsafe",
                     parameter=name,
-                    value=f"{values[name]:g}{in_si}",
+                    value=value + _meaning(name, values[name]),
                     why=demand.why,
                     wanted=f"{demand.wanted(asked) / scale:g}",
                 )

@@ -36,6 +36,12 @@ class Finding:
     fault: str = ""
 
 
+def as_line(finding: Finding) -> str:
+    """For a pipe, or a log."""
+    remedy = f" -> {finding.remedy}" if finding.remedy else ""
+    return f"{finding.level:8} {finding.check:12} {finding.found}{remedy}"
+
+
 def of_camera(number: int, finding: Finding) -> Finding:
     """The same of one of several cameras, by its place in the config: people count them from 1."""
     return replace(finding, check=f"{finding.check} {number + 1}")

@@ -10,11 +10,12 @@ import numpy as np
 
 from swarmtrack.clock import Clock
 from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
-from swarmtrack.diagnosis import autopilot_limits, mounting, sources, surroundings
+from swarmtrack.diagnosis import mounting, sources, surroundings
 from swarmtrack.diagnosis.findings import Finding, of_camera, skipped
 from swarmtrack.diagnosis.mounting import MountFacts
 from swarmtrack.diagnosis.surroundings import DetectorFacts
 from swarmtrack.doctor import machine, team
+from swarmtrack.doctor.limits import judged
 from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
@@ -49,12 +50,8 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
         findings += named(number, found)
     findings += sources.check_autopilot(watched.autopilot)
     findings += sources.check_door(config.autopilot.link, signed=config.autopilot.signing_key is not None)
-    place = config.formation.parameters(config.drone.id)
-    if watch.parameters is not None and place is not None:
-        told = watch.parameters
-        findings += autopilot_limits.check_limits(
-            told.kind, told.values, autopilot_limits.Asked(place.limits, -place.down)
-        )
+    if watch.limits is not None:
+        findings += judged(config, watch.limits)
     if watched.autopilot.wanted and not watched.autopilot.refused:
         findings += sources.check_imu(watched.imu)
         findings += sources.check_pose(watched.pose)

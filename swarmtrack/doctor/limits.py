@@ -1,4 +1,4 @@
-"""The autopilot's own limits, asked for over its link: what `config check --autopilot` says."""
+"""The autopilot's own limits, asked for over its link, as `config check --autopilot` and doctor do."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from swarmtrack.clock import Clock
 from swarmtrack.config import DroneConfig
 from swarmtrack.diagnosis.autopilot_limits import Asked, asked_of, check_limits, unheard
 from swarmtrack.diagnosis.findings import Finding, skipped
-from swarmtrack.doctor.watching import SampleCollector
+from swarmtrack.doctor.sample_collector import SampleCollector
 from swarmtrack.runtime.assembly import make_autopilot
+from swarmtrack.sensors.base import Autopilot
 from swarmtrack.sensors.mavlink.address import is_recording
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.parameters import ParameterReader
@@ -19,18 +20,30 @@ from swarmtrack.sensors.mavlink.parameters import ParameterReader
 WITHIN_S = 6.0
 
 
-async def read_limits(config: DroneConfig, clock: Clock, seconds: float = WITHIN_S) -> list[Finding]:
-    """Of a drone that has a place in a formation; nothing is written to its autopilot."""
-    place = config.formation.parameters(config.drone.id)
-    if place is None:
-        return [skipped("limits", "this drone follows nobody: nobody but its pilot flies it")]
-    if is_recording(config.autopilot.link):
-        return [skipped("limits", f"{config.autopilot.link} is a recording: nobody to be asked")]
-    autopilot = make_autopilot(config, clock, None)
-    if not isinstance(autopilot, MavlinkAutopilot):
-        return [skipped("limits", f"autopilot.link is {config.autopilot.link}: nobody to be asked")]
+def limits_reader(config: DroneConfig, autopilot: Autopilot | None) -> ParameterReader | None:
+    """What reads the limits of a follower's autopilot as soon as that runs; None where nobody is to be asked."""
+    follows = config.formation.parameters(config.drone.id) is not None
+    if not follows or not isinstance(autopilot, MavlinkAutopilot) or is_recording(config.autopilot.link):
+        return None
     reader = ParameterReader(asked_of)
     autopilot.read_parameters(reader)
+    return reader
+
+
+def judged(config: DroneConfig, told: ParameterReader) -> list[Finding]:
+    """What a reader was told, in the light of the formation."""
+    place = config.formation.parameters(config.drone.id)
+    return [] if place is None else check_limits(told.kind, told.values, Asked(place.limits, -place.down))
+
+
+async def read_limits(config: DroneConfig, clock: Clock, seconds: float = WITHIN_S) -> list[Finding]:
+    """Of a drone that has a place in a formation; nothing is written to its autopilot."""
+    if config.formation.parameters(config.drone.id) is None:
+        return [skipped("limits", "this drone follows nobody: nobody but its pilot flies it")]
+    autopilot = make_autopilot(config, clock, None)
+    reader = limits_reader(config, autopilot)
+    if autopilot is None or reader is None:
+        return [skipped("limits", f"autopilot.link is {config.autopilot.link}: nobody to be asked")]
     listening = asyncio.create_task(autopilot.run(SampleCollector()))
     try:
         with suppress(TimeoutError):
@@ -42,4 +55,4 @@ async def read_limits(config: DroneConfig, clock: Clock, seconds: float = WITHIN
     if reader.kind is None:
         reason = f"{autopilot.status().text}; no heartbeat within {seconds:g} s"
         return unheard(reason)
-    return check_limits(reader.kind, reader.values, Asked(place.limits, -place.down))
+    return judged(config, reader)

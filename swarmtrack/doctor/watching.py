@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -14,64 +14,24 @@ import numpy as np
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.clock import Clock
 from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
-from swarmtrack.diagnosis.autopilot_limits import asked_of
 from swarmtrack.diagnosis.mounting import MotionFacts
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts, PoseFacts
+from swarmtrack.doctor.limits import limits_reader
+from swarmtrack.doctor.sample_collector import SampleCollector
 from swarmtrack.errors import SwarmtrackError
-from swarmtrack.messages import EgoPose, FlightState, Frame, ImuSample, StampKind
-from swarmtrack.motion.hand_eye import GyroTurns, compare, solve
+from swarmtrack.messages import Frame, StampKind
+from swarmtrack.motion.hand_eye import compare, solve
 from swarmtrack.runtime.assembly import make_autopilot, make_camera
-from swarmtrack.sensors.base import Autopilot, AutopilotListener, Camera, DetectionSource
+from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
 from swarmtrack.sensors.camera_address import parse_address
 from swarmtrack.sensors.mavlink.address import is_recording
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.parameters import ParameterReader
 
 if TYPE_CHECKING:
     from swarmtrack.sensors.simulated import Simulation
 
 RECORDINGS = ("file", "images")
 RATE_OVER = 2.0  # s: the last samples, by which a rate is told
-MOST_SAMPLES = 400_000
 LEAST_GYRO_SAMPLES = 50
-
-
-@dataclass
-class SampleCollector(AutopilotListener):
-    """An autopilot's listener that keeps what it is told."""
-
-    samples: list[ImuSample] = field(default_factory=list)
-    poses: list[EgoPose] = field(default_factory=list)
-
-    def on_imu(self, sample: ImuSample) -> None:
-        if len(self.samples) < MOST_SAMPLES:
-            self.samples.append(sample)
-
-    def on_pose(self, pose: EgoPose) -> None:
-        if len(self.poses) < MOST_SAMPLES:
-            self.poses.append(pose)
-
-    def on_autopilot_reboot(self) -> None:
-        """Its clock begins anew: what was kept has nothing to do with what comes."""
-        self.samples.clear()
-        self.poses.clear()
-
-    def on_flight_state(self, state: FlightState) -> None:
-        """Of no interest here."""
-
-    def on_found_flying(self) -> None:
-        """Of no interest here."""
-
-    def on_switch(self, t: float) -> None:
-        """Of no interest here."""
-
-    def gyro(self) -> GyroTurns:
-        """So far. Any thread may ask while more samples come in."""
-        samples = self.samples.copy()
-        return GyroTurns(
-            np.array([sample.t for sample in samples]),
-            np.array([sample.gyro for sample in samples]).reshape(-1, 3),
-        )
 
 
 class WatchedCamera(NamedTuple):
@@ -197,13 +157,8 @@ class SensorWatch:
         except SwarmtrackError as error:
             self._autopilot_refused = str(error)
         self.heard = SampleCollector()
-        self.parameters: ParameterReader | None = None
+        self.limits = limits_reader(config, self._autopilot)
         """Of the autopilot, where the agent may fly the drone."""
-        follows = config.formation.parameters(config.drone.id) is not None
-        live = isinstance(self._autopilot, MavlinkAutopilot) and not is_recording(config.autopilot.link)
-        if follows and live and isinstance(self._autopilot, MavlinkAutopilot):
-            self.parameters = ParameterReader(asked_of)
-            self._autopilot.read_parameters(self.parameters)
 
     def motion(self, camera: int) -> ImageMotion | None:
         """How the picture of a camera has moved so far."""

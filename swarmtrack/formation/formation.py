@@ -191,14 +191,9 @@ class Formation:
             self._followed, self._followed_at = slewed, t
         self._berth = self._berthed(slot, own, t)
         near = self._in_the_way(states, own, tracks, t)
-        collides = who_collides(near, slewed)
-        up_or_down = STILL
-        if collides is not None:
-            up_or_down = way_out(collides, own.position[2], self._room(own), limits.climb)
-        # Until nobody is near any more: a height that is left is not fetched back in front of somebody.
-        self._escapes = collides is not None or (self._escapes and bool(near))
+        escape = self._escape(near, slewed, own)
         velocity, clear_of = self._bent(
-            slewed, near, own, dt, aside=_aside(near, wanted, slot), up_or_down=up_or_down
+            slewed, near, own, dt, aside=_aside(near, wanted, slot), up_or_down=escape
         )
         yaw_rate = self._turned(own, t, dt) if why is not Why.HEADING else 0.0
         if not _are_numbers((*velocity, yaw_rate)):
@@ -367,7 +362,7 @@ class Formation:
             own.position,
             here,
             radius=limits.fence_radius,
-            lowest=_lowest(limits, own, here),
+            lowest=min(lowest(limits, own), here[2] + limits.fence_height),
             highest=here[2] - limits.fence_height,
             pull=limits.climb,
         )
@@ -390,6 +385,15 @@ class Formation:
                 bent = self._squeezed(bent, near, closing, clear, held, up_or_down=up_or_down)
         step = stepped(self._flown, bent, limits.evasion * dt, held)
         return self._at_most(step), binding(velocity, spaces + clear)
+
+    def _escape(self, near: Sequence[Obstacle], flies: Velocity, own: OwnFlight) -> Velocity:
+        """m/s, up or down, where somebody is about to collide."""
+        collides = who_collides(near, flies)
+        # Until nobody is near any more: a height that is left is not fetched back in front of somebody.
+        self._escapes = collides is not None or (self._escapes and bool(near))
+        if collides is None:
+            return STILL
+        return way_out(collides, own.position[2], self._room(own), self.parameters.limits.climb)
 
     def _limited(self, velocity: Velocity, held: Sequence[HalfSpace]) -> Velocity:
         """held: floor and ceiling first."""
@@ -524,13 +528,12 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
     return next((why for holds, why in reasons if holds), None)
 
 
-def _lowest(limits: FlightLimits, own: OwnFlight, engaged: Velocity) -> float:
-    """m, down: nothing leads below. The highest of the fence's floor, of the least height by the own autopilot, and of
-    that above the ground that the range finder measures."""
-    floors = [-limits.least_height, engaged[2] + limits.fence_height]
-    if own.ground is not None and 0.0 <= own.ground < FARTHEST_M:
-        floors.append(own.position[2] + own.ground - limits.least_height)
-    return min(floors)
+def lowest(limits: FlightLimits, own: OwnFlight) -> float:
+    """m, down: the least height, by the own autopilot or above the ground that the range finder measures, whichever is
+    higher."""
+    if own.ground is None or not 0.0 <= own.ground < FARTHEST_M:
+        return -limits.least_height
+    return min(0.0, own.position[2] + own.ground) - limits.least_height
 
 
 def _is_new(scan_age: float) -> bool:

@@ -34,11 +34,10 @@ GATE, LEAPS_S = 4.0, 1.0
 STALE_S = 30.0
 # m: against a teammate that drifts less than this the own height is right, and another's is wrong.
 AGREES_M = 0.25
-DRIFT, CLIMB, CONSTANT, LEAN, RANGE = range(5)
-
-
 # m: no height is measured better; and no teammate that is seen is farther, and no height more wrong.
 LEAST_SIGMA_M, FARTHEST_M = 0.01, 1e4
+# Of the state's entries, the first two.
+DRIFT, CLIMB = 0, 1
 
 
 class HeightDrift(NamedTuple):

@@ -50,9 +50,6 @@ class OutOfSight:
     def __init__(self) -> None:
         self._seen: dict[int, LastSight] = {}
 
-    def forget(self) -> None:
-        self._seen.clear()
-
     def states(self, seen: Mapping[int, RelativeState], own: OwnFlight, t: float) -> dict[int, RelativeState]:
         """By the track that each had; what places were measured in before the own one leapt, or the own heading
         stepped, is forgotten."""

@@ -29,6 +29,7 @@ from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
 from swarmtrack.sensors.mavlink.engagement import PilotEngagement
 from swarmtrack.sensors.mavlink.global_position import GlobalPosition
 from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
+from swarmtrack.team_config import SwitchSection
 from swarmtrack.transport import topology
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
@@ -118,8 +119,8 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
             _refuse_video(config)
     with config.blamed("autopilot", "link"):
         in_step = imported is None and paced is not None
-        consent = _consent(config)
-        engagement = PilotEngagement(consent) if config.flies_in_formation else None
+        consents = _pilot_switch(config.formation.switch)
+        engagement = PilotEngagement(consents) if config.flies_in_formation else None
         autopilot = make_autopilot(config, clock, simulation, in_step=in_step, engagement=engagement)
     with config.blamed("detector", "model"):
         detector = make_detector(config, wall)
@@ -252,20 +253,13 @@ def make_autopilot(
         signing_key=section.signing_key,
         gps=_gps(config),
         gyro_delay_s=config.motion.gyro_delay_s,
-        switch=_switch(config),
+        switch=_pilot_switch(config.team.code.switch if config.team.code else None),
         engagement=engagement,
     )
 
 
-def _switch(config: DroneConfig) -> PilotSwitch | None:
-    switch = config.team.code.switch if config.team.code else None
-    return None if switch is None else PilotSwitch(switch.channel, switch.above_us)
-
-
-def _consent(config: DroneConfig) -> PilotSwitch | None:
-    """The switch that has to be on beside the flight mode."""
-    switch = config.formation.switch
-    return None if switch is None else PilotSwitch(switch.channel, switch.above_us)
+def _pilot_switch(section: SwitchSection | None) -> PilotSwitch | None:
+    return None if section is None else PilotSwitch(section.channel, section.above_us)
 
 
 def _gps(config: DroneConfig) -> GlobalPosition | None:

@@ -28,6 +28,8 @@ from swarmtrack.sensors.mavlink.notices import Severity
 log = logging.getLogger(__name__)
 
 PERIOD_S = 0.1
+# s: a guard that has sent nothing for so long, though it was told to, stands still, or its link leads nowhere.
+QUIET_S = 1.0
 # s that a reason to hold must last to be said.
 SAID_AFTER_S = 0.5
 # Times the clearance: whoever comes nearer is said to the pilot; and again, once nobody was so near for so long [s].
@@ -66,7 +68,6 @@ class FormationPilot:
             ("slot_north_m", north),
             ("slot_east_m", east),
         )
-        self._least_height = parameters.limits.least_height
         self._near = NEAR * parameters.clearance
         self._near_at = -math.inf
         self._newest: LocalSetpoint | None = None
@@ -77,6 +78,9 @@ class FormationPilot:
         self._why_since = math.inf
         self._said: Why | None = None
         self._guard_died = False
+        self._sent = 0
+        self._sent_at = -math.inf
+        """How many set points the guard has sent, and since when."""
 
     async def run(self) -> None:
         """Until cancelled; then the drone is told to stand."""
@@ -96,7 +100,7 @@ class FormationPilot:
         """What to fly from now on, to the guard."""
         engagement, guard = self._engagement, self._guard
         engagement.tick(now)
-        self._listen()
+        self._listen(now)
         self._look_for_end(now)
         guard.reach(self._autopilot.way())
         if engagement.engaged:
@@ -111,16 +115,11 @@ class FormationPilot:
 
     def _decision(self, told: LocalSetpoint) -> Decision:
         place_t, place = self._autopilot.place or (-math.inf, NOWHERE)
-        own = self._door.perceived.own_flight(told.setpoint.t)
-        room = math.nan
-        if own is not None:
-            above = [-own.position[2]] if own.ground is None else [-own.position[2], own.ground]
-            room = min(above) - self._least_height
         return Decision(
-            self._engagement.number, told.setpoint.t, told.velocity, told.yaw_rate, place, place_t, room
+            self._engagement.number, told.setpoint.t, told.velocity, told.yaw_rate, place, place_t, told.room
         )
 
-    def _listen(self) -> None:
+    def _listen(self, now: float) -> None:
         """To the guard; where there is none nobody is flown."""
         engagement, guard = self._engagement, self._guard
         news = guard.news()
@@ -134,6 +133,10 @@ class FormationPilot:
             log.error(
                 "formation: the guard has died: nobody is flown until it is started again, on the ground"
             )
+        if guard.sent != self._sent or not self._flown:
+            self._sent, self._sent_at = guard.sent, now
+        elif now - self._sent_at > QUIET_S:
+            engagement.fail("the guard sends nothing")
         if not guard.alive:
             if engagement.armed:
                 engagement.fail("there is no guard")
@@ -188,6 +191,7 @@ class FormationPilot:
         if self._engagement.number == self._number:
             return
         self._number = self._flown = self._engagement.number
+        self._sent_at = now
         self._why = self._said = None
         self._notices.add(Severity.WARNING, "formation engaged")
         log.warning("formation: engaged by the pilot, no. %d", self._number)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 import socket
 import subprocess
 import sys
@@ -38,7 +37,7 @@ class GuardNews(NamedTuple):
 
 
 class GuardLine(Protocol):
-    """A guard, to whoever decides. All of it returns at once."""
+    """A guard, to whoever decides. All but `stop` returns at once."""
 
     @property
     def alive(self) -> bool: ...
@@ -85,13 +84,12 @@ class GuardProcess:
 
     def __init__(self, limits: FlightLimits, key: bytes | None) -> None:
         self.pid: int | None = None
-        self.latency = math.nan
-        """s from the newest decision until its set point was sent."""
         self._limits, self._key = guard_limits(limits), key
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
         self._way: WayToAutopilot | None = None
-        self._counts = self._before = (0, 0, 0)
+        self._counts: tuple[int, int, int] = (0, 0, 0)
+        self._before = self._counts
         self._died = False
 
     @property
@@ -139,8 +137,7 @@ class GuardProcess:
         component = FIRST_COMPONENT + (way.component - FIRST_COMPONENT + 1) % COMPONENTS
         host, port = ("", 0) if way.wire.peer is None else way.wire.peer[:2]
         opened = guard.OPENED.pack(way.system, component, port) + host.encode()
-        with self._lost_with_it():
-            socket.send_fds(self._socket, [guard.LINK + opened], [way.wire.descriptor])
+        self._tell(guard.LINK + opened, way.wire.descriptor)
 
     def decide(self, decision: Decision) -> None:
         numbers = (*decision.velocity, decision.yaw_rate, *decision.place, decision.place_t, decision.room)
@@ -166,9 +163,7 @@ class GuardProcess:
                 self._close()
                 self._died = True
             elif kind == guard.SENT:
-                *counts, latency = guard.COUNTS.unpack(body)
-                self._counts = (counts[0], counts[1], counts[2])
-                self.latency = latency if math.isfinite(latency) else self.latency
+                self._counts = guard.COUNTS.unpack(body)
             elif kind == guard.RELEASED:
                 (number,) = guard.NUMBER.unpack(body[: guard.NUMBER.size])
                 releases.append(Release(number, body[guard.NUMBER.size :].decode()))
@@ -184,17 +179,14 @@ class GuardProcess:
         self._close()
         self._died = False
 
-    def _tell(self, data: bytes) -> None:
-        if self._socket is not None:
-            with self._lost_with_it():
-                self._socket.send(data)
-
-    @contextlib.contextmanager
-    def _lost_with_it(self):  # type: ignore[no-untyped-def]
+    def _tell(self, data: bytes, *descriptors: int) -> None:
+        """To the guard; what it has no room for is lost, and missed as soon as it sends nothing."""
+        if self._socket is None:
+            return
         try:
-            yield
+            socket.send_fds(self._socket, [data], descriptors)
         except BlockingIOError:
-            log.warning("formation: the guard does not listen")
+            pass
         except OSError:
             self._close()
             self._died = True

@@ -3,17 +3,13 @@
 import asyncio
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from support.patience import PATIENCE
-from swarmtrack.benchmarks.guard import CASES, CONFIG, SPEED_M_S, Sky, fly, guard_of
+from swarmtrack.benchmarks.guard import CASES, SPEED_M_S, Sky, engage, fly, flying_agent, guard_of
 from swarmtrack.benchmarks.lone_agent import free_udp_port
-from swarmtrack.simulation.firmware import FlightMode
 
 # s: what a busy machine adds to the 0.35 and 1.3 s that `bench guard` judges.
 ZERO_WITHIN_S, SILENT_AFTER_S = 1.2, 2.5
@@ -25,7 +21,7 @@ ZERO_WITHIN_S, SILENT_AFTER_S = 1.2, 2.5
 )
 async def test_whatever_becomes_of_an_agent_its_drone_stops_and_is_let_go(case):
     flight = await fly(case, seed=1)
-    if case == "guard-killed":
+    if case.startswith("guard-"):
         assert flight.last_s < ZERO_WITHIN_S
     else:
         assert flight.zero_s < ZERO_WITHIN_S
@@ -48,35 +44,20 @@ def exists(pid):
         return False
 
 
-async def test_a_guard_ends_with_its_agent_and_not_with_a_terminal_s_signals(tmp_path):
+async def test_a_guard_ends_with_its_agent_and_not_with_a_terminal_s_signals():
     sky = Sky(free_udp_port(), seed=1)
-    config = tmp_path / "drone.toml"
-    config.write_text(CONFIG.format(port=sky.port))
-    async with sky.served():
-        agent = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "swarmtrack.benchmarks.guarded_agent", str(config), "1.0",
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        try:
-            await until(lambda: Path(f"/proc/{agent.pid}/task/{agent.pid}/children").read_text().strip())
-            guard = guard_of(agent.pid)
-            assert any(word.endswith("guard.py") for word in _words(guard))
-            await until(lambda: _ignores(guard, signal.SIGTERM))
-            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-                os.kill(guard, number)
-            sky.pilot.switch_to(FlightMode.HOLD, time.monotonic())
-            while not any(heard.speed > 0.9 for heard in sky.heard):
-                for mode in (FlightMode.HOLD, FlightMode.GUIDED):
-                    sky.pilot.switch_to(mode, time.monotonic())
-                    await asyncio.sleep(1.2)
-            assert exists(guard)
-            agent.kill()
-            await agent.wait()
-            await until(lambda: not exists(guard))
-        finally:
-            if agent.returncode is None:
-                agent.kill()
-                await agent.wait()
+    async with flying_agent(sky, 1.0) as agent:
+        await until(lambda: Path(f"/proc/{agent.pid}/task/{agent.pid}/children").read_text().strip())
+        guard = guard_of(agent.pid)
+        assert any(word.endswith("guard.py") for word in _words(guard))
+        await until(lambda: _ignores(guard, signal.SIGTERM))
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            os.kill(guard, number)
+        await engage(sky, 1.0)
+        assert exists(guard)
+        agent.kill()
+        await agent.wait()
+        await until(lambda: not exists(guard))
 
 
 def _words(pid):

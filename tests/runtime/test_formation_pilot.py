@@ -15,7 +15,7 @@ from support.ports import free_port
 from swarmtrack.clock import SystemClock
 from swarmtrack.follower import LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.setpoint import OwnFlight, Setpoint, Why
+from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.guard import DEAD_S, STALE_S
 from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.runtime.guard_process import GuardProcess
@@ -86,14 +86,7 @@ class FlownPx4(Flown, FakePx4):
 
 
 class ScriptedDoor:
-    """Decides what a test says; it is its own `perceived`."""
-
-    @property
-    def perceived(self):
-        return self
-
-    def own_flight(self, now):
-        return OwnFlight((0.0, 0.0, -10.0), (0.0, 0.0, 0.0), 0.0)
+    """Decides what a test says."""
 
     def __init__(self):
         self.velocity, self.why, self.asked, self.nearest = VELOCITY, Why.FOLLOW, [], None
@@ -104,6 +97,7 @@ class ScriptedDoor:
             self.velocity,
             YAW_RATE,
             Setpoint(now, self.velocity, YAW_RATE, self.why, "words", nearest=self.nearest),
+            room=8.0,
         )
 
 
@@ -277,6 +271,20 @@ async def test_a_guard_that_dies_is_said_and_nobody_is_flown_until_one_is_starte
         companion.fly(1.5)
         assert companion.guard.starts == 2
         assert companion.pilot.status().ok
+
+
+async def test_a_guard_that_stands_still_is_noticed_and_says_nothing_when_it_goes_on():
+    async with Companion(FlownArduPilot()) as companion:
+        companion.to(FlightMode.GUIDED)
+        companion.fly(1.0)
+        companion.guard.frozen = True
+        frozen = companion.now
+        companion.fly(2.0)
+        assert companion.notices.said[-1] == "formation released: the guard sends nothing"
+        assert not companion.engagement.engaged
+        companion.guard.frozen = False
+        companion.fly(2.0)
+        assert companion.since(frozen) == []
 
 
 async def test_a_decision_of_an_earlier_engagement_is_not_flown_in_the_next():

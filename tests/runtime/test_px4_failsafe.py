@@ -16,7 +16,7 @@ from support.fake_autopilot import FakePx4
 from support.inline_guard import InlineGuard
 from swarmtrack.follower import LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.setpoint import OwnFlight, Setpoint, Why
+from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
@@ -39,14 +39,9 @@ STEP_S = 0.01
 class Door:
     """Flies north."""
 
-    perceived = property(lambda self: self)
-
-    def own_flight(self, now):
-        return OwnFlight(START, (0.0, 0.0, 0.0), 0.0)
-
     def command(self, now, engagement):
         velocity = (1.0, 0.0, 0.0)
-        return LocalSetpoint(velocity, 0.0, Setpoint(now, velocity, 0.0, Why.FOLLOW, "north"))
+        return LocalSetpoint(velocity, 0.0, Setpoint(now, velocity, 0.0, Why.FOLLOW, "north"), room=8.0)
 
 
 class Notices:

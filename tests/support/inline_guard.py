@@ -9,7 +9,9 @@ class InlineGuard:
 
     def __init__(self, limits, flight):
         self.limits, self.flight = limits, flight
-        self.alive = False
+        self.alive = self.frozen = False
+        """frozen: as by SIGSTOP. What it is told waits until it goes on."""
+        self._waiting = []
         self.sent = self.stale = self.refused = self.starts = 0
         self.pid = None
         self._guard, self._speaker = guard.Guard(guard_limits(limits)), guard.Speaker(1, 192)
@@ -31,16 +33,21 @@ class InlineGuard:
             self._speaker.key = self.flight.unit.signing_key or b""
 
     def decide(self, decision):
-        if self.alive and self._guard.decided(decision, self.now):
-            self._send()
+        self._hear(lambda: self._guard.decided(decision, self.now) and self._send())
 
     def stand(self):
-        if self.alive:
-            self._guard.stands(self.now)
-            self._send()
+        self._hear(lambda: self._guard.stands(self.now) or self._send())
 
     def end(self, number):
-        self._guard.end(number)
+        self._hear(lambda: self._guard.end(number))
+
+    def _hear(self, word):
+        if self.frozen:
+            self._waiting.append(word)
+        elif self.alive:
+            while self._waiting:
+                self._waiting.pop(0)()
+            word()
 
     def news(self):
         releases, self._releases = tuple(self._releases), []
@@ -49,11 +56,13 @@ class InlineGuard:
 
     def stop(self):
         self._send(gone=True)
-        self.alive = False
+        self.alive = self.frozen = False
+        """frozen: as by SIGSTOP. What it is told waits until it goes on."""
+        self._waiting = []
 
     def tick(self):
         """Time has passed."""
-        if self.alive and self.now >= self._guard.due():
+        if self.alive and not self.frozen and self.now >= self._guard.due():
             self._send()
 
     @property

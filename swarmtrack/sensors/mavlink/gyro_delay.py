@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import logging
 import math
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.sensors.mavlink.parameters import ParameterReader
 from swarmtrack.sensors.mavlink.streams import ATTITUDE_QUATERNION
 
 log = logging.getLogger(__package__)
@@ -75,18 +75,20 @@ IMU_GYRO_CUTOFF = DelayParameter("IMU_GYRO_CUTOFF", low_pass_delay, 40.0, 3e-3)
 
 
 class _Kind(NamedTuple):
-    """of_imu, of_rates: what delays the samples, and the rates next to an attitude; bytewise: integers are sent as the
-    bytes of a float."""
+    """of_imu, of_rates: what delays the samples, and the rates next to an attitude."""
 
     of_imu: DelayParameter
     of_rates: DelayParameter
-    bytewise: bool
 
 
 KINDS: dict[int, _Kind] = {
-    common.MAV_AUTOPILOT_ARDUPILOTMEGA: _Kind(INS_GYRO_FILTER, INS_GYRO_FILTER, False),
-    common.MAV_AUTOPILOT_PX4: _Kind(IMU_INTEG_RATE, IMU_GYRO_CUTOFF, True),
+    common.MAV_AUTOPILOT_ARDUPILOTMEGA: _Kind(INS_GYRO_FILTER, INS_GYRO_FILTER),
+    common.MAV_AUTOPILOT_PX4: _Kind(IMU_INTEG_RATE, IMU_GYRO_CUTOFF),
 }
+
+
+def _names_of(kind: int) -> tuple[str, ...]:
+    return tuple(parameter.name for parameter in KINDS.get(kind, ()))
 
 
 class GyroDelays:
@@ -97,52 +99,29 @@ class GyroDelays:
 
     def __init__(self, told_s: float | None, *, asks: bool, name: str) -> None:
         self._told_s = told_s
-        self._asks = asks and told_s is None
+        self._reader = ParameterReader(
+            _names_of, asks=asks and told_s is None, every_s=ASK_EVERY, attempts=ATTEMPTS
+        )
         self._name = name
-        self._kind: _Kind | None = None
-        self._values: dict[str, float] = {}
-        self._attempts: dict[str, int] = {}
-        self._next = -math.inf
         self._said: GyroDelay | None = None
         self._of_imu = self._of_rates = self._judge(None)
 
     def meet(self, autopilot: int) -> None:
         """The autopilot's first heartbeat says of which MAV_AUTOPILOT it is."""
-        self._kind = KINDS.get(autopilot)
-        self.restart()
+        self._reader.meet(autopilot)
         self._settle()
 
     def restart(self) -> None:
         """The autopilot has started again, perhaps with another filter: ask; meanwhile what it told before holds."""
-        asked = self._parameters if self._asks else ()
-        self._attempts = {parameter.name: 0 for parameter in asked}
+        self._reader.restart()
 
     def tick(self, now: float, system: int) -> list[Any]:
         """The questions to send now."""
-        if not self._attempts or now < self._next:
-            return []
-        self._next = now + ASK_EVERY
-        self._attempts = {name: n + 1 for name, n in self._attempts.items() if n < ATTEMPTS}
-        return [
-            common.MAVLink_param_request_read_message(
-                target_system=system,
-                target_component=common.MAV_COMP_ID_AUTOPILOT1,
-                param_id=name.encode(),
-                param_index=-1,
-            )
-            for name in self._attempts
-        ]
+        return self._reader.tick(now, system)
 
     def on_value(self, t: float, m: Any) -> None:
         """PARAM_VALUE has come, whoever asked for it."""
-        kind, name = self._kind, m.param_id
-        if kind is None or all(name != parameter.name for parameter in self._parameters):
-            return
-        value = float(m.param_value)
-        if kind.bytewise and m.param_type == common.MAV_PARAM_TYPE_INT32:
-            (value,) = struct.unpack("<i", struct.pack("<f", value))
-        self._attempts.pop(name, None)
-        self._values[name] = value
+        self._reader.on_value(t, m)
         self._settle()
 
     def of(self, message_id: int) -> GyroDelay:
@@ -152,14 +131,15 @@ class GyroDelays:
     def say(self, message_id: int) -> None:
         """Log how late the gyro is taken to be, once and where it has changed; not while an answer is due."""
         delay = self.of(message_id)
-        if self._attempts or delay == self._said:
+        if self._reader.waits or delay == self._said:
             return
         self._said = delay
         log.info("%s: gyro taken to be %s late: %s", self._name, delay, delay.cause)
 
     @property
     def _parameters(self) -> tuple[DelayParameter, ...]:
-        return () if self._kind is None else (self._kind.of_imu, self._kind.of_rates)
+        kind = self._reader.kind
+        return () if kind is None else tuple(KINDS.get(kind, ()))
 
     def _settle(self) -> None:
         self._of_imu, self._of_rates = map(self._judge, self._parameters or (None, None))
@@ -169,7 +149,7 @@ class GyroDelays:
             return GyroDelay(self._told_s, 0.0, "motion.gyro_delay_s")
         if parameter is None:
             return GyroDelay(0.0, UNKNOWN_SIGMA, "of this autopilot no filter is known")
-        value = self._values.get(parameter.name)
+        value = self._reader.values.get(parameter.name)
         if value is not None and 0.0 <= parameter.delay(value) <= LATEST:  # NaN is not
             return GyroDelay(parameter.delay(value), TOLD_SIGMA, f"{parameter.name} is {value:g} Hz")
         found = "was not told" if value is None else f"was told as {value:g} Hz"

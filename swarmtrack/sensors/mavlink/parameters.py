@@ -1,4 +1,4 @@
-"""Parameters of an autopilot, read by name. Nothing is ever written.
+"""Parameters of an autopilot, read by name (PARAM_REQUEST_READ). Nothing is ever written.
 
 A parameter that does not exist is passed over in silence by most firmwares, and PARAM_ERROR of newer ones is not read.
 So each is asked for a few times, and then counts as not told.
@@ -14,25 +14,35 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
-ASK_EVERY_S, ATTEMPTS = 0.5, 4
 # Of these types PX4 sends the bits of an integer in the place of a float.
-INTEGERS = {
-    common.MAV_PARAM_TYPE_INT32: "<i",
-    common.MAV_PARAM_TYPE_UINT32: "<I",
-}
+INTEGERS = {common.MAV_PARAM_TYPE_INT32: "<i", common.MAV_PARAM_TYPE_UINT32: "<I"}
 
 
 class ParameterReader:
-    """Asks one autopilot; `values`: by name, what it told. names_of: what is asked of which MAV_AUTOPILOT."""
+    """Asks one autopilot; `values`: by name, what it told. names_of: what is of interest of which MAV_AUTOPILOT; asks:
+    False: it is only listened to; every_s, attempts: how often it is asked for what it has not told."""
 
-    def __init__(self, names_of: Callable[[int], Iterable[str]]) -> None:
+    def __init__(
+        self,
+        names_of: Callable[[int], Iterable[str]],
+        *,
+        asks: bool = True,
+        every_s: float = 0.5,
+        attempts: int = 4,
+    ) -> None:
         self.values: dict[str, float] = {}
         self.kind: int | None = None
         """MAV_AUTOPILOT; None before a heartbeat."""
-        self._names_of = names_of
+        self._names_of, self._asks = names_of, asks
+        self._every_s, self._most = every_s, attempts
         self._attempts: dict[str, int] = {}
         self._next = -math.inf
         self._done = asyncio.Event()
+
+    @property
+    def waits(self) -> bool:
+        """Whether an answer is due."""
+        return bool(self._attempts)
 
     async def done(self) -> None:
         """Until everything has been told, or asked for often enough."""
@@ -41,15 +51,19 @@ class ParameterReader:
     def meet(self, kind: int) -> None:
         """The first heartbeat says of which MAV_AUTOPILOT it is."""
         self.kind = kind
-        self._attempts = dict.fromkeys(self._names_of(kind), 0)
+        self.restart()
+
+    def restart(self) -> None:
+        """The autopilot has started, perhaps with other values: ask; meanwhile what it told before holds."""
+        if self.kind is not None and self._asks:
+            self._wait_for(dict.fromkeys(self._names_of(self.kind), 0))
 
     def tick(self, now: float, system: int) -> list[Any]:
         """The questions to send now."""
         if not self._attempts or now < self._next:
             return []
-        self._next = now + ASK_EVERY_S
-        self._attempts = {name: n + 1 for name, n in self._attempts.items() if n < ATTEMPTS}
-        self._look()
+        self._next = now + self._every_s
+        self._wait_for({name: n + 1 for name, n in self._attempts.items() if n < self._most})
         return [
             common.MAVLink_param_request_read_message(
                 target_system=system,
@@ -61,7 +75,7 @@ class ParameterReader:
         ]
 
     def on_value(self, t: float, m: Any) -> None:
-        """PARAM_VALUE, whoever asked for it."""
+        """PARAM_VALUE, whoever asked for it. What is no number is not told."""
         if self.kind is None or m.param_id not in self._names_of(self.kind):
             return
         value = float(m.param_value)
@@ -69,9 +83,9 @@ class ParameterReader:
             (value,) = struct.unpack(INTEGERS[m.param_type], struct.pack("<f", value))
         if math.isfinite(value):
             self.values[m.param_id] = float(value)
-            self._attempts.pop(m.param_id, None)
-            self._look()
+            self._wait_for({name: n for name, n in self._attempts.items() if name != m.param_id})
 
-    def _look(self) -> None:
-        if not self._attempts:
+    def _wait_for(self, attempts: dict[str, int]) -> None:
+        self._attempts = attempts
+        if not attempts:
             self._done.set()

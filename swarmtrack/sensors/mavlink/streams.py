@@ -41,9 +41,7 @@ ATTITUDE_RATE = 50.0  # Hz
 # Hz: carried on by its velocity in between, at 5 m/s² to 4 mm and to 25 mm.
 LOCAL_POSITION_RATE, GLOBAL_POSITION_RATE = 25.0, 10.0
 FIX_RATE = 5.0  # Hz: that of most receivers
-GROUND_RATE = (
-    4.0  # Hz: of a range finder, where there is one; the ground is wanted, and little of the line for it
-)
+GROUND_RATE = 4.0  # Hz: of a range finder, where there is one
 LINE_SHARE = 0.7  # of what the line carries may be ours; the rest is for parameters and other programs
 
 NOT_MEASURED = np.full(3, np.nan)

@@ -89,8 +89,6 @@ class Telemetry:
         self.imu_rate_hz = 0.0
         self.imu_samples = 0
         self.poses = 0
-        self.place: tuple[float, tuple[float, float, float]] | None = None
-        """When the newest position came, and the position itself, NED [m], as the autopilot or its GPS has it."""
         self._requests = requests
         self._contact = contact
         self._news = news
@@ -106,6 +104,7 @@ class Telemetry:
         self._window_count = 0
         self._pose_stamp: float | None = None
         self._position: tuple[float, Array, Array] | None = None
+        self._placed_at = -math.inf
         self._below: tuple[float, float] | None = None
         self._asked_time: dict[int, float] = {}
         self._exchanges = 0
@@ -121,6 +120,14 @@ class Telemetry:
     def gyro_delay(self) -> GyroDelay:
         """How late the samples would be, were it not taken off."""
         return self._gyro_delays.of(self.imu_source.id)
+
+    @property
+    def place(self) -> tuple[float, tuple[float, float, float]] | None:
+        """When the newest position came, and the position itself, NED [m], as the autopilot or its GPS has it."""
+        if self._position is None:
+            return None
+        north, east, down = self._position[1].tolist()
+        return self._placed_at, (north, east, down)
 
     def lack(self, now: float) -> str:
         """Why there is no position although a start by GPS needs one; empty otherwise."""
@@ -216,17 +223,14 @@ class Telemetry:
         assert self._gps is not None
         place = self._gps.place(t, m)
         if place is not None:
-            self._position = (m.time_boot_ms * 1e-3, *place)
-            north, east, down = place[0].tolist()
-            self.place = t, (north, east, down)
+            self._position, self._placed_at = (m.time_boot_ms * 1e-3, *place), t
 
     def _on_local_position(self, t: float, m: Any) -> None:
         position, velocity = (m.x, m.y, m.z), (m.vx, m.vy, m.vz)
         if not all(abs(number) < FARTHEST for number in position + velocity):  # NaN compares as False
             self._invalid += 1
             return
-        self._position = (m.time_boot_ms * 1e-3, np.array(position), np.array(velocity))
-        self.place = t, position
+        self._position, self._placed_at = (m.time_boot_ms * 1e-3, np.array(position), np.array(velocity)), t
 
     def _on_attitude(self, t: float, m: Any) -> None:
         self._on_imu(t, m)
@@ -282,7 +286,7 @@ class Telemetry:
         )
         self.clock_map.reset()
         self.cadence.reset()
-        self._pose_stamp = self._position = self.place = self._below = None
+        self._pose_stamp = self._position = self._below = None
         self._asked_time.clear()
         self._exchanges = 0
         self._requests.reset()

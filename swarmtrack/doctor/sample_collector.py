@@ -1,0 +1,51 @@
+"""Keeps what an autopilot says, for whoever looks at it afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarmtrack.messages import EgoPose, FlightState, ImuSample
+from swarmtrack.motion.hand_eye import GyroTurns
+from swarmtrack.sensors.base import AutopilotListener
+
+MOST_SAMPLES = 400_000
+
+
+@dataclass
+class SampleCollector(AutopilotListener):
+    """An autopilot's listener that keeps what it is told."""
+
+    samples: list[ImuSample] = field(default_factory=list)
+    poses: list[EgoPose] = field(default_factory=list)
+
+    def on_imu(self, sample: ImuSample) -> None:
+        if len(self.samples) < MOST_SAMPLES:
+            self.samples.append(sample)
+
+    def on_pose(self, pose: EgoPose) -> None:
+        if len(self.poses) < MOST_SAMPLES:
+            self.poses.append(pose)
+
+    def on_autopilot_reboot(self) -> None:
+        """Its clock begins anew: what was kept has nothing to do with what comes."""
+        self.samples.clear()
+        self.poses.clear()
+
+    def on_flight_state(self, state: FlightState) -> None:
+        """Of no interest here."""
+
+    def on_found_flying(self) -> None:
+        """Of no interest here."""
+
+    def on_switch(self, t: float) -> None:
+        """Of no interest here."""
+
+    def gyro(self) -> GyroTurns:
+        """So far. Any thread may ask while more samples come in."""
+        samples = self.samples.copy()
+        return GyroTurns(
+            np.array([sample.t for sample in samples]),
+            np.array([sample.gyro for sample in samples]).reshape(-1, 3),
+        )
