@@ -60,6 +60,16 @@ def _check(imu_rate_hz: float, system_id: int | None) -> None:
         raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
 
 
+def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
+    """Hz by message, beside gyro and attitude: of places, of the transmitter's channels, of the mode."""
+    rates = dict(GLOBAL_POSE if by_gps else LOCAL_POSE)
+    if channels:
+        rates[RC_CHANNELS] = REPORTS_HZ
+    if mode:
+        rates[CURRENT_MODE] = CURRENT_MODE_HZ
+    return rates
+
+
 class WayToAutopilot(NamedTuple):
     """wire: an open link; opened_at [s]: since when, so that another connection is another way; system: the vehicle's;
     component: ours."""
@@ -111,9 +121,7 @@ class MavlinkAutopilot:
         reads_channels = switch is not None or (engagement is not None and engagement.asks_for_switch)
         self._requests = StreamRequests(
             imu_rate_hz,
-            (LOCAL_POSE if gps is None else GLOBAL_POSE)
-            | ({RC_CHANNELS: REPORTS_HZ} if reads_channels else {})
-            | ({CURRENT_MODE: CURRENT_MODE_HZ} if engagement else {}),
+            _rates(by_gps=gps is not None, channels=reads_channels, mode=engagement is not None),
             line=self._link.bytes_per_second,
             signed=key is not None,
         )
