@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from support.formation_states import SLOTS, Flying, in_slot, parameters, state, track
@@ -44,12 +44,13 @@ def test_of_two_that_collide_the_first_counts():
 
 
 @given(st.floats(-50.0, 0.0), st.lists(st.floats(-50.0, 0.0), max_size=7))
-def test_no_room_leads_to_another_slots_height(own, others):
+@example(-0.125, [0.0, -0.75])
+def test_no_room_leads_nearer_to_another_slots_height_than_half_a_metre_or_the_own_slot(own, others):
     free = room(own, others)
     assert own - MOST_M <= free.highest <= own <= free.lowest <= own + MOST_M
     for other in others:
         for height in free[:2]:
-            assert height == own or abs(height - other) >= APART_M - 1e-9
+            assert abs(height - other) >= min(APART_M, abs(own - other)) - 1e-9
 
 
 def test_it_gives_way_to_the_side_where_the_other_is_not_and_else_where_more_room_is():
