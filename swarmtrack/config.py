@@ -7,6 +7,7 @@ start at the folder of the file that names them; those of what is written (`[out
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -792,11 +793,11 @@ def mount_camera(section: CameraSection) -> MountedCamera:
 def _resolve_inputs(table: Table, folder: Path) -> None:
     """Make the relative paths of inputs absolute, from the folder of the file that names them."""
     rules: list[tuple[str, str, Callable[[str], str]]] = [
-        ("camera", "calibration", lambda name: str(folder / Path(name).expanduser())),
+        ("camera", "calibration", lambda name: str(folder / os.path.expanduser(name))),
         ("camera", "source", lambda source: _beside(source, ("file", "images"), quote(str(folder)))),
         ("autopilot", "link", lambda link: _beside(link, ("tlog", "ulog", "file"), str(folder))),
-        ("autopilot", "signing_key", lambda name: str(folder / Path(name).expanduser())),
-        ("network", "keys", lambda name: str(folder / Path(name).expanduser())),
+        ("autopilot", "signing_key", lambda name: str(folder / os.path.expanduser(name))),
+        ("network", "keys", lambda name: str(folder / os.path.expanduser(name))),
         *(
             ("detector", key, lambda name: str(folder / name) if name.endswith(".onnx") else name)
             for key in ("model", "second_stage")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -176,7 +177,7 @@ def resolve_plan(table: Table, folder: Path) -> None:
     """Make the path of a plan absolute, from the folder of the file that names it."""
     plan = _table(_table(table.get("team")).get("plan"))
     if isinstance(plan.get("file"), str):
-        plan["file"] = str(folder / Path(plan["file"]).expanduser())
+        plan["file"] = str(folder / os.path.expanduser(plan["file"]))
 
 
 def take_own_start(layers: Layers) -> None:

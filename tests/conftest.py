@@ -19,8 +19,10 @@ from xdist.scheduler import LoadScopeScheduling
 
 from support.places import SHARED
 
-# A busy machine may take any time over an example.
-settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# A busy machine may take any time over an example. The same examples each time: what stops a change is that change, not
+# luck. To look for new ones: pytest --hypothesis-profile=exploring
+settings.register_profile("exploring", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("patient", settings.get_profile("exploring"), derandomize=True, database=None)
 settings.load_profile("patient")
 
 # What a script starts in its background ignores Ctrl-C, and so would every program that a test starts.

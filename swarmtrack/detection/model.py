@@ -67,7 +67,7 @@ def metadata_of(path: Path) -> Mapping[str, str]:
 def cache_folder() -> Path:
     """Where engines that a provider compiles are kept: minutes on a Jetson, once and not at every start."""
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "swarmtrack" / "engines"
+    return Path(os.path.expanduser(base), "swarmtrack", "engines")
 
 
 def open_session(

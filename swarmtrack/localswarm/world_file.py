@@ -13,6 +13,7 @@ Everything else is as in a scenario, or has a default. docs/rehearse.md tells ho
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -241,7 +242,7 @@ def world_of(layers: Layers, name: str, *, seed: int | None, keep_s: float) -> O
 def _resolve_calibration(table: Table, folder: Path) -> None:
     camera = table.get("camera")
     if isinstance(camera, dict) and isinstance(camera.get("calibration"), str):
-        camera["calibration"] = str(folder / Path(camera["calibration"]).expanduser())
+        camera["calibration"] = str(folder / os.path.expanduser(camera["calibration"]))
 
 
 def _shared(layers: Layers, file: WorldFile) -> Iterator[Problem]:

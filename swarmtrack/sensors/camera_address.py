@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import os
 import typing
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -43,8 +44,8 @@ class CameraAddress:
 
     def path(self, base: Path | None) -> Path:
         """The target as a file; relative ones start at `base`, the folder of the config."""
-        path = Path(unquote(self.target)).expanduser()
-        return path if base is None else base / path
+        path = os.path.expanduser(unquote(self.target))  # pathlib's raises where there is no such user
+        return Path(path) if base is None else base / path
 
 
 def parse_address(source: str) -> CameraAddress:

@@ -137,7 +137,7 @@ def _read(
     for name in names:
         if next(files) >= MOST_FILES:
             return wrong(line, f"extends: more than {MOST_FILES} files in all, expected fewer")
-        base = path.parent / Path(name).expanduser()
+        base = path.parent / os.path.expanduser(name)
         if not os.path.isfile(base):
             wrong(line, f"extends: no file {str(base)!r}, expected one relative to this file")
         elif base.resolve() in chain:

@@ -69,6 +69,7 @@ def test_an_address_that_can_never_work_is_refused_with_what_was_found_and_expec
 )
 @example("file:" + 300 * "0")  # longer than a name may be: `Path.exists` raises OSError
 @example("images:" + 300 * "0")
+@example("FILE:~0")  # no such user
 def test_no_text_whatever_makes_anything_but_a_camera_or_a_sentence(source: str) -> None:
     with contextlib.suppress(SourceError):
         assert not open_camera(source, clock=ManualClock()).status().ok
