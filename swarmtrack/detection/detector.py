@@ -15,7 +15,7 @@ from swarmtrack.detection import motion_cue, second_stage
 from swarmtrack.detection.attention import AttentionParameters, AttentionWindows, Window, coverage
 from swarmtrack.detection.description import Declared, Description
 from swarmtrack.detection.expectation import Expectation
-from swarmtrack.detection.heads import Candidates, merged
+from swarmtrack.detection.heads import Candidates, of_several_looks, suppress, together
 from swarmtrack.detection.model import model_path, open_session, runs_on, second_stage_path
 from swarmtrack.detection.motion_cue import Comparison, MotionCue
 from swarmtrack.detection.net import TRIAL_SIZE, Net
@@ -270,11 +270,16 @@ class Detector:
             found = found._replace(centre=found.centre + np.array([window.x, window.y]))
             parts.append(found.take(~window.cuts(found.centre, found.size, whole)))
             spent += seconds
-        found = parts[0] if len(parts) == 1 else merged(parts, limit=self._limit)
+        found = parts[0] if len(parts) == 1 else suppress(together(parts), limit=self._limit)
         began = self._clock.now()
         likeness, shown_from, resize = None, np.full(len(found.score), threshold), np.ones(len(found.score))
         if self._second is not None:
             found, likeness, shown_from, resize = self._look_again(self._second, look, found)
+        if len(parts) > 1:
+            # Only now: what seemed likelier to the first stage is a house perhaps, and the drone is before it.
+            once = of_several_looks(found, limit=self._limit)
+            found, shown_from, resize = found.take(once), shown_from[once], resize[once]
+            likeness = None if likeness is None else likeness[once]
         motion = self._memory(look.frame.camera).motion
         if motion is not None:
             likeness = found.score if likeness is None else likeness

@@ -137,8 +137,8 @@ def _best_first(centre: Output, size: Output, score: Output, label: NDArray[np.i
     )
 
 
-def suppress(candidates: Candidates, *, limit: int, iou: float = 0.55, distance: float = 0.3) -> Candidates:
-    """Keep the best of those that mean the same thing, and at most `limit`.
+def distinct(candidates: Candidates, *, limit: int, iou: float = 0.55, distance: float = 0.3) -> list[int]:
+    """Rows of the best of those that mean the same thing, at most `limit`.
 
     Two do if their boxes overlap by more than `iou`, or if their centres are closer than `distance` times the longer
     side of the smaller: boxes of small drones rarely overlap enough when a peak splits in two.
@@ -154,12 +154,22 @@ def suppress(candidates: Candidates, *, limit: int, iou: float = 0.55, distance:
         near = np.hypot(*apart.T) < distance * np.minimum(size[kept].max(axis=1), size[i].max())
         if not (near | (overlap > iou * union)).any():
             kept.append(i)
-    return candidates.take(kept)
+    return kept
 
 
-def merged(parts: Sequence[Candidates], *, limit: int) -> Candidates:
-    """What several looks at one image found, each drone once: by the distance of centres rather than by boxes, which
-    another resolution makes larger or smaller."""
-    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+def suppress(candidates: Candidates, *, limit: int) -> Candidates:
+    """What one look found, each thing once."""
+    return candidates.take(distinct(candidates, limit=limit))
+
+
+def together(looks: Sequence[Candidates]) -> Candidates:
+    """What several looks at one image found, best first; a drone may be there as often as it was looked at."""
+    columns = (np.concatenate(column) for column in zip(*looks, strict=True))
     found = Candidates(*columns)
-    return suppress(found.take(np.argsort(-found.score, kind="stable")), limit=limit, distance=SAME_DRONE)
+    return found.take(np.argsort(-found.score, kind="stable"))
+
+
+def of_several_looks(found: Candidates, *, limit: int) -> list[int]:
+    """Rows of what several looks found together, each drone once: by the distance of centres rather than by boxes,
+    which another resolution makes larger or smaller."""
+    return distinct(found, limit=limit, distance=SAME_DRONE)

@@ -50,7 +50,6 @@ LARGEST_LOG_RATIO = 300.0  # of a tentative track's claim: nothing is as certain
 LEAST_AVAILABLE = 1e-3  # a detection that the confirmed tracks take more surely than that is nobody else's
 SAME = 0.25  # standard deviations within which two leaves of a track say the same
 OFTEN_GENTLE = 0.9  # share of manoeuvres, where nobody knows how hard they are
-OUTLIERS = 0.05  # share of detections that are off by more than their noise
 ORDINARY_FLOW = (
     1.0  # px: by which the gyro's noise moves a target from scan to scan; beyond it something was wrong
 )
@@ -171,13 +170,15 @@ class Merging(NamedTuple):
 class Weighed(NamedTuple):
     """A scan of m detections as L leaves of n tracks see it.
 
-    visibility: of the tracks; merging: None where all are resolved; ratio (L, m): log-likelihood of a detection as
+    visibility: of the tracks; merging: None where all are resolved; misdrawn (L, m): that a detection, as the leaf's,
+    was drawn round something else as well, None where nobody knows; ratio (L, m): log-likelihood of a detection as
     the leaf's over its being clutter; gain (L, m): of having made it, over having made none; missed (L,):
     log-probability of having made none.
     """
 
     visibility: Visibility
     merging: Merging | None
+    misdrawn: Array | None
     ratio: Array
     gain: Array
     missed: Array
@@ -307,7 +308,7 @@ class Mbm:
         table, leaves = self.table, self._leaves
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         boxes = self._sensor.box_likelihoods(leaves.size, measured)
-        ratio = self._with_outliers(boxes, measured)
+        ratio, misdrawn = self._with_outliers(boxes, measured)
         merging = None
         if ratio.size and visibility.overlap is not None:
             ratio, merging = self._with_merged(ratio, boxes, visibility.overlap, measured)
@@ -322,7 +323,7 @@ class Mbm:
             claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
             gain[confirmed] -= np.log1p(p_detected[~confirmed] @ claim)
         gain[gain < -self._depth] = -np.inf  # to have made none is likelier by more than what is kept
-        return Weighed(visibility, merging, ratio, gain, missed)
+        return Weighed(visibility, merging, misdrawn, ratio, gain, missed)
 
     def _log_ratio(self, boxes: Array, measured: Measurements, shift: Array | None = None) -> Array:
         """(…, L, m) by all modes, … that of measured.R; boxes (L, m): see `SensorModel.box_likelihoods`; shift (n, 2,
@@ -339,17 +340,24 @@ class Mbm:
         )
         return np.asarray(np.logaddexp.reduce(by_mode, axis=-2))
 
-    def _with_outliers(self, boxes: Array, measured: Measurements) -> Array:
-        """The log-ratios (L, m) where some detections scatter as was told, and not as little as was measured.
+    def _with_outliers(self, boxes: Array, measured: Measurements) -> tuple[Array, Array | None]:
+        """The log-ratios (L, m) where some detections are off by more than their noise; and how likely each is
+        misdrawn, where that is known (L, m).
 
-        Only who made what is so asked: a box that jumps is still the target's. The update follows it, as it would with
-        the noise that was told, whose gain is no smaller.
+        Else only who made what is so asked: a box that jumps is still the target's. The update follows it, as it would
+        with the noise that was told, whose gain is no smaller.
         """
-        if measured.widest is None:
-            return self._log_ratio(boxes, measured)
-        both = np.array([measured.R, measured.widest])
+        outliers = measured.outliers
+        if outliers is None:
+            return self._log_ratio(boxes, measured), None
+        both = np.array([measured.R, outliers.R])
         ratio, wide = self._log_ratio(boxes, measured._replace(R=both))
-        return np.asarray(np.logaddexp(math.log1p(-OUTLIERS) + ratio, math.log(OUTLIERS) + wide))
+        wide += np.log(outliers.share)
+        total = np.logaddexp(np.log1p(-outliers.share) + ratio, wide)
+        if not outliers.misdrawn:
+            return total, None
+        with np.errstate(invalid="ignore"):
+            return total, np.where(total > -np.inf, np.exp(wide - total), 0.0)
 
     def _with_merged(
         self, ratio: Array, boxes: Array, overlap: Array, measured: Measurements
@@ -589,7 +597,13 @@ class Mbm:
         before = self._leaves.take(told.leaf)
         (hit,) = (told.column >= 0).nonzero()
         leaf, column, owner = told.leaf.take(hit), told.column.take(hit), before.owner
-        R = measured.R.take(column, axis=0)
+        R, drawn_well = measured.R.take(column, axis=0), np.ones((len(hit), 1))
+        if weighed.misdrawn is not None and measured.outliers is not None:
+            # A mixture of two noises that differ in scale, as one: by their information (West, "On scale mixtures of
+            # normal distributions", 1987), which is what an outlier has little of.
+            drawn_well = 1.0 - weighed.misdrawn[leaf, column][:, None]
+            wide, share = np.linalg.inv(measured.outliers.R.take(column, axis=0)), drawn_well[:, :, None]
+            R = np.linalg.inv(share * np.linalg.inv(R) + (1.0 - share) * wide)
         if weighed.merging is not None:
             p, shift = weighed.merging
             R += p[leaf, column][:, None, None] * shift.take(owner.take(hit), axis=0)
@@ -598,7 +612,7 @@ class Mbm:
         for old, new in zip(motion, updated, strict=True):
             old[hit] = new  # `take` made copies
         size = before.size
-        size[hit] = blend_sizes(size.take(hit, axis=0), measured.size.take(column, axis=0))
+        size[hit] = blend_sizes(size.take(hit, axis=0), measured.size.take(column, axis=0), drawn_well)
 
         p_detection = weighed.visibility.p_detection.take(owner)
         likelihood = 1.0 - p_detection

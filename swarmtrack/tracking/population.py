@@ -183,7 +183,8 @@ class Population:
         return np.asarray(outlying | inside.all(axis=2).any(axis=0))
 
 
-def blend_sizes(old: Array, new: Array) -> Array:
-    """Box sizes (k, 2) px after new ones were seen; NaN is unknown."""
-    mixed = SIZE_MEMORY * old + (1.0 - SIZE_MEMORY) * new
+def blend_sizes(old: Array, new: Array, believed: float | Array = 1.0) -> Array:
+    """Box sizes (k, 2) px after new ones were seen, which are believed, one or (k, 1); NaN is unknown."""
+    share = (1.0 - SIZE_MEMORY) * believed
+    mixed = (1.0 - share) * old + share * new
     return np.where(np.isnan(old), new, np.where(np.isnan(new), old, mixed))

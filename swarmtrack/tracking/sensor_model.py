@@ -32,24 +32,42 @@ CLUTTER_BOUND = 10.0  # at most so many times the rate that was told, or so many
 # Likewise of the noise: after this many detections a new one counts for a quarter of a percent.
 PRIOR_DETECTIONS, NOISE_MEMORY_DETECTIONS = 20.0, 400.0
 NOISE_BOUND = 10.0
+# Share of detections that are off by more than their noise.
+OUTLIERS = 0.05
+# Of its longer side, one sigma: how far a box is off that is drawn round a drone and what stands behind it, or round a
+# part of one. In drawn flights boxes of a likeness below 0.2 are off by 6 to 11 %.
+MISDRAWN = 0.1
+
+
+class Outliers(NamedTuple):
+    """What a scan's detections are where they are off by more than their noise. share (m,): how often; R (m, 2, 2) px²:
+    by how much; misdrawn: whether it is known from looks which they are. A box that looks like any other and jumps is
+    still the target's; one that looks odd was drawn round something else as well."""
+
+    share: Array
+    R: Array
+    misdrawn: bool
+
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Outliers:
+        return Outliers(self.share[rows], self.R[rows], self.misdrawn)
 
 
 class Measurements(NamedTuple):
     """What can be used of a scan: z (m, 2), R (m, 2, 2), size (m, 2), odds (m,) of being no clutter; likeness (m,): the
-    log odds of being a drone by looks alone, over those of `birth_score`; widest (m, 2, 2): R of outliers, None where
-    no detection is off by more than by R."""
+    log odds of being a drone by looks alone, over those of `birth_score`; outliers: None where no detection is off by
+    more than by R."""
 
     z: Array
     R: Array
     size: Array
     odds: Array
     likeness: Array
-    widest: Array | None = None
+    outliers: Outliers | None = None
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
-        widest = None if self.widest is None else self.widest[rows]
+        outliers = None if self.outliers is None else self.outliers.select(rows)
         return Measurements(
-            self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.likeness[rows], widest
+            self.z[rows], self.R[rows], self.size[rows], self.odds[rows], self.likeness[rows], outliers
         )
 
 
@@ -127,13 +145,14 @@ class SensorModel:
             good &= sound
         unusable = m - int(np.count_nonzero(good))
         self.counters["unusable_detections"] += unusable
-        widest = None
+        outliers = None
         if self._noise_learned == "both":
             told_R, R = R, self.noise.applied(R, size)
-            widest = np.maximum(told_R, R)
+            by_looks = scan.likeness if self._uses_boxes else None
+            outliers = _outliers(np.maximum(told_R, R), size, by_looks)
         elif self.noise_scale > 1.0:
             R = R * self.noise_scale
-        measured = Measurements(scan.z, R, size, odds, likeness, widest)
+        measured = Measurements(scan.z, R, size, odds, likeness, outliers)
         return measured.select(good) if unusable else measured
 
     def measurement_noise(self, size: Array, score: Array | None) -> Array:
@@ -261,6 +280,15 @@ class SensorModel:
 def within(values: Array, least: float | Array, most: float | Array) -> Array:
     """As `np.clip`, in half its time for a few values."""
     return np.minimum(np.maximum(values, least), most)
+
+
+def _outliers(widest: Array, size: Array, likeness: Array | None) -> Outliers:
+    """widest (m, 2, 2) px²: R of detections that only scatter; size (m, 2) px; likeness (m,)."""
+    if likeness is None:
+        return Outliers(np.full(len(size), OUTLIERS), widest, misdrawn=False)
+    off = MISDRAWN * np.nan_to_num(size.max(axis=1, initial=0.0))
+    share = within(1.0 - likeness, OUTLIERS, 1.0 - OUTLIERS)
+    return Outliers(share, widest + (off * off)[:, None, None] * np.eye(2), misdrawn=True)
 
 
 def _odds(score: Array) -> Array:

@@ -19,8 +19,11 @@ from swarmtrack.detection.attention import (
     tiles,
 )
 from swarmtrack.detection.detector import Detector
-from swarmtrack.detection.heads import Candidates, merged
+from swarmtrack.detection.heads import Candidates, of_several_looks, together
+from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.messages import Frame, StampKind
+from swarmtrack.scenario_file import load_scenario
+from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.training import render
 
 IMAGE = (1280, 720)
@@ -159,9 +162,10 @@ def test_the_same_drone_in_two_looks_is_one():
             np.array([centre]), np.array([[size, size]]), np.array([score]), np.zeros(1, np.intp)
         )
 
-    near = merged([look([100.0, 100.0], 14.0, 0.6), look([105.0, 101.0], 12.0, 0.9)], limit=9)
-    assert near.centre.tolist() == [[105.0, 101.0]]
-    assert len(merged([look([100.0, 100.0], 14.0, 0.6), look([112.0, 101.0], 12.0, 0.9)], limit=9).score) == 2
+    near = together([look([100.0, 100.0], 14.0, 0.6), look([105.0, 101.0], 12.0, 0.9)])
+    assert near.take(of_several_looks(near, limit=9)).centre.tolist() == [[105.0, 101.0]]
+    apart = together([look([100.0, 100.0], 14.0, 0.6), look([112.0, 101.0], 12.0, 0.9)])
+    assert of_several_looks(apart, limit=9) == [0, 1]
 
 
 # --- with the shipped net
@@ -214,6 +218,18 @@ def test_it_is_guided_only_where_the_frame_is_shrunk_or_it_is_asked_for():
     assert is_guided(input_scale=0.5)
     assert is_guided(look="guided")
     assert not is_guided(input_scale=0.5, look="whole")
+
+
+@pytest.mark.parametrize("sequence", [93, 94, 96, 97])
+def test_a_house_that_seems_likelier_at_first_does_not_hide_the_drone_before_it(sequence):
+    scenario = load_scenario("hover-triangle", seed=1)
+    camera, t = scenario.cameras[0], sequence / 20
+    image = Renderer(scenario.world, camera.lens, camera.body_from_camera).image(1, t, sequence)
+    boxes = SwarmTruth(scenario.world, scenario.cameras).view(1, t).in_view
+    tracks = Tracks(np.array([box_of(u, v, size=70.0) for u, v, *_ in boxes.values()]))
+    detector = Detector(input_scale=0.5)
+    found = detector.look(detector.plan(Frame(t, 0.0, sequence, image, StampKind.EXPOSURE), tracks))
+    assert np.hypot(*(found.centre - np.array(boxes[3][:2])).T).min() < 3.0
 
 
 @pytest.mark.parametrize("shape", [(0, 0, 3), (480, 0), (100,), (100, 100, 4)])

@@ -634,3 +634,31 @@ def test_with_levels_of_manoeuvres_it_hangs_together_too(count):
     tracker, _ = hovering(rng.uniform(200.0, 260.0, (count, 2)), learn_noise="both", resolution_px=8.0)
     for k in range(1, 60):
         watch(tracker, k / 10.0, rng.uniform(150.0, 300.0, (rng.integers(0, 8), 2)))
+
+
+def hovering_then(*after, likeness):
+    """px off its last box, and px/s, of the track of a target that hovered with boxes that look like a drone, and then
+    had some that are so many px to the right, and look as much like one as is told."""
+    tracker = mbm(learn_noise="both")
+    rng = np.random.default_rng(5)
+    for k, right in enumerate([*60 * [0.0], *after]):
+        z = np.array([[320.0 + right, 240.0]]) + rng.normal(0.0, 0.5, (1, 2))
+        looks = np.array([0.97 if k < 60 else likeness])
+        tracker.update(Scan(k / 7, z, size=np.array([[70.0, 30.0]]), score=np.array([0.9]), likeness=looks))
+    (track,) = tracker.tracks
+    return track.mean[0] - z[0, 0], track.mean[1]
+
+
+@pytest.mark.parametrize("likeness", [0.1, 0.3])
+def test_a_box_that_looks_odd_and_is_off_was_drawn_round_something_else(likeness):
+    off, speed = hovering_then(10.0, likeness=likeness)
+    assert off < -8.0
+    assert abs(speed) < 10.0
+
+
+@pytest.mark.parametrize("likeness", [0.97, 0.3])
+def test_who_flies_off_is_followed_whatever_its_boxes_look_like(likeness):
+    flies_off = [100.0 * (k / 7) ** 2 for k in range(1, 10)]
+    off, speed = hovering_then(*flies_off, likeness=likeness)
+    assert abs(off) < 4.0
+    assert speed == pytest.approx(200.0 * 9 / 7, rel=0.3)
