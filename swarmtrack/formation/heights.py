@@ -18,7 +18,7 @@ import numpy as np
 
 from swarmtrack.relative.heights import HeightSight
 
-# m, m/s: of the constant nothing is known; an honest barometer wanders by so much, one sigma.
+# m, m/s: by how much the constant may differ from the first sight; an honest barometer wanders by so much, one sigma.
 CONSTANT_M, RATE = 5.0, 0.05
 # m/s per √s: by which the rate of a drift changes: 0.1 m/s within 10 s.
 RATE_WALK = 0.03
@@ -107,7 +107,8 @@ class _Row:
         self.word = sight.word
         self.t = self.taken_t = sight.t
         self.said = False
-        self.x = np.zeros(5)
+        # Of the constant nothing is known but this: it may be the height over a far place where somebody began to count.
+        self.x = np.array([0.0, 0.0, sight.off, 0.0, 0.0])
         self.P = np.diag([0.0, RATE**2, CONSTANT_M**2, TILT**2, 1.0])
 
     @property

@@ -23,7 +23,7 @@ position_sigma_m = 0.3
 [formation]
 drones = 2
 [formation.star]
-height_m = 15.0
+height_m = 60.0
 engages_s = 2.0
 judged_from_s = 10.0
 sticks = [
