@@ -44,6 +44,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.errands.benchmark",
         "take-off, go-tos and turns: the camera's clock, names among ghosts",
     ),
+    "first-command": (
+        "swarmtrack.benchmarks.first_command",
+        "what `swarmtrack sim` says, how long it takes and what it costs, again and again",
+    ),
     "fixed-lag": (
         "swarmtrack.benchmarks.trackers.fixed_lag",
         "what a delay of some scans is worth to a tracker's estimates",

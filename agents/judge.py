@@ -23,6 +23,7 @@ from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, ungr
 if TYPE_CHECKING:
     from swarmtrack.clock import Clock
     from swarmtrack.evaluation.swarm_verdict import SwarmReport
+    from swarmtrack.localswarm.detail import Detail
     from swarmtrack.localswarm.table import Spectator
     from swarmtrack.localswarm.watch import Watch
     from swarmtrack.transport.settings import NetworkSettings
@@ -46,6 +47,7 @@ class FlownScenario:
     seed: int
     drones: int | None
     detector: str
+    detail: Detail
     epoch: float
 
 
@@ -111,7 +113,8 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
     deadline = clock.now() + args.patience
     spectator.note(f"asking {args.simulator} what is flown …")
     flown = await ask_simulator(args.simulator, args.patience)
-    scenario, followed = as_told(load_scenario(flown.scenario, seed=flown.seed, drones=flown.drones))
+    whole, followed = as_told(load_scenario(flown.scenario, seed=flown.seed, drones=flown.drones))
+    scenario = flown.detail.of(whole)
     if followed:
         raise NotThere(
             f"{args.simulator}: its drones {', '.join(map(str, followed))} are flown by a ground station, expected a "
@@ -133,7 +136,8 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
         seed=flown.seed,
         tracker="as configured",
         detector=flown.detector,
-        limits=load_limits(flown.scenario),
+        limits=flown.detail.expected(whole, load_limits(flown.scenario)),
+        detail=flown.detail,
     )
 
 
@@ -167,11 +171,14 @@ async def ask_simulator(url: str, patience_s: float) -> FlownScenario:
 
 def _understood(told: dict[str, Any], now: float) -> FlownScenario:
     """now: when the simulator said it, to half of the time that the question took."""
+    from swarmtrack.localswarm.detail import Detail
+
     return FlownScenario(
         scenario=str(told["scenario"]),
         seed=int(told["seed"]),
         drones=None if told["drones"] is None else int(told["drones"]),
         detector=str(told["detector"]),
+        detail=Detail(told.get("detail", "full")),
         epoch=now - float(told["world_time_s"]),
     )
 

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,10 +29,11 @@ if TYPE_CHECKING:
 
     from swarmtrack.evaluation.swarm_verdict import SwarmReport
     from swarmtrack.localswarm.flight import FlightPlan
+    from swarmtrack.localswarm.machine_load import Capacity
     from swarmtrack.localswarm.page import FlightPage
     from swarmtrack.localswarm.table import Spectator
 
-PASSED, FAILED, TIMING_NOT_JUDGED = 0, 1, 3
+PASSED, FAILED, NOT_JUDGED = 0, 1, 3
 SLOW_TO_PREPARE = 200  # drones: of more, their places take seconds to find
 DEFAULT_SCENARIO = "hover-triangle"
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -90,6 +92,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--team", metavar="NAME", help="of the agents, for who listens to them (default: a new one each time)"
     )
+    parser.add_argument(
+        "--detail",
+        choices=["auto", "full", "reduced", "low"],
+        default="auto",
+        help="how much is simulated: full, the scenario's pictures, gyro samples and tracks per second; reduced, "
+        "fewer; low, of smaller pictures, too; auto, as much as the machine has time for (default: %(default)s)",
+    )
     add_file(parser, "--json", "write the verdict and all figures to this file")
     add_folder(parser, "--record", "record every agent, the truth and the verdict there")
     add_flag(parser, "--monitor", "serve the web page of the flight")
@@ -115,9 +124,16 @@ def _drones(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
+    from swarmtrack.clock import SystemClock
+    from swarmtrack.localswarm.machine_load import MachineLoad, choose_detail, described, look_around
+
+    clock = SystemClock()
+    began, load = clock.now(), MachineLoad()
+
     from rich.console import Console
 
     from swarmtrack.errors import TransportError
+    from swarmtrack.localswarm.detail import Detail
     from swarmtrack.localswarm.flight import FlightPlan
     from swarmtrack.localswarm.outside import NoTruth
     from swarmtrack.localswarm.processes import ProcessDied
@@ -155,11 +171,19 @@ def run(args: argparse.Namespace) -> int:
     _check_room(plan)
     if plan.record is not None:
         check_empty(plan.record)
+    capacity = look_around(load, began, clock)
+    whole = plan.load().scenario
+    if args.detail == "auto":
+        detail = Detail.FULL if plan.world is not None else choose_detail(whole, plan.detector, capacity)
+    else:
+        detail = Detail(args.detail)
+    plan = replace(plan, detail=detail)
     spectator = _spectator(plan, console)
+    spectator.keep(described(whole, plan.detector, capacity, detail))
     stay = sys.stdout.isatty() if args.stay is None else args.stay
     landing = _Landing(console, args.json, stay=stay)
     try:
-        asyncio.run(_fly(plan, spectator, landing))
+        asyncio.run(_fly(plan, capacity, spectator, landing))
     except (NoTruth, RadioError, ProcessDied, TransportError) as error:
         spectator.close()
         print(f"swarmtrack sim: {error}", file=sys.stderr)
@@ -229,7 +253,7 @@ def exit_code(report: SwarmReport) -> int:
     codes = {
         Verdict.PASSED: PASSED,
         Verdict.FAILED: FAILED,
-        Verdict.TIMING_NOT_JUDGED: TIMING_NOT_JUDGED,
+        Verdict.NOT_JUDGED: NOT_JUDGED,
     }
     return codes[report.verdict]
 
@@ -252,7 +276,7 @@ def _spectator(plan: FlightPlan, console: Console) -> Spectator:
     return lines
 
 
-async def _fly(plan: FlightPlan, spectator: Spectator, landing: _Landing) -> None:
+async def _fly(plan: FlightPlan, capacity: Capacity, spectator: Spectator, landing: _Landing) -> None:
     """Ctrl-C, SIGTERM and a terminal that goes cancel the flight; everything is ended in order."""
     from swarmtrack.localswarm.flight import fly
 
@@ -260,7 +284,7 @@ async def _fly(plan: FlightPlan, spectator: Spectator, landing: _Landing) -> Non
     assert task is not None
     for number in ENDING:
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    await fly(plan, spectator, landing)
+    await fly(plan, spectator, landing, capacity)
 
 
 def print_verdict(report: SwarmReport, console: Console) -> None:
@@ -269,8 +293,7 @@ def print_verdict(report: SwarmReport, console: Console) -> None:
     console.print(agents_table(report))
     console.print(team_table(report))
     words, lines = conclusion(report)
-    colour = {PASSED: "green", FAILED: "red", TIMING_NOT_JUDGED: "green"}[exit_code(report)]
-    for word, style in zip(words, (colour, "yellow"), strict=False):
-        console.print(word, style=f"bold {style}", highlight=False)
+    colour = {PASSED: "green", FAILED: "red", NOT_JUDGED: "yellow"}[exit_code(report)]
+    console.print(words, style=f"bold {colour}", highlight=False, soft_wrap=True)
     for line in lines:
         console.print(f"  {line}", highlight=False, soft_wrap=True)

@@ -99,6 +99,12 @@ def parser() -> argparse.ArgumentParser:
         "--drones", type=int, metavar="N", help="how many drones, where the scenario leaves it open"
     )
     parser.add_argument(
+        "--detail",
+        choices=["full", "reduced", "low"],
+        default="full",
+        help="how much of the scenario: fewer frames and gyro samples, and smaller pictures (default: full)",
+    )
+    parser.add_argument(
         "--epoch",
         type=_finite,
         metavar="T",
@@ -172,6 +178,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _load(arguments: argparse.Namespace) -> Scenario | OutsideWorld:
     """Raises SwarmtrackError for what cannot be flown as asked for."""
+    from swarmtrack.localswarm.detail import Detail
     from swarmtrack.localswarm.hardware import AUTOPILOT_PORTS
     from swarmtrack.localswarm.world_file import check_alone, load_world
     from swarmtrack.scenario_file import load_scenario
@@ -183,7 +190,8 @@ def _load(arguments: argparse.Namespace) -> Scenario | OutsideWorld:
         return load_world(arguments.world, seed=arguments.seed)
     arguments.scenario = arguments.scenario or DEFAULT_SCENARIO
     arguments.seed = DEFAULT_SEED if arguments.seed is None else arguments.seed
-    scenario = load_scenario(arguments.scenario, seed=arguments.seed, drones=arguments.drones)
+    whole = load_scenario(arguments.scenario, seed=arguments.seed, drones=arguments.drones)
+    scenario = Detail(arguments.detail).of(whole)
     highest = max(scenario.members) + max(AUTOPILOT_PORTS.values())
     if arguments.port and arguments.port + highest > 65535:
         raise SourceError(
@@ -219,7 +227,7 @@ def _simulation(
     from swarmtrack.localswarm.world_file import OutsideWorld
 
     oracle = arguments.detector == "oracle"
-    told = {"seed": arguments.seed, "detector": arguments.detector}
+    told = {"seed": arguments.seed, "detector": arguments.detector, "detail": arguments.detail}
     if isinstance(flown, OutsideWorld):
         origin = flown.scenario.origin
         return simulate_outside(

@@ -5,6 +5,9 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
+cpu_seconds = time.thread_time
+"""Of the calling thread: what work has cost, however long it took."""
+
 UTC_SIGMA = 0.05  # s: what a companion kept by NTP knows of UTC
 
 

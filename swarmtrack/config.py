@@ -422,6 +422,11 @@ class DetectorSection(Section):
         default=True,
         description="with guided looks, where whole frames are shrunk: also one full-resolution tile per frame",
     )
+    share: Annotated[Positive, Field(le=1.0)] = Field(
+        default=1.0,
+        description="of the time that looking may take, per camera; with guided looks, tiles are left out while it "
+        "takes more",
+    )
     motion: Switch = Field(
         default=True,
         description="compare with the frame a tenth of a second earlier, aligned by the gyro; a detection that moved "

@@ -68,6 +68,32 @@ class AttentionParameters:
     tile_px: int = 256
 
 
+class TimeShare:
+    """Keeps looking within a share of the time: what a look took is paid back before there is time for more.
+
+    The time is the camera's, so a frame that was skipped is no loss; what is saved beyond a second is not kept.
+    """
+
+    MOST_S = 1.0
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._saved = 0.0
+        self._t: float | None = None
+
+    def comes_to(self, t: float) -> bool:
+        """A frame was exposed at t [s]: whether there is time for more than what has to be."""
+        if self._t is not None:
+            earned = self._share * max(t - self._t, 0.0)
+            self._saved = min(self._saved + earned, self._share * self.MOST_S)
+        self._t = t
+        return self._share >= 1.0 or self._saved > 0.0
+
+    def spend(self, seconds: float) -> None:
+        """What a look took, as far as it can be paid back within a second."""
+        self._saved = max(self._saved - seconds, -self._share * self.MOST_S)
+
+
 class AttentionWindows:
     """Which parts of each frame the net is shown.
 
@@ -82,9 +108,12 @@ class AttentionWindows:
         self._tiles: Iterator[Window] = iter(())
         self._tiled: tuple[int, int] = (0, 0)
 
-    def next(self, image: tuple[int, int], whole_scale: float, boxes: Array) -> list[Window]:
+    def next(
+        self, image: tuple[int, int], whole_scale: float, boxes: Array, *, has_time: bool = True
+    ) -> list[Window]:
         """image (width, height) px; boxes (n, 6) px of the tracks in it: centre, half of what their centres' place is
-        uncertain by (3σ), size (NaN: unknown). The first frame, and any without tracks, is seen as a whole."""
+        uncertain by (3σ), size (NaN: unknown). The first frame, and any without tracks, is seen as a whole. has_time:
+        for a tile."""
         whole = Window(0, 0, *image, whole_scale)
         due = next(self._frame) % self._parameters.whole_every == 0
         near = self._around(image, boxes)
@@ -92,7 +121,7 @@ class AttentionWindows:
         if crowded or (whole_scale >= 1.0 and sum(_cost(window) for window in near) >= _cost(whole)):
             return [whole, *near[: self._parameters.most_windows]]
         windows = [whole, *near] if due or not near else near
-        if self._parameters.tiles and whole_scale < 1.0:
+        if self._parameters.tiles and whole_scale < 1.0 and has_time:
             windows.append(self._next_tile(image))
         return windows
 

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from swarmtrack.clock import Clock, SystemClock
 from swarmtrack.detection import motion_cue, second_stage
-from swarmtrack.detection.attention import AttentionParameters, AttentionWindows, Window, coverage
+from swarmtrack.detection.attention import (
+    AttentionParameters,
+    AttentionWindows,
+    TimeShare,
+    Window,
+    coverage,
+)
 from swarmtrack.detection.description import Declared, Description
 from swarmtrack.detection.expectation import Expectation
 from swarmtrack.detection.heads import Candidates, of_several_looks, suppress, together
@@ -79,6 +85,7 @@ class _Memory(NamedTuple):
 
     attention: AttentionWindows
     motion: MotionCue | None
+    time: TimeShare
 
 
 class Detector:
@@ -90,8 +97,8 @@ class Detector:
     or says wrongly. second_stage: which network looks at each candidate again; "auto" is the shipped one ("default"),
     where it was fitted to the model's scores, else "none". look: "whole" frames, or "guided" by the tracks as
     `attention` says; "auto": guided where the whole frame would be shrunk. motion: also ask what moved since an earlier
-    frame (`motion_cue`). A model that cannot work raises `ModelError` here; a bad frame later is counted and yields
-    nothing.
+    frame (`motion_cue`). share: of the time that looks at one camera may take; where they take more, guided ones have
+    no tiles. A model that cannot work raises `ModelError` here; a bad frame later is counted and yields nothing.
     """
 
     def __init__(
@@ -108,6 +115,7 @@ class Detector:
         look: Literal["auto", "whole", "guided"] = "auto",
         attention: AttentionParameters = USUAL_ATTENTION,
         motion: bool = False,
+        share: float = 1.0,
         max_detections: int = 64,
         clock: Clock | None = None,
     ) -> None:
@@ -138,6 +146,7 @@ class Detector:
         self._look = look
         self._attention_parameters = attention
         self._with_motion = motion
+        self._share = share
         self._memories: dict[int, _Memory] = {}
         self._limit = max_detections
         self._seconds = np.zeros((LATENCY_FRAMES, 3))  # ring of (pre, infer, post)
@@ -207,7 +216,8 @@ class Detector:
             if guided or self._second is not None:
                 expected = expectation.boxes(frame.t)
             if guided:
-                windows = memory.attention.next((width, height), scale, expected)
+                has_time = memory.time.comes_to(frame.t)
+                windows = memory.attention.next((width, height), scale, expected, has_time=has_time)
             if memory.motion is not None:
                 comparison = memory.motion.compare(frame.t, expectation)
         return Look(frame, tuple(windows), comparison, expected)
@@ -229,6 +239,7 @@ class Detector:
             self._broken += 1
             self._trouble = str(error)
             return None
+        self._memory(frame.camera).time.spend(float(seconds.sum()))
         self._seconds[self._frames % LATENCY_FRAMES] = seconds
         self._frames += 1
         self._windows += len(windows)
@@ -252,7 +263,8 @@ class Detector:
         memory = self._memories.get(camera)
         if memory is None:
             attention = AttentionWindows(self._attention_parameters, self._net.fixed_size)
-            memory = self._memories[camera] = _Memory(attention, MotionCue() if self._with_motion else None)
+            motion = MotionCue() if self._with_motion else None
+            memory = self._memories[camera] = _Memory(attention, motion, TimeShare(self._share))
         return memory
 
     def _look_through(self, look: Look) -> tuple[Candidates, Array | None, Array]:

@@ -21,8 +21,8 @@ class Verdict(enum.StrEnum):
 
     PASSED = "passed"
     FAILED = "failed"
-    TIMING_NOT_JUDGED = "timing not judged"
-    """Names are as expected; what takes time is not, on a machine that had none left."""
+    NOT_JUDGED = "not judged"
+    """Nothing is wrong, but something came late or not at all, on a machine that had no time left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +90,9 @@ class AgentFigures:
 
 @dataclass(frozen=True, slots=True)
 class SwarmReport:
-    """All numbers of one flight, and what they should have been. machine_busy: the share of all cores' time that was
-    spent, by others too, while something was late, else over the whole flight; NaN where nobody knows."""
+    """All numbers of one flight, and what they should have been. machine_busy, others_busy: the share of all cores'
+    time that was spent, and by other programs, while something was late, else over the whole flight; NaN where nobody
+    knows. detail: how much of the scenario was simulated."""
 
     scenario: str
     drones: int
@@ -109,11 +110,13 @@ class SwarmReport:
     relative: RelativeScore = NO_PLACES
     formation: FormationScore | None = None
     machine_busy: float = math.nan
+    others_busy: float = math.nan
+    detail: str = "full"
 
     @property
     def shortfalls(self) -> list[str]:
         """One sentence for every number that is not as expected; none: passed."""
-        return [*self.shortfalls_of_names, *self.shortfalls_of_timing]
+        return [*self.wrongs, *self.shortfalls_of_timing]
 
     @property
     def passed(self) -> bool:
@@ -123,26 +126,19 @@ class SwarmReport:
     def verdict(self) -> Verdict:
         if self.passed:
             return Verdict.PASSED
-        excused = not self.shortfalls_of_names and self.machine_busy > BUSY
-        return Verdict.TIMING_NOT_JUDGED if excused else Verdict.FAILED
+        excused = not self.wrongs and self.machine_busy > BUSY
+        return Verdict.NOT_JUDGED if excused else Verdict.FAILED
 
     @property
-    def shortfalls_of_names(self) -> list[str]:
-        """Who is who, what is nobody, and what agents say at all: no busy machine is an excuse."""
+    def wrongs(self) -> list[str]:
+        """What is wrong, and not only late or missing: no busy machine is an excuse."""
         score, limits = self.score, self.limits
-        short = self._unheard()
+        short = self._too_much_said()
         if not score.samples:
-            return [
-                "identity: nothing to judge, expected a teammate in view of another for more than a second",
-                *short,
-            ]
+            return short
         # Written so that NaN fails, where not said otherwise.
         if not score.wrong <= limits.wrong:
             short.append(f"identity.wrong: {score.wrong:.4f}, expected {limits.wrong:g} at most")
-        if not score.correct >= limits.correct:
-            short.append(f"identity.correct: {score.correct:.4f}, expected {limits.correct:g} at least")
-        if limits.proved > 0.0 and not score.proved >= limits.proved:
-            short.append(f"identity.proved: {score.proved:.4f}, expected {limits.proved:g} at least")
         if score.agreement < limits.agreement:  # NaN: nobody shared a view, which is no disagreement
             short.append(f"identity.agreement: {score.agreement:.4f}, expected {limits.agreement:g} at least")
         if score.false_tracks_per_s > limits.false_tracks_per_s:
@@ -159,8 +155,18 @@ class SwarmReport:
 
     @property
     def shortfalls_of_timing(self) -> list[str]:
-        """What a machine without time spoils."""
-        score, limits, short = self.score, self.limits, list[str]()
+        """What a machine without time spoils: right names are fewer where tracks come late, and who gets no time at
+        all says nothing."""
+        score, limits, short = self.score, self.limits, self._unheard()
+        if not score.samples:
+            return [
+                "identity: nothing to judge, expected a teammate in view of another for more than a second",
+                *short,
+            ]
+        if not score.correct >= limits.correct:
+            short.append(f"identity.correct: {score.correct:.4f}, expected {limits.correct:g} at least")
+        if limits.proved > 0.0 and not score.proved >= limits.proved:
+            short.append(f"identity.proved: {score.proved:.4f}, expected {limits.proved:g} at least")
         if not self.all_known_s <= limits.all_known_s:
             took = "not at all" if math.isnan(self.all_known_s) else f"after {self.all_known_s:.1f} s"
             short.append(
@@ -208,7 +214,7 @@ class SwarmReport:
         return [agent for agent in self.agents if not math.isnan(agent.first_tracks_s)]
 
     def _unheard(self) -> list[str]:
-        """Who says nothing, or too much at once."""
+        """Who says nothing."""
         short = []
         unheard = [agent.drone_id for agent in self.agents if math.isnan(agent.first_tracks_s)]
         if unheard:
@@ -216,11 +222,15 @@ class SwarmReport:
         silent = [agent.drone_id for agent in self._heard if agent.announcement_bytes is None]
         if silent:
             short.append(f"{_drones(silent)}: never announced")
+        return short
+
+    def _too_much_said(self) -> list[str]:
+        """In one announcement."""
         size = {
             a.drone_id: float(a.announcement_bytes) for a in self._heard if a.announcement_bytes is not None
         }
         most = self.limits.announcement_bytes - 1
-        return [*short, *_above("announcement_bytes", size, most, digits=0)]
+        return _above("announcement_bytes", size, most, digits=0)
 
     def as_record(self) -> dict[str, Any]:
         """For JSON. What cannot be said (NaN) is null."""
@@ -278,7 +288,9 @@ class SwarmReport:
                 for agent in self.agents
             ],
             **({} if self.formation is None else {"formation": _formation_record(self.formation)}),
+            "detail": self.detail,
             "machine_busy": _rounded(self.machine_busy, 3),
+            "others_busy": _rounded(self.others_busy, 3),
             "verdict": self.verdict,
             "passed": self.passed,
         }  # fmt: skip

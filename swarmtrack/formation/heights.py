@@ -107,7 +107,7 @@ class _Row:
         self.word = sight.word
         self.t = self.taken_t = sight.t
         self.said = False
-        # Of the constant nothing is known but this: it may be the height over a far place where somebody began to count.
+        # Of the constant nothing is known but this: somebody may have begun to count far above, or below.
         self.x = np.array([0.0, 0.0, sight.off, 0.0, 0.0])
         self.P = np.diag([0.0, RATE**2, CONSTANT_M**2, TILT**2, 1.0])
 

@@ -61,14 +61,17 @@ def write_configs(
     recordings: Path | None = None,
     origin: TeamOrigin | None = None,
     epoch_utc: float = 0.0,
+    share: float = 1.0,
 ) -> dict[int, Path]:
     """team.toml and drone-N.toml; returns each drone's file.
 
     simulator: the command of a simulator for them, for whoever reads them later. radio: None for a swarm on this
     machine's loopback. recordings: the folder where every agent records. origin: of the team frame on the Earth.
-    epoch_utc: world time 0, s since 1970.
+    epoch_utc: world time 0, s since 1970. share: detector.share.
     """
     text = _team_file(scenario, team, tracker, simulator)
+    if share < 1.0:
+        text += f"\n[detector]\nshare = {share:.3f}                       # all drones share one machine\n"
     shared = []
     if origin is not None:
         place = f"lat_deg = {origin.lat_deg!r}, lon_deg = {origin.lon_deg!r}, alt_m = {origin.alt_m!r}"

@@ -27,7 +27,8 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.errors import ungrouped
 from swarmtrack.evaluation.swarm_verdict import Limits, SwarmReport
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
-from swarmtrack.localswarm.machine_load import MachineLoad
+from swarmtrack.localswarm.detail import Detail
+from swarmtrack.localswarm.machine_load import FAIR, Capacity, MachineLoad, Spent, cores, needed_cores
 from swarmtrack.localswarm.outside import NoTruth
 from swarmtrack.localswarm.page import FlightPage, open_page
 from swarmtrack.localswarm.processes import Child, Children, ProcessDied
@@ -55,7 +56,10 @@ SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
 # The truth comes 50 ms after an exposure, and a picture takes up to 70 ms.
 MAX_OUTSIDE_FRAME_AGE_S = 0.3
 START_PATIENCE_S = 8.0  # that one agent may hold up the next ones' start
-AGENT_NICENESS = 5  # the simulator stands for hardware, which waits for no computer that is connected to it
+AGENT_NICENESS = 5
+DETECTORS_SHARE = (
+    0.1  # of all cores: what detectors take beyond it costs more than it finds, at such distances
+)
 SHOW_HZ = 4.0
 AGENT_PORT = 7447  # in namespaces each has all ports to itself
 LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
@@ -81,6 +85,8 @@ class FlightPlan:
     world: Path | None = None
     team: str | None = None
     """Its name; None: a new one."""
+    detail: Detail = Detail.FULL
+    """Of a scenario."""
 
     def load(self) -> FlownPlan:
         """Raises ConfigError."""
@@ -90,8 +96,9 @@ class FlightPlan:
             return FlownPlan(outside.scenario, outside.limits, outside.table, followed, outside)
         layers = read_scenario(self.scenario)
         seed = 1 if self.seed is None else self.seed
-        scenario, followed = as_told(load_scenario(self.scenario, seed=seed, drones=self.drones))
-        return FlownPlan(scenario, limits_of(layers), layers.table, followed)
+        whole, followed = as_told(load_scenario(self.scenario, seed=seed, drones=self.drones))
+        limits = self.detail.expected(whole, limits_of(layers))
+        return FlownPlan(self.detail.of(whole), limits, layers.table, followed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +119,16 @@ class FlownPlan:
 Landed = Callable[[SwarmReport, FlightPage | None], Awaitable[None]]
 
 
-async def fly(plan: FlightPlan, spectator: Spectator, landed: Landed | None = None) -> SwarmReport:
+async def fly(
+    plan: FlightPlan, spectator: Spectator, landed: Landed | None = None, capacity: Capacity | None = None
+) -> SwarmReport:
     """Raises RadioError before anything was started, and ProcessDied with the last lines of a log.
 
-    landed: awaited once every process has ended but that of the page, where there is one: it ends after it.
+    landed: awaited once every process has ended but that of the page, where there is one: it ends after it. capacity:
+    what the machine has to give; None: it is not known, and taken to be all of it.
     """
     flown = plan.load()
+    capacity = capacity or Capacity(cores(), 0.0, 1.0)
     scenario = flown.scenario
     async with AsyncExitStack() as stack:
         emulator = None
@@ -131,7 +142,7 @@ async def fly(plan: FlightPlan, spectator: Spectator, landed: Landed | None = No
             spectator.keep(f"configs and logs: {folder}")
         children = await stack.enter_async_context(Children(folder, keep=plan.keep))
         flight = _SwarmFlight(
-            plan, flown, folder=folder, children=children, emulator=emulator, spectator=spectator
+            plan, flown, capacity, folder=folder, children=children, emulator=emulator, spectator=spectator
         )
         report = await flight.run()
         if flight.page is not None:
@@ -152,6 +163,7 @@ class _SwarmFlight:
         self,
         plan: FlightPlan,
         flown: FlownPlan,
+        capacity: Capacity,
         *,
         folder: Path,
         children: Children,
@@ -160,7 +172,7 @@ class _SwarmFlight:
     ) -> None:
         self._plan = plan
         self._flown = flown
-        self._load = MachineLoad()
+        self._load = MachineLoad(lambda: children.pids)
         self._scenario = scenario = flown.scenario
         self._folder = folder
         self._children = children
@@ -169,10 +181,14 @@ class _SwarmFlight:
         self._team = plan.team or f"sim-{secrets.token_hex(4)}"
         self._clock = SystemClock()
         self._seconds = plan.seconds or scenario.seconds
-        self._cores = len(os.sched_getaffinity(0))
         starters = [drone_id for drone_id in scenario.members if scenario.starts_s.get(drone_id, 0.0) <= 0.0]
-        busy = min(1.0 + os.getloadavg()[0] / self._cores, MAX_SLOWDOWN)
-        starting = busy * len(starters) * AGENT_START_CPU_S[plan.detector] / self._cores
+        starting_s = len(starters) * AGENT_START_CPU_S[plan.detector] / capacity.speed
+        starting = starting_s / max(capacity.cores - FAIR * capacity.others, capacity.cores / MAX_SLOWDOWN)
+        # Where not everybody gets what he wants, the simulator comes first: it stands for hardware, which waits for no
+        # computer that is connected to it. Else it would only be other programs that come before our agents.
+        crowded = needed_cores(scenario, plan.detector, capacity.speed) > capacity.cores
+        self._nice = ["nice", "-n", str(AGENT_NICENESS)] if crowded else []
+        self._cores = capacity.cores
         # Generous: hovering a little longer costs nothing.
         self._lead = starting + RECOGNISE_S + (RADIO_LINKS_S if emulator is not None else 0.0)
         self._recording: FlightRecording
@@ -195,6 +211,7 @@ class _SwarmFlight:
             recordings=self._plan.record and self._plan.record.absolute(),
             origin=None if self._flown.outside is None else self._flown.outside.origin,
             epoch_utc=ready["epoch_s"] + self._clock.utc() - self._clock.now(),
+            share=self._share_of_detectors(),
         )
         if self._flown.outside is None:
             for drone_id in self._flown.followed if self._scenario.star is None else ():
@@ -214,6 +231,7 @@ class _SwarmFlight:
             outside=self._flown.outside is not None,
             tracker=plan.tracker,
             detector=plan.detector,
+            detail=plan.detail,
         )
         with self._recorded_to_its_end(), ungrouped(ProcessDied):
             async with asyncio.TaskGroup() as tasks:
@@ -302,6 +320,11 @@ class _SwarmFlight:
             for drone_id, one in outside.outsiders.items()
         }
 
+    def _share_of_detectors(self) -> float:
+        """Of the time, that each may look; all together may use so much of the machine."""
+        eyes = len(self._scenario.members) * len(self._scenario.cameras)
+        return min(DETECTORS_SHARE * self._cores / eyes, 1.0) if self._plan.detector == "onnx" else 1.0
+
     def _prepare(self, epoch: float) -> None:
         """Get ready to judge and to record. epoch: world time 0."""
         self._recording = FlightRecording(
@@ -327,7 +350,7 @@ class _SwarmFlight:
         screen = sys.stdout.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
         page = await open_page(
             self._children,
-            ["nice", "-n", str(AGENT_NICENESS), sys.executable, "-m", "swarmtrack.agents.main"],
+            [*self._nice, sys.executable, "-m", "swarmtrack.agents.main"],
             self._listening(),
             port=port,
             patience_s=SIMULATOR_PATIENCE_S,
@@ -343,6 +366,8 @@ class _SwarmFlight:
         arguments = [*flown, "--seed", str(self._scenario.seed), "--detector", plan.detector]
         if plan.drones is not None:
             arguments += ["--drones", str(plan.drones)]
+        if plan.detail is not Detail.FULL:
+            arguments += ["--detail", plan.detail]
         return ["-m", "swarmtrack.agents.simulator", *arguments]
 
     def _radio_ends(self) -> dict[int, RadioEnds] | None:
@@ -405,7 +430,7 @@ class _SwarmFlight:
         if skew:
             program = [sys.executable, "-m", "swarmtrack.localswarm.skewed_clock", str(skew)]
             argv = [*program, "swarmtrack.agents.vehicle", *arguments]
-        argv = ["nice", "-n", str(AGENT_NICENESS), *argv]
+        argv = [*self._nice, *argv]
         if self._emulator is not None:
             argv = self._emulator.wrap(drone_id, argv)
         self._watch.started(drone_id)
@@ -481,20 +506,22 @@ class _SwarmFlight:
                 f"{self._watch.unjudged} views were not judged: nobody told the truth at their times"
             )
 
-    def _busy(self) -> float:
-        """How busy the machine was while something was late, else over the whole flight."""
-        busy = self._load.share_in(self._watch.late(self._flown.limits))
-        return self._load.share() if math.isnan(busy) else busy
+    def _spent(self) -> Spent:
+        """While something was late, else over the whole flight."""
+        spent = self._load.spent_in(self._watch.late(self._flown.limits))
+        return self._load.spent() if math.isnan(spent.busy) else spent
 
     def _report(self) -> SwarmReport:
-        plan = self._plan
+        plan, spent = self._plan, self._spent()
         return self._watch.report(
             seconds=self._seconds,
             seed=self._scenario.seed,
             tracker=plan.tracker,
             detector=plan.detector,
             limits=self._flown.limits,
-            machine_busy=round(self._busy(), 3),
+            machine_busy=round(spent.busy, 3),
+            others_busy=round(spent.by_others, 3),
+            detail=plan.detail,
         )
 
 

@@ -59,6 +59,11 @@ class Children:
         self.died: asyncio.Future[Child] = asyncio.get_running_loop().create_future()
         """The first child that ended by itself."""
 
+    @property
+    def pids(self) -> list[int]:
+        """Of those that run."""
+        return [child.process.pid for child in self._running]
+
     async def __aenter__(self) -> Self:
         folders = [] if self._keep else [str(self._folder)]
         self._reaper = await asyncio.create_subprocess_exec(

@@ -40,7 +40,9 @@ class FlightRecording:
     """When the sample was heard that was handed over last."""
     _recorder: SwarmRecorder | None = None
 
-    def begin(self, files: Table, *, drones: int | None, outside: bool, tracker: str, detector: str) -> None:
+    def begin(
+        self, files: Table, *, drones: int | None, outside: bool, tracker: str, detector: str, detail: str
+    ) -> None:
         """files: what the scenario's, or the world's, say; drones: how many were asked for; outside: others fly."""
         if self.folder is None:
             return
@@ -57,6 +59,7 @@ class FlightRecording:
             "epoch_s": self.epoch,
             "tracker": tracker,
             "detector": detector,
+            "detail": detail,
         }
         self._recorder = SwarmRecorder(self.clock, self.team)
         self._recorder.open(

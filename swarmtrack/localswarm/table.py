@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from rich.text import Text
 from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.evaluation.formation_score import FormationScore
 from swarmtrack.evaluation.swarm_score import JudgedTrack, SwarmScore
-from swarmtrack.evaluation.swarm_verdict import BUSY, Limits, SwarmReport, Verdict
+from swarmtrack.evaluation.swarm_verdict import Limits, SwarmReport, Verdict
 from swarmtrack.localswarm.machine_load import lighter_flights
 from swarmtrack.localswarm.watch import AgentView, Watch
 from swarmtrack.messages import FOREIGN, Identity
@@ -71,6 +70,7 @@ class PlainLines:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._shown_second: int | None = None
+        self._shown: dict[int, str] = {}
 
     def note(self, text: str) -> None:
         self._console.print(text, highlight=False, soft_wrap=True)
@@ -85,7 +85,10 @@ class PlainLines:
         line = team_line(watch)
         if len(watch.agents) < LARGE_TEAM:
             for drone_id, agent in watch.agents.items():
-                line.append(f" | {drone_id} sees ").append_text(sightings(agent.seen, watch.team))
+                seen = sightings(agent.seen, watch.team)
+                if self._shown.get(drone_id) != seen.plain:
+                    self._shown[drone_id] = seen.plain
+                    line.append(f" | {drone_id} sees ").append_text(seen)
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def close(self) -> None: ...
@@ -106,7 +109,7 @@ class NoTable:
 def flight_table(watch: Watch, title: str) -> Table:
     table = _table(title)
     table.add_column("drone", justify="right")
-    table.add_column("sees whom as whom, how surely")
+    table.add_column("sees whom as whom")
     for heading in ("error px", "tracks Hz", "IMU Hz", "camera Hz", "CPU %", "RSS MB"):
         table.add_column(heading, justify="right")
     for drone_id, agent in watch.agents.items():
@@ -140,7 +143,7 @@ def _sighting(seen: JudgedTrack, team: Collection[int]) -> Text:
     if said is None:
         return Text(f"{_who(truth)} unknown", style="yellow")
     if said == truth:
-        return Text(f"{said} ({seen.track.identity_probability:.3f})", style="green")
+        return Text(str(said), style="green")
     if truth is None:
         return Text(f"nobody as {_who(said)}", style="yellow")
     right = said == FOREIGN and truth not in team
@@ -171,7 +174,7 @@ def team_line(watch: Watch) -> Text:
     if watch.t < 0.0:
         return Text(f"hovering until everybody is there; the flight begins in {-watch.t:.0f} s", style="dim")
     score = watch.scorer.score()
-    text = Text(f"{watch.t:6.1f} s  {_identity_figures(score)}")
+    text = Text(f"{watch.t:4.0f} s  {_identity_figures(score)}")
     judged = [agent.judged_t for agent in watch.agents.values() if agent.boot is not None]
     for fault in watch.faults:
         text.append(f"   {describe_fault(fault)}", style="bold yellow")
@@ -190,9 +193,11 @@ def describe_fault(fault: ScenarioFault) -> str:
 def _identity_figures(score: SwarmScore) -> str:
     if not score.samples:
         return "nothing to judge yet"
+    names = f"names {score.correct:.0%} right, {score.wrong:.0%} wrong, {score.unknown:.0%} unknown"
     return (
-        f"correct {share(score.correct)}  wrong {share(score.wrong)}  unknown {share(score.unknown)}  "
-        f"agreement {share(score.agreement)}"
+        names
+        if math.isnan(score.agreement) or score.agreement == 1.0
+        else f"{names}, {score.agreement:.0%} agree"
     )
 
 
@@ -296,30 +301,28 @@ def _formation_rows(formation: FormationScore, limits: Limits) -> list[tuple[str
     return rows
 
 
-def conclusion(report: SwarmReport) -> tuple[list[str], list[str]]:
+def conclusion(report: SwarmReport) -> tuple[str, list[str]]:
     """The verdict in words, and what fell short; with advice where the machine was short itself."""
-    verdict, lines = report.verdict, report.shortfalls
-    busy = f"this machine's {os.cpu_count()} cores were {report.machine_busy:.0%} busy meanwhile"
-    match verdict:
+    match report.verdict:
         case Verdict.PASSED:
-            words = ["PASSED"]
+            detail = "" if report.detail == "full" else f" with {report.detail} detail"
+            return f"PASSED{detail}", []
         case Verdict.FAILED:
-            words = ["FAILED"]
-        case Verdict.TIMING_NOT_JUDGED:
-            words = ["who is who: PASSED", f"timing not judged: {busy}"]
-    if verdict is not Verdict.PASSED and report.machine_busy > BUSY:
-        said = "" if verdict is Verdict.TIMING_NOT_JUDGED else f"{busy}, so this says little of the swarm: "
-        lines.append(f"{said}try again {lighter_flights(report.drones, report.detector)}")
-    return words, lines
+            return "FAILED", report.shortfalls
+        case Verdict.NOT_JUDGED:
+            others = "" if math.isnan(report.others_busy) else f", other programs {report.others_busy:.0%}"
+            busy = f"this machine was too busy (cores {report.machine_busy:.0%}{others})"
+            advice = f"try again {lighter_flights(report.drones, report.detector)}"
+            return f"NOT JUDGED: {busy}. No wrong name was given.", [*report.shortfalls, advice]
 
 
 def flight_end(report: SwarmReport, record: Path | None) -> FlightEnd:
     """For the page. record: the folder of the flight's recording."""
-    (word, *more), lines = conclusion(report)
+    words, lines = conclusion(report)
     return FlightEnd(
-        {Verdict.PASSED: "ok", Verdict.FAILED: "bad", Verdict.TIMING_NOT_JUDGED: "warn"}[report.verdict],
-        f"the flight is over: {word}",
-        [*more, *lines],
+        {Verdict.PASSED: "ok", Verdict.FAILED: "bad", Verdict.NOT_JUDGED: "warn"}[report.verdict],
+        f"the flight is over: {words}",
+        lines,
         team_rows(report),
         f"swarmtrack monitor --recording {shlex.quote(str(record))}" if record is not None else "",
     )

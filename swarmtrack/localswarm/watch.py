@@ -363,6 +363,8 @@ class Watch:
         detector: str,
         limits: Limits,
         machine_busy: float = math.nan,
+        others_busy: float = math.nan,
+        detail: str = "full",
     ) -> SwarmReport:
         """All numbers of the flight; the arguments are what was flown, and how busy the machine was."""
         scenario = self._scenario
@@ -383,6 +385,8 @@ class Watch:
             relative=relative_score(self._place_errors),
             formation=self._formation_score(),
             machine_busy=machine_busy,
+            others_busy=others_busy,
+            detail=detail,
         )
 
     def _formation_score(self) -> FormationScore | None:

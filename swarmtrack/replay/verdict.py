@@ -15,6 +15,7 @@ from swarmtrack.errors import ConfigError, RecordingError
 from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.localswarm.detail import Detail
 from swarmtrack.localswarm.watch import HeldClock, Watch
 from swarmtrack.localswarm.world_file import world_of
 from swarmtrack.recording.reader import FLIGHT_PLAN, Message, Recording
@@ -80,16 +81,19 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
     be made again."""
     plan = recording.attached(FLIGHT_PLAN)
     layers = Layers([Layer(recording.folder / FLIGHT_PLAN, "", plan["files"])], plan["files"])
+    detail = Detail(plan.get("detail", Detail.FULL))
     try:
+        limits = limits_of(layers)
         if plan.get("outside", False):
             world = world_of(layers, plan["scenario"], seed=plan["seed"], keep_s=math.inf)
             followed = {drone_id: one.drone for drone_id, one in world.outsiders.items()}
             scenario = world.scenario
         else:
             planned = scenario_of(layers, plan["scenario"], seed=plan["seed"], drones=plan["drones"])
-            scenario, followed = as_told(planned)
+            whole, followed = as_told(planned)
+            scenario = detail.of(whole)
+            limits = detail.expected(whole, limits)
         _tell_truth(recording, followed)
-        limits = limits_of(layers)
     except ConfigError as error:
         raise RecordingError(f"{recording.folder}: this program cannot fly its scenario: {error}") from None
     clock = HeldClock()
@@ -102,14 +106,16 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
         tracker=tracker,
         detector=plan["detector"],
         limits=limits,
-        machine_busy=_busy(stage.verdict),
+        machine_busy=_share(stage.verdict, "machine_busy"),
+        others_busy=_share(stage.verdict, "others_busy"),
+        detail=detail,
     )
     return Judged(report, stage.verdict, stage.numbers)
 
 
-def _busy(recorded: dict[str, Any] | None) -> float:
+def _share(recorded: dict[str, Any] | None, name: str) -> float:
     """How busy the machine was in flight; NaN where the verdict does not say."""
-    busy = (recorded or {}).get("machine_busy")
+    busy = (recorded or {}).get(name)
     return math.nan if busy is None else float(busy)
 
 

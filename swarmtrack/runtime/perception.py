@@ -119,6 +119,7 @@ def detector_of(section: DetectorSection, clock: Clock) -> Detector:
         cache=section.engine_cache,
         look=section.look,
         motion=section.motion,
+        share=section.share,
         attention=AttentionParameters(
             whole_every=section.whole_every, target_px=section.target_px, tiles=section.tiles
         ),

@@ -14,6 +14,7 @@ from swarmtrack.detection.attention import (
     UNKNOWN_SIZE,
     AttentionParameters,
     AttentionWindows,
+    TimeShare,
     Window,
     coverage,
     tiles,
@@ -166,6 +167,34 @@ def test_the_same_drone_in_two_looks_is_one():
     assert near.take(of_several_looks(near, limit=9)).centre.tolist() == [[105.0, 101.0]]
     apart = together([look([100.0, 100.0], 14.0, 0.6), look([112.0, 101.0], 12.0, 0.9)])
     assert of_several_looks(apart, limit=9) == [0, 1]
+
+
+def test_a_share_of_the_time_leaves_room_for_tiles_now_and_then():
+    time = TimeShare(0.1)
+    tiles = []
+    for k in range(400):
+        has_time = time.comes_to(0.1 * k)
+        tiles.append(has_time)
+        time.spend(0.015 if has_time else 0.005)  # 0.01 is earned from frame to frame
+    assert np.mean(tiles[100:]) == pytest.approx(0.5, abs=0.05)
+
+
+def test_looks_that_cost_more_than_their_share_have_no_tiles_and_forget_most_of_the_debt():
+    time = TimeShare(0.1)
+    for k in range(100):
+        has_time = time.comes_to(0.1 * k)
+        assert not has_time
+        time.spend(0.05)
+    assert time.comes_to(30.0), "after a pause"
+    assert TimeShare(1.0).comes_to(0.0), "without a bound"
+
+
+def test_without_time_there_is_no_tile():
+    windows = AttentionWindows(AttentionParameters())
+    boxes = np.array([box_of(600, 300)])
+    windows.next(IMAGE, 0.5, boxes)
+    with_tile, without = (windows.next(IMAGE, 0.5, boxes, has_time=has_time) for has_time in (True, False))
+    assert len(with_tile) == len(without) + 1
 
 
 # --- with the shipped net

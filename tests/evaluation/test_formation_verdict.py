@@ -54,7 +54,7 @@ def test_what_falls_short_is_said_and_excused_on_a_machine_that_had_no_time(chan
     assert report.verdict is Verdict.FAILED
     (short,) = report.shortfalls
     assert said in short
-    assert replace(report, machine_busy=0.99).verdict is Verdict.TIMING_NOT_JUDGED
+    assert replace(report, machine_busy=0.99).verdict is Verdict.NOT_JUDGED
 
 
 def test_no_busy_machine_excuses_that_somebody_came_too_near():

@@ -459,6 +459,8 @@ def test_a_flight_fails_by_every_number_of_an_agent(changed, named):
 
 
 SLOW = replace(GOOD, agents=(replace(GOOD_AGENT, track_rate_hz=80.0),))
+LATE = replace(GOOD, score=replace(GOOD_SCORE, correct=0.34, unknown=0.66))
+SILENT = replace(GOOD, agents=(replace(GOOD_AGENT, first_tracks_s=math.nan),))
 CONFUSED = replace(SLOW, score=replace(GOOD_SCORE, wrong=0.01))
 
 
@@ -468,11 +470,14 @@ CONFUSED = replace(SLOW, score=replace(GOOD_SCORE, wrong=0.01))
         (GOOD, 1.0, Verdict.PASSED),
         (SLOW, 0.5, Verdict.FAILED),
         (SLOW, math.nan, Verdict.FAILED),
-        (SLOW, 0.97, Verdict.TIMING_NOT_JUDGED),
+        (SLOW, 0.97, Verdict.NOT_JUDGED),
+        (LATE, 0.97, Verdict.NOT_JUDGED),
+        (LATE, 0.5, Verdict.FAILED),
+        (SILENT, 0.97, Verdict.NOT_JUDGED),
         (CONFUSED, 0.97, Verdict.FAILED),
     ],
 )
-def test_a_busy_machine_excuses_what_takes_time_and_no_wrong_name(report, busy, verdict):
+def test_a_busy_machine_excuses_what_is_late_or_missing_and_no_wrong_name(report, busy, verdict):
     flown = replace(report, machine_busy=busy)
     assert flown.verdict is verdict
     assert flown.as_record()["verdict"] == verdict

@@ -115,7 +115,7 @@ def test_a_simulator_with_a_port_listens_where_the_configs_expect_it_and_says_wh
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE) as response:
             told = json.load(response)
     assert told.pop("world_time_s") < 60.0
-    assert told == {"scenario": scenario, "seed": 1, "drones": None, "detector": "oracle"}
+    assert told == {"scenario": scenario, "seed": 1, "drones": None, "detector": "oracle", "detail": "full"}
 
 
 def test_a_port_that_is_taken_is_said(tmp_path):

@@ -110,7 +110,7 @@ def flown(tmp_path_factory) -> Flown:
                 folder, "--world", str(flying.world), "--detector", "oracle", "--seed", "1", *record
             )
             lines: list[str] = []
-            while not lines or not ("correct" in lines[-1] or "nothing to judge yet" in lines[-1]):
+            while not lines or not ("names " in lines[-1] or "nothing to judge yet" in lines[-1]):
                 lines.append(process.stdout.readline())
                 assert lines[-1], process.communicate()[1]
             flying.process.send_signal(signal.SIGSTOP)
@@ -280,7 +280,7 @@ def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
         )
         try:
             line = ""
-            while "correct" not in line and "nothing to judge yet" not in line:
+            while "names " not in line and "nothing to judge yet" not in line:
                 line = process.stdout.readline()
                 assert line, process.communicate()[1]
             told, complained = pilots.communicate("\n", timeout=PATIENCE)

@@ -133,7 +133,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
     }  # fmt: skip
     assert list(result) == [
         "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "relative", "agents",
-        "machine_busy", "verdict", "passed",
+        "detail", "machine_busy", "others_busy", "verdict", "passed",
     ]  # fmt: skip
     assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, float(seconds))
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
@@ -248,7 +248,7 @@ def test_a_flight_says_how_to_listen_to_it_and_who_listens_elsewhere_is_told_of_
     team = f"test-{os.getpid()}-{time.monotonic_ns()}"
     _, scenario = pair(tmp_path)
     flight = start(tmp_path, scenario, "--detector", "oracle", "--seconds", "600", "--team", team)
-    told = [flight.stdout.readline() for _ in range(4)]
+    told = [flight.stdout.readline() for _ in range(5)]
     (listen,) = (line for line in told if line.startswith("listen: "))
     (look,) = (line for line in told if line.startswith("look: "))
     assert look.split() == ["look:", "swarmtrack", "monitor", "--team", team]

@@ -29,8 +29,8 @@ def test_both_commands_set_up_through_the_lock_and_need_python_alone():
         *setup, _ = block(mark)
         assert setup == [
             "python3 -m venv .venv",
-            ".venv/bin/pip install --quiet --require-hashes -r requirements.lock",
-            ".venv/bin/pip install --quiet --no-deps --no-build-isolation .",
+            ".venv/bin/pip install --require-hashes -r requirements.lock",
+            ".venv/bin/pip install --no-deps --no-build-isolation .",
         ]
 
 

@@ -44,7 +44,7 @@ def is_fair(code: int, said: str) -> bool:
     if code == 0:
         return said.rstrip().endswith("PASSED")
     if code == 3:
-        return "who is who: PASSED" in said
+        return "NOT JUDGED" in said
     found = said.rpartition("FAILED")[2]
     return (
         code == 1 and "FAILED" in said and "identity.wrong" not in found and "announcement_bytes" not in found

@@ -1,0 +1,333 @@
+"""The command that a newcomer runs first, as often as one likes: what it says, how long it takes, and what it costs.
+
+Each run is a process of its own, `swarmtrack sim SCENARIO`, in a session of its own, so that every process that it
+starts is found by that. CPU time is what the kernel counts of them, in flight (between the first and the last line with
+a world time) and from the start to the end. With `--busy N` other processes keep so many cores busy meanwhile.
+
+    swarmtrack bench first-command [--runs N] [--scenarios NAME …] [--busy N] --out DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import re
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmtrack.arguments import count
+from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.command_line import add_common, add_scenarios
+from swarmtrack.benchmarks.processes import cpu_seconds
+from swarmtrack.benchmarks.report import BenchmarkError, number
+
+NAME = "first-command"
+SCENARIOS = ("hover-triangle", "formation-3", "crossing")
+RUNS, QUICK_RUNS = 10, 1
+LOOK_S = 0.2  # s between two looks at what the processes have used
+IN_FLIGHT = re.compile(r"^ *\d+ s  ")
+# What the command line of each kind of process holds, the first that fits.
+KINDS = {
+    "agents": "swarmtrack.agents.vehicle",
+    "guards": "swarmtrack/guard.py",
+    "simulator": "swarmtrack.agents.simulator",
+    "judge": "swarmtrack.agents.main",
+}
+MOST_CORES = 1.2  # in flight, of all processes together: the claim
+
+
+@dataclass(slots=True)
+class Usage:
+    """CPU seconds of the processes of one session, by kind."""
+
+    session: int
+    kinds: dict[int, str] = field(default_factory=dict)
+    seconds: dict[int, float] = field(default_factory=dict)
+
+    def look(self) -> None:
+        """What they have used by now; who has ended keeps what was last seen."""
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            pid = int(entry.name)
+            with suppress(OSError, ProcessLookupError):
+                if os.getsid(pid) != self.session:
+                    continue
+                if self.kinds.get(pid) in (None, "others"):  # it may just be about to become another program
+                    self.kinds[pid] = _kind((entry / "cmdline").read_bytes())
+                self.seconds[pid] = cpu_seconds(pid)
+
+    def by_kind(self) -> dict[str, float]:
+        """Of all that were ever seen."""
+        found: dict[str, float] = defaultdict(float)
+        for pid, seconds in self.seconds.items():
+            found[self.kinds[pid]] += seconds
+        return found
+
+
+def _kind(cmdline: bytes) -> str:
+    words = cmdline.replace(b"\0", b" ").decode(errors="replace")
+    return next((kind for kind, part in KINDS.items() if part in words), "others")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run. code: its exit code; words: its verdict's first line; figures: its JSON; took_s: from start to end;
+    silent_s: longest time without a line; flown_s: between the first and last line of the flight; cores: used in
+    flight, by kind of process; whole_cores: by all of them, from start to end."""
+
+    code: int
+    words: str
+    figures: Mapping[str, Any]
+    took_s: float
+    silent_s: float
+    flown_s: float
+    cores: Mapping[str, float]
+    whole_cores: float
+
+    @property
+    def passed(self) -> bool:
+        return self.code == 0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_common(parser)
+    add_scenarios(parser, SCENARIOS)
+    parser.add_argument(
+        "--runs",
+        type=count,
+        metavar="N",
+        help=f"of each scenario (default: {RUNS}; with --quick {QUICK_RUNS})",
+    )
+    parser.add_argument(
+        "--busy",
+        type=int,
+        default=0,
+        metavar="N",
+        help="other processes that keep a core busy each (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--words", nargs="+", default=[], metavar="WORD", help="more arguments of the command"
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
+    publish(args.out, args.scenarios, runs, busy=args.busy, words=args.words)
+
+
+def publish(
+    out: Path, scenarios: Sequence[str], runs: int, *, busy: int = 0, words: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Run everything, write first-command.json and .md into `out`, and return what is in the JSON."""
+    found = asyncio.run(_run_all(scenarios, runs, busy, words))
+    result = {
+        "busy": busy,
+        "words": list(words),
+        "scenarios": {name: _summary(many) for name, many in found.items()},
+        "runs": {name: [_record(one) for one in many] for name, many in found.items()},
+    }
+    report.write(out, NAME, result, _markdown(result))
+    return result
+
+
+async def _run_all(
+    scenarios: Sequence[str], runs: int, busy: int, words: Sequence[str]
+) -> dict[str, list[Run]]:
+    found: dict[str, list[Run]] = {}
+    with report.progress(NAME, len(scenarios) * runs) as advance:
+        async with others_busy(busy):
+            for name in scenarios:
+                found[name] = []
+                for _ in range(runs):
+                    found[name].append(await fly_once(name, *words))
+                    advance(f"{name}: {found[name][-1].words}")
+    return found
+
+
+@asynccontextmanager
+async def others_busy(many: int) -> AsyncIterator[list[asyncio.subprocess.Process]]:
+    """So many processes of no use, each of which would like a whole core."""
+    loop = "while True: pass"
+    processes = [await asyncio.create_subprocess_exec(sys.executable, "-c", loop) for _ in range(many)]
+    try:
+        yield processes
+    finally:
+        for process in processes:
+            process.kill()
+            await process.wait()
+
+
+async def fly_once(scenario: str, *words: str) -> Run:
+    """`swarmtrack sim` with this scenario, and what came of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        figures = Path(folder) / "verdict.json"
+        began = time.monotonic()
+        process = await asyncio.create_subprocess_exec(
+            *(
+                sys.executable,
+                "-m",
+                "swarmtrack.agents.main",
+                "sim",
+                scenario,
+                "--json",
+                str(figures),
+                *words,
+            ),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            start_new_session=True,
+        )
+        usage = Usage(process.pid)
+        watching = asyncio.create_task(_watch(usage))
+        heard = _Heard(usage, began)
+        try:
+            assert process.stdout is not None
+            async for line in process.stdout:
+                heard.line(line.decode(errors="replace").rstrip())
+            code = await process.wait()
+        finally:
+            watching.cancel()
+            await asyncio.gather(watching, return_exceptions=True)
+        if not figures.exists():
+            raise BenchmarkError(f"swarmtrack sim {scenario} ended with {code}:\n{heard.last}")
+        took = time.monotonic() - began
+        return Run(
+            code,
+            heard.verdict,
+            json.loads(figures.read_text(encoding="utf-8")),
+            took,
+            heard.silent_s,
+            heard.flown_s,
+            heard.cores,
+            sum(usage.by_kind().values()) / took,
+        )
+
+
+async def _watch(usage: Usage) -> None:
+    while True:
+        usage.look()
+        await asyncio.sleep(LOOK_S)
+
+
+class _Heard:
+    """What a run prints, and what was used by then."""
+
+    def __init__(self, usage: Usage, began: float) -> None:
+        self.verdict = ""
+        self.last = ""
+        self.silent_s = 0.0
+        self._usage = usage
+        self._newest = began
+        self._span: list[tuple[float, dict[str, float]]] = []
+
+    def line(self, text: str) -> None:
+        now = time.monotonic()
+        self.silent_s, self._newest = max(self.silent_s, now - self._newest), now
+        self.last = text or self.last
+        if IN_FLIGHT.match(text):
+            self._usage.look()
+            self._span = [*self._span[:1], (now, self._usage.by_kind())]
+        elif text.startswith(("PASSED", "FAILED", "NOT JUDGED")):
+            self.verdict = text
+
+    @property
+    def flown_s(self) -> float:
+        return self._span[-1][0] - self._span[0][0] if self._span else 0.0
+
+    @property
+    def cores(self) -> dict[str, float]:
+        if self.flown_s <= 0.0:
+            return {}
+        (_, before), (_, after) = self._span
+        return {kind: (after[kind] - before.get(kind, 0.0)) / self.flown_s for kind in after}
+
+
+def _summary(many: Sequence[Run]) -> dict[str, Any]:
+    rmse = [
+        max((x for x in one.figures["tracking"]["rmse_px"].values() if x is not None), default=np.nan)
+        for one in many
+    ]
+    kinds = sorted({kind for one in many for kind in one.cores})
+    cores = [sum(one.cores.values()) for one in many]
+    return {
+        "runs": len(many),
+        "passed": sum(one.passed for one in many),
+        "verdicts": Counter(one.words for one in many),
+        "cores": {"mean": float(np.mean(cores)), "max": max(cores)},
+        "whole_cores": float(np.mean([one.whole_cores for one in many])),
+        "cores_by_kind": {kind: float(np.mean([one.cores.get(kind, 0.0) for one in many])) for kind in kinds},
+        "took_s": {
+            "mean": float(np.mean([one.took_s for one in many])),
+            "max": max(one.took_s for one in many),
+        },
+        "silent_s": max(one.silent_s for one in many),
+        "rmse_px": {"p50": float(np.median(rmse)), "max": max(rmse)},
+        "range_error": max(one.figures["relative"]["range_error"]["p95"] or np.nan for one in many),
+        "correct": min(one.figures["identity"]["correct"] or 0.0 for one in many),
+        "wrong": max(one.figures["identity"]["wrong"] or 0.0 for one in many),
+        "ok": all(one.passed for one in many) and max(cores) <= MOST_CORES,
+    }
+
+
+def _record(one: Run) -> dict[str, Any]:
+    return {
+        "code": one.code,
+        "words": one.words,
+        "took_s": one.took_s,
+        "cores": dict(one.cores),
+        "whole_cores": one.whole_cores,
+        "figures": dict(one.figures),
+    }
+
+
+def _markdown(result: dict[str, Any]) -> str:
+    header = [
+        "scenario", "passed", "cores in flight, mean, max", "from start to end", "took s, mean, max",
+        "longest silence s", "worst RMSE px, p50, max", "least right names", "wrong", "error of ranges, 95 %",
+    ]  # fmt: skip
+    rows = [
+        [
+            name,
+            f"{found['passed']} of {found['runs']}",
+            f"{found['cores']['mean']:.2f}, {found['cores']['max']:.2f}",
+            number(found["whole_cores"]),
+            f"{found['took_s']['mean']:.1f}, {found['took_s']['max']:.1f}",
+            number(found["silent_s"], 1),
+            f"{number(found['rmse_px']['p50'])}, {number(found['rmse_px']['max'])}",
+            number(found["correct"], 4),
+            number(found["wrong"], 4),
+            f"{found['range_error']:.1%}",
+        ]
+        for name, found in result["scenarios"].items()
+    ]
+    kinds = sorted({kind for found in result["scenarios"].values() for kind in found["cores_by_kind"]})
+    spent = [
+        [name, *(number(found["cores_by_kind"].get(kind, 0.0)) for kind in kinds)]
+        for name, found in result["scenarios"].items()
+    ]
+    said = [
+        f"{name}: {'; '.join(f'{words}: {many}' for words, many in found['verdicts'].items())}."
+        for name, found in result["scenarios"].items()
+    ]
+    busy = f" Beside {result['busy']} other processes that keep a core busy each." if result["busy"] else ""
+    return "\n\n".join(
+        [
+            f"# The first command\n\nCores: CPU seconds of all processes per second.{busy}",
+            report.table(header, rows),
+            "Cores in flight, by process:",
+            report.table(["scenario", *kinds], spent),
+            *said,
+        ]
+    )
