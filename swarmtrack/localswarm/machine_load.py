@@ -114,6 +114,7 @@ PICTURE = 640 * 480
 REFERENCE_S = 0.0086  # s of CPU for `_usual_work`
 FAIR = 0.5  # of what others use, so much is left to us where everybody wants more: Linux is fair
 FILLED = 0.85  # of what is there may be planned with
+HARDLY_MORE = 1.1
 
 
 def cores() -> int:
@@ -177,11 +178,11 @@ def _usual_work() -> float:
 
 
 def choose_detail(scenario: Scenario, detector: str, capacity: Capacity) -> Detail:
-    """The most for which the machine has time, or the least that there is."""
-    for detail in Detail:
-        if capacity.suffices(needed_cores(detail.of(scenario), detector, capacity.speed)):
-            return detail
-    return Detail.LOW
+    """The most for which the machine has time; where it has none for any, the most that needs hardly more than the
+    least: of who gets detections anyhow, small pictures save nothing."""
+    needed = {detail: needed_cores(detail.of(scenario), detector, capacity.speed) for detail in Detail}
+    least = HARDLY_MORE * min(needed.values())
+    return next(detail for detail in Detail if capacity.suffices(needed[detail]) or needed[detail] <= least)
 
 
 def described(scenario: Scenario, detector: str, capacity: Capacity, detail: Detail) -> str:

@@ -113,6 +113,10 @@ def test_as_much_is_simulated_as_the_machine_has_time_for(scenario, others, spee
     assert (f"with {detail} detail" in line) is (detail is not Detail.FULL)
 
 
+def test_detail_that_would_save_nothing_is_not_given_up():
+    assert choose_detail(load_scenario("thirty"), "oracle", Capacity(2, 0.0, 1.0)) is Detail.FULL
+
+
 def test_less_detail_is_fewer_frames_and_smaller_pictures_of_the_same_flight():
     whole = load_scenario("crossing")
     low = Detail.LOW.of(whole)
