@@ -175,7 +175,7 @@ def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: 
     (listen,) = re.findall(r"^listen: (.*)$", told, re.MULTILINE)
     assert stranger.types(f"{listen} --count 2").count('"key"') == 2
     said = stranger.reads(command, flight, *FLOWN, before=told)
-    assert re.search("PASSED|FAILED", said)
+    assert re.search("PASSED|FAILED|NOT JUDGED", said)
     recorder.send_signal(signal.SIGINT)
     stranger.reads("swarmtrack record", recorder)
 

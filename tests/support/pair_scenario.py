@@ -42,7 +42,7 @@ def is_fair(code: int, said: str) -> bool:
     Wrong names and announcements that are too long are no machine's fault.
     """
     if code == 0:
-        return said.rstrip().endswith("PASSED")
+        return said.rstrip().splitlines()[-1].startswith("PASSED")
     if code == 3:
         return "NOT JUDGED" in said
     found = said.rpartition("FAILED")[2]
