@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from swarmtrack.localswarm.machine_load import Capacity
     from swarmtrack.localswarm.page import FlightPage
     from swarmtrack.localswarm.table import Spectator
+    from swarmtrack.simulation.scenarios import Scenario
 
 PASSED, FAILED, NOT_JUDGED = 0, 1, 3
 SLOW_TO_PREPARE = 200  # drones: of more, their places take seconds to find
@@ -145,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
     scenario = _scenario(args)
     if args.world is not None:
-        check_alone(args.world, scenario=scenario, drones=args.drones)
+        check_alone(args.world, scenario=scenario, drones=args.drones, detail=args.detail)
     if args.team is not None:
         settings.check(NetworkSettings(team=args.team))
     if args.json is not None:
@@ -168,22 +169,25 @@ def run(args: argparse.Namespace) -> int:
     console = Console()
     if plan.drones is not None and plan.drones > SLOW_TO_PREPARE:
         console.print(f"preparing {plan.drones} drones …", highlight=False)
-    _check_room(plan)
+    if plan.drones is not None:
+        _check_memory(plan.drones, plan.detector)  # before they are prepared
+    whole = plan.load().scenario
+    _check_memory(len(whole.members), plan.detector)
     if plan.record is not None:
         check_empty(plan.record)
     capacity = look_around(load, began, clock)
-    whole = plan.load().scenario
-    if args.detail == "auto":
-        detail = Detail.FULL if plan.world is not None else choose_detail(whole, plan.detector, capacity)
+    if plan.world is not None:
+        detail = Detail.FULL
+    elif args.detail == "auto":
+        detail = choose_detail(whole, plan.detector, capacity)
     else:
         detail = Detail(args.detail)
-    plan = replace(plan, detail=detail)
-    spectator = _spectator(plan, console)
+    spectator = _spectator(whole, plan.detector, console)
     spectator.keep(described(whole, plan.detector, capacity, detail))
     stay = sys.stdout.isatty() if args.stay is None else args.stay
     landing = _Landing(console, args.json, stay=stay)
     try:
-        asyncio.run(_fly(plan, capacity, spectator, landing))
+        asyncio.run(_fly(replace(plan, detail=detail), capacity, spectator, landing))
     except (NoTruth, RadioError, ProcessDied, TransportError) as error:
         spectator.close()
         print(f"swarmtrack sim: {error}", file=sys.stderr)
@@ -221,11 +225,10 @@ class _Landing:
             task.cancel()
 
 
-def _check_room(plan: FlightPlan) -> None:
-    """Before anything is prepared."""
+def _check_memory(drones: int, detector: str) -> None:
     from swarmtrack.localswarm.machine_load import too_large
 
-    problem = too_large(plan.drones or len(plan.load().scenario.members), plan.detector)
+    problem = too_large(drones, detector)
     if problem:
         raise SourceError(problem)
 
@@ -264,11 +267,10 @@ def check_writable(path: Path) -> None:
         raise SourceError(f"--json {path}: cannot be written, expected a file in a folder that exists")
 
 
-def _spectator(plan: FlightPlan, console: Console) -> Spectator:
+def _spectator(scenario: Scenario, detector: str, console: Console) -> Spectator:
     from swarmtrack.localswarm.table import LiveTable, PlainLines
 
-    scenario = plan.load().scenario
-    title = f"{scenario.name}: {scenario.about} ({len(scenario.members)} drones, detector {plan.detector})"
+    title = f"{scenario.name}: {scenario.about} ({len(scenario.members)} drones, detector {detector})"
     if console.is_terminal:
         return LiveTable(console, title)
     lines = PlainLines(console)

@@ -184,7 +184,12 @@ def _load(arguments: argparse.Namespace) -> Scenario | OutsideWorld:
     from swarmtrack.scenario_file import load_scenario
 
     if arguments.world is not None:
-        check_alone(arguments.world, scenario=arguments.scenario, drones=arguments.drones)
+        check_alone(
+            arguments.world,
+            scenario=arguments.scenario,
+            drones=arguments.drones,
+            detail=arguments.detail,
+        )
         if arguments.epoch is not None:
             raise SourceError("--epoch with --world, expected --lead: it begins when the truth is told")
         return load_world(arguments.world, seed=arguments.seed)

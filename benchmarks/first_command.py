@@ -1,8 +1,10 @@
 """The command that a newcomer runs first, as often as one likes: what it says, how long it takes, and what it costs.
 
-Each run is a process of its own, `swarmtrack sim SCENARIO`, in a session of its own, so that every process that it
-starts is found by that. CPU time is what the kernel counts of them, in flight (between the first and the last line with
-a world time) and from the start to the end. With `--busy N` other processes keep so many cores busy meanwhile.
+Each run is a process of its own, `swarmtrack sim SCENARIO`, with a mark in its environment by which every process that
+it starts is found. CPU time is what the kernel counts of them, in flight (between the first and the last line with a
+world time) and from the start to the end. With `--busy N` other processes keep so many cores busy meanwhile. They are
+of the same session, as what is started from one terminal: to Linux, other sessions as a whole would get no more than
+this one.
 
     swarmtrack bench first-command [--runs N] [--scenarios NAME …] [--busy N] --out DIR
 """
@@ -14,6 +16,7 @@ import asyncio
 import json
 import os
 import re
+import secrets
 import sys
 import tempfile
 import time
@@ -44,25 +47,28 @@ KINDS = {
     "simulator": "swarmtrack.agents.simulator",
     "judge": "swarmtrack.agents.main",
 }
+MARK = "SWARMTRACK_FIRST_COMMAND"
 MOST_CORES = 1.2  # in flight, of all processes together: the claim
 
 
 @dataclass(slots=True)
 class Usage:
-    """CPU seconds of the processes of one session, by kind."""
+    """CPU seconds of the processes that have a mark in their environment, by kind."""
 
-    session: int
+    mark: bytes
     kinds: dict[int, str] = field(default_factory=dict)
     seconds: dict[int, float] = field(default_factory=dict)
+    strangers: set[str] = field(default_factory=set)
 
     def look(self) -> None:
         """What they have used by now; who has ended keeps what was last seen."""
         for entry in Path("/proc").iterdir():
-            if not entry.name.isdigit():
+            if not entry.name.isdigit() or entry.name in self.strangers:
                 continue
             pid = int(entry.name)
-            with suppress(OSError, ProcessLookupError):
-                if os.getsid(pid) != self.session:
+            with suppress(OSError):
+                if pid not in self.kinds and self.mark not in (entry / "environ").read_bytes():
+                    self.strangers.add(entry.name)
                     continue
                 if self.kinds.get(pid) in (None, "others"):  # it may just be about to become another program
                     self.kinds[pid] = _kind((entry / "cmdline").read_bytes())
@@ -173,7 +179,7 @@ async def fly_once(scenario: str, *words: str) -> Run:
     """`swarmtrack sim` with this scenario, and what came of it."""
     with tempfile.TemporaryDirectory() as folder:
         figures = Path(folder) / "verdict.json"
-        began = time.monotonic()
+        began, mark = time.monotonic(), secrets.token_hex(8)
         process = await asyncio.create_subprocess_exec(
             *(
                 sys.executable,
@@ -187,9 +193,9 @@ async def fly_once(scenario: str, *words: str) -> Run:
             ),
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
-            start_new_session=True,
+            env={**os.environ, MARK: mark},
         )
-        usage = Usage(process.pid)
+        usage = Usage(f"{MARK}={mark}".encode())
         watching = asyncio.create_task(_watch(usage))
         heard = _Heard(usage, began)
         try:

@@ -4,11 +4,12 @@ Every drone of a scenario looks at drawn pictures with the detector of an agent,
 confirmed tracks are set beside the truth ten times a second, as `swarmtrack sim` does. Nothing moves in these worlds
 but drones. So a track in the picture that is on none of them, seen or hidden, is on something that stands still.
 
-    swarmtrack bench scenery [--seeds 20] [--scenarios NAME ...] [--fps 7] [--second-stage STAGE] --out DIR
+    swarmtrack bench scenery [--seeds 20] [--scenarios NAME ...] [--fps 7] [--one-world] --out DIR
 
 * standing: such tracks, by how long they were confirmed. scenery.png shows what the longest of them were on.
 * recall, precision: of (observer, drone in view, tenth of a second) those with a confirmed track; of all confirmed
   tracks in the picture, those on a drone.
+* RMSE: of each flight the worst observer's, px; median and worst of all flights.
 * identified: the time that it took, as in `evaluation/swarm_score.py`, median and slowest of all observers.
 """
 
@@ -25,7 +26,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from swarmtrack.arguments import positive
+from swarmtrack.arguments import add_flag, positive
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import (
     add_common,
@@ -125,11 +126,16 @@ class Programme:
     fps: float = FPS
     tracker: str = DEFAULT_TRACKER
     second_stage: str = "auto"
+    one_world: bool = False
+    """All fly in the world of seed 1, and expose at other times."""
 
 
 def scenario_of_seed(p: Programme, name: str, seed: int) -> Scenario:
-    scenario = load_scenario(name, seed=seed)
-    cameras = tuple(dataclasses.replace(camera, fps=p.fps) for camera in scenario.cameras)
+    scenario = load_scenario(name, seed=1 if p.one_world else seed)
+    later = np.random.default_rng(seed).uniform() if p.one_world else 0.0
+    cameras = tuple(
+        dataclasses.replace(camera, fps=p.fps, phase=camera.phase + later) for camera in scenario.cameras
+    )
     return dataclasses.replace(scenario, cameras=cameras)
 
 
@@ -152,6 +158,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fps", type=positive, default=FPS, metavar="F", help="of the cameras (default: %(default)g)"
     )
     add_second_stage(parser)
+    add_flag(parser, "--one-world", "the world of seed 1 in all flights, seen at other times")
     add_processes(parser)
 
 
@@ -162,6 +169,7 @@ def run(args: argparse.Namespace) -> None:
         fps=args.fps,
         tracker=args.tracker,
         second_stage=args.second_stage,
+        one_world=args.one_world,
     )
     publish(args.out, programme, args.scenarios, processes=args.processes)
 
@@ -203,6 +211,7 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
     recall = np.nan_to_num([flight.score.recall for flight in flights]) * samples
     named = [seconds for flight in flights for seconds in flight.score.time_to_identify_s.values()]
     wrong = np.nan_to_num([flight.score.wrong for flight in flights]) * samples
+    rmse = [max(flight.score.rmse_px.values(), default=np.nan) for flight in flights]
     return {
         "minutes": minutes,
         "standing": len(times),
@@ -211,6 +220,7 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
         "standing_longest_s": max(times, default=0.0),
         "recall": fraction_interval(recall, samples)._asdict(),
         "precision": fraction_interval(tracks - on_nothing, tracks)._asdict(),
+        "rmse_px": {"p50": float(np.nanmedian(rmse)), "max": float(np.nanmax(rmse))},
         "identified_median_s": float(np.median(named)) if named else None,
         "identified_slowest_s": max(named, default=None),
         "wrong": fraction_interval(wrong, samples)._asdict(),
@@ -224,7 +234,7 @@ def _markdown(result: dict[str, Any]) -> str:
 
     header = [
         "", "minutes", "standing, per minute", f"longer than {LONG_S:g} s", "longest, s", "recall, %",
-        "precision, %", "identified after, s: median, slowest", "wrong names, %",
+        "precision, %", "RMSE, px: median, worst", "identified after, s: median, slowest", "wrong names, %",
     ]  # fmt: skip
     rows = [
         [
@@ -235,13 +245,15 @@ def _markdown(result: dict[str, Any]) -> str:
             report.number(row["standing_longest_s"], 1),
             percent(row["recall"]),
             percent(row["precision"]),
+            f"{report.number(row['rmse_px']['p50'])}, {report.number(row['rmse_px']['max'])}",
             ", ".join("–" if s is None else f"{s:.1f}" for s in _identified(row)),
             percent(row["wrong"]),
         ]
         for name, row in result["scenarios"].items()
     ]
     return (
-        f"# Confirmed tracks among houses, poles and trees\n\n{result['seeds']} flights of {result['seconds']:g} s,"
+        f"# Confirmed tracks among houses, poles and trees\n\n{result['seeds']} flights of {result['seconds']:g} s"
+        f"{' in one world' if result['one_world'] else ''},"
         f" {result['fps']:g} frames/s, tracker `{result['tracker']}`, second stage `{result['second_stage']}`;"
         f" shares with 95 % intervals over flights.\n\n{report.table(header, rows)}\n"
     )

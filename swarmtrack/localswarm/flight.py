@@ -28,7 +28,7 @@ from swarmtrack.errors import ungrouped
 from swarmtrack.evaluation.swarm_verdict import Limits, SwarmReport
 from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
 from swarmtrack.localswarm.detail import Detail
-from swarmtrack.localswarm.machine_load import FAIR, Capacity, MachineLoad, Spent, cores, needed_cores
+from swarmtrack.localswarm.machine_load import FAIR, Capacity, MachineLoad, Spent, look_around, needed_cores
 from swarmtrack.localswarm.outside import NoTruth
 from swarmtrack.localswarm.page import FlightPage, open_page
 from swarmtrack.localswarm.processes import Child, Children, ProcessDied
@@ -57,9 +57,7 @@ SIMULATOR_PATIENCE_S = 60.0  # on a machine that is busy with something else
 MAX_OUTSIDE_FRAME_AGE_S = 0.3
 START_PATIENCE_S = 8.0  # that one agent may hold up the next ones' start
 AGENT_NICENESS = 5
-DETECTORS_SHARE = (
-    0.1  # of all cores: what detectors take beyond it costs more than it finds, at such distances
-)
+DETECTORS_SHARE = 0.1  # of all cores: where all detectors take more, they look through fewer tiles
 SHOW_HZ = 4.0
 AGENT_PORT = 7447  # in namespaces each has all ports to itself
 LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
@@ -125,10 +123,12 @@ async def fly(
     """Raises RadioError before anything was started, and ProcessDied with the last lines of a log.
 
     landed: awaited once every process has ended but that of the page, where there is one: it ends after it. capacity:
-    what the machine has to give; None: it is not known, and taken to be all of it.
+    what the machine has to give; None: that is looked at first.
     """
     flown = plan.load()
-    capacity = capacity or Capacity(cores(), 0.0, 1.0)
+    if capacity is None:
+        clock = SystemClock()
+        capacity = await asyncio.to_thread(look_around, MachineLoad(), clock.now(), clock)
     scenario = flown.scenario
     async with AsyncExitStack() as stack:
         emulator = None

@@ -209,12 +209,13 @@ class OutsideWorld:
     table: Table
 
 
-def check_alone(path: Path, *, scenario: str | None, drones: int | None) -> None:
+def check_alone(path: Path, *, scenario: str | None, drones: int | None, detail: str) -> None:
     """Raises SourceError where a world file is asked for together with what it decides itself."""
-    for name, value in (("--scenario", scenario), ("--drones", drones)):
+    less = None if detail in ("auto", "full") else detail
+    for name, value in (("--scenario", scenario), ("--drones", drones), ("--detail", less)):
         if value is not None:
             raise SourceError(
-                f"{name} {value} with --world {path}, expected one of them: the file says who flies"
+                f"{name} {value} with --world {path}, expected one of them: the file says who flies, and how"
             )
 
 

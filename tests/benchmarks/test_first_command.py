@@ -28,13 +28,13 @@ def test_processes_are_told_apart_by_their_command_lines():
     assert _kind(b"nice\0") == "others"
 
 
-async def test_what_a_session_uses_is_what_the_kernel_counted_of_its_processes():
+async def test_what_a_run_uses_is_what_the_kernel_counted_of_its_processes():
     busy = "import time\nt = time.process_time()\nwhile time.process_time() < t + 0.4: pass\nprint(); time.sleep(60)"
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", busy, stdout=asyncio.subprocess.PIPE, start_new_session=True
+        sys.executable, "-c", busy, stdout=asyncio.subprocess.PIPE, env={**os.environ, "MARK": "abc"}
     )
     try:
-        usage = Usage(process.pid)
+        usage = Usage(b"MARK=abc")
         await process.stdout.readline()
         usage.look()
         assert 0.35 <= sum(usage.by_kind().values()) < 5.0
@@ -45,7 +45,7 @@ async def test_what_a_session_uses_is_what_the_kernel_counted_of_its_processes()
 
 
 def test_a_flight_is_between_its_first_and_its_last_line():
-    heard = _Heard(Usage(-1), began=0.0)
+    heard = _Heard(Usage(b"MARK=nobody"), began=0.0)
     for line in (
         "waiting for the simulator …",
         "   0 s  nothing to judge yet",

@@ -230,4 +230,7 @@ def test_a_world_without_drones_is_none(tmp_path):
 
 def test_a_world_file_and_a_scenario_exclude_each_other():
     with pytest.raises(SourceError, match=r"--drones 3 with --world w\.toml, expected one of them"):
-        check_alone(Path("w.toml"), scenario=None, drones=3)
+        check_alone(Path("w.toml"), scenario=None, drones=3, detail="auto")
+    with pytest.raises(SourceError, match="--detail low with --world"):
+        check_alone(Path("w.toml"), scenario=None, drones=None, detail="low")
+    check_alone(Path("w.toml"), scenario=None, drones=None, detail="full")
