@@ -35,7 +35,7 @@ NOISE_BOUND = 10.0
 # Share of detections that are off by more than their noise.
 OUTLIERS = 0.05
 # Of its longer side, one sigma: how far a box is off that is drawn round a drone and what stands behind it, or round a
-# part of one. In drawn flights boxes of a likeness below 0.2 are off by 6 to 11 %.
+# part of one.
 MISDRAWN = 0.1
 
 
