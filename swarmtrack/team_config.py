@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Strict, field_validator, model_validator
+from pydantic import BeforeValidator, Field, Strict, field_validator, model_validator
 
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.toml.layers import Layers, Problem, Table
@@ -56,7 +57,15 @@ class FiledDrone(Section):
         return self
 
 
-Utc = Annotated[datetime, Field(strict=True)]
+def _time_of_text(value: Any) -> Any:
+    """JSON has no times: a recording keeps the config's as text."""
+    if isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            return datetime.fromisoformat(value)
+    return value
+
+
+Utc = Annotated[datetime, Field(strict=True), BeforeValidator(_time_of_text)]
 
 
 class SwitchSection(Section):

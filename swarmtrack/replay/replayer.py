@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
+from swarmtrack.follower import LocalSetpoint
 from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, TrackList
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
@@ -92,6 +93,7 @@ class Replayed:
     """Of every scan, where teammates are in metres; older recordings hold none."""
     setpoints_compared: Stream = NOTHING
     """What a drone that flew in formation was told to fly."""
+    setpoints: list[LocalSetpoint] = field(default_factory=list)
     digest: str = ""
     """Of all scans replayed: equal digests, equal flights."""
     refused: int = 0
@@ -210,6 +212,7 @@ class Replayer:
         self._count(command.n)
         if self._follows:
             told = self._door.command(command.t, command.engagement)
+            self._result.setpoints.append(told)
             self._note(self._setpoints, outputs.setpoint_digest(told), command.t)
             self._setpoints.recorded.append(command.digest)
         else:
