@@ -19,7 +19,7 @@ from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds, pa
 from swarmtrack.log_lines import log_to_stderr
 
 if TYPE_CHECKING:
-    from swarmtrack.config import DroneConfig, MountedCamera
+    from swarmtrack.config.drone import DroneConfig, MountedCamera
     from swarmtrack.doctor.watching import SensorWatch
 
 DONE, FAILED = 0, 1
@@ -127,7 +127,7 @@ async def _extrinsics(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> DroneConfig:
-    from swarmtrack.config import DroneConfig, load_config
+    from swarmtrack.config.drone import DroneConfig, load_config
     from swarmtrack.errors import SourceError
 
     recording = (args.video, args.tlog, args.calibration)

@@ -157,9 +157,9 @@ async def _collect(args: argparse.Namespace, board: Board) -> BoardViews | None:
     from rich.console import Console
     from rich.live import Live
 
+    from swarmtrack.camera_sources.address import parse_address
+    from swarmtrack.camera_sources.opening import open_camera
     from swarmtrack.clock import SystemClock
-    from swarmtrack.sensors.camera_address import parse_address
-    from swarmtrack.sensors.cameras import open_camera
 
     address = parse_address(args.source)
     recorded = address.scheme in RECORDED

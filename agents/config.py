@@ -14,7 +14,7 @@ from swarmtrack.arguments import add_action, add_file, add_flag
 from swarmtrack.errors import ConfigError, SwarmtrackError
 
 if TYPE_CHECKING:
-    from swarmtrack.config import DroneConfig
+    from swarmtrack.config.drone import DroneConfig
 
 EXAMPLE = """\
 for example:
@@ -73,7 +73,7 @@ def _new(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> int:
-    from swarmtrack.config import load_config
+    from swarmtrack.config.drone import load_config
     from swarmtrack.runtime.check import check, draw_formation
     from swarmtrack.setup.team_check import contradictions
 

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from swarmtrack.clock import SystemClock
-    from swarmtrack.config import load_config
+    from swarmtrack.config.drone import load_config
     from swarmtrack.diagnosis.findings import Level, worst
     from swarmtrack.doctor.examination import examine
 

@@ -88,8 +88,8 @@ def _calibrate(model: Path, frames: list[LabelledFrame]) -> None:
     import numpy as np
 
     from swarmtrack.detection.detector import Detector
-    from swarmtrack.evaluation.detector_score import by_centre, match
-    from swarmtrack.evaluation.score_calibration import expected_error, fit
+    from swarmtrack.lab.score.detector_score import by_centre, match
+    from swarmtrack.lab.score.score_calibration import expected_error, fit
     from swarmtrack.training.annotation import annotate
     from swarmtrack.training.validation import look
 

@@ -77,9 +77,9 @@ class _Log:
 
 def run(args: argparse.Namespace) -> int:
     from swarmtrack.clock import ManualClock, SystemClock
-    from swarmtrack.config import load_config
+    from swarmtrack.config.drone import load_config
+    from swarmtrack.config.toml.layers import Layer
     from swarmtrack.runtime.assembly import assemble
-    from swarmtrack.toml.layers import Layer
 
     if not -1e6 < args.offset < 1e6:
         raise SourceError(f"--offset {args.offset:g}: expected seconds")
@@ -122,7 +122,7 @@ def _check_offset(offset: float, video_s: float, log: _Log) -> None:
 
 def _first_stamp(tlog: Path) -> float:
     """UTC [s]. Raises SourceError for what is no log."""
-    from swarmtrack.sensors.mavlink.links import records
+    from swarmtrack.autopilot.links import records
 
     with tlog.open("rb") as file:
         for stamp, _ in records(file.read(1 << 20)):
@@ -132,7 +132,7 @@ def _first_stamp(tlog: Path) -> float:
 
 def _first_utc(ulog: Path) -> float:
     """UTC [s] of the first record: by the log's GPS, else as if the file had been written with its last record."""
-    from swarmtrack.sensors.mavlink.ulog import read_ulog
+    from swarmtrack.autopilot.ulog import read_ulog
 
     flight = read_ulog(ulog)
     first, last = flight.records[0][0], flight.records[-1][0]
@@ -148,7 +148,7 @@ def _first_utc(ulog: Path) -> float:
 async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s: float = math.inf) -> int:
     """Raises SourceError where the video is not of this flight."""
     from swarmtrack.detection.expectation import PerceivedExpectation
-    from swarmtrack.sensors.base import DetectionSource
+    from swarmtrack.sources import DetectionSource
 
     recorder, autopilot = parts.recorder, parts.autopilot
     assert recorder is not None

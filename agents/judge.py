@@ -22,10 +22,10 @@ from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, ungr
 
 if TYPE_CHECKING:
     from swarmtrack.clock import Clock
-    from swarmtrack.evaluation.swarm_verdict import SwarmReport
-    from swarmtrack.localswarm.detail import Detail
-    from swarmtrack.localswarm.table import Spectator
-    from swarmtrack.localswarm.watch import Watch
+    from swarmtrack.lab.score.swarm_verdict import SwarmReport
+    from swarmtrack.lab.swarm.detail import Detail
+    from swarmtrack.lab.swarm.table import Spectator
+    from swarmtrack.lab.swarm.watch import Watch
     from swarmtrack.transport.settings import NetworkSettings
 
 FAILED = 1
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from swarmtrack.agents.sim import check_writable, conclude
-    from swarmtrack.localswarm.table import PlainLines
+    from swarmtrack.lab.swarm.table import PlainLines
 
     if args.json is not None:
         check_writable(args.json)
@@ -101,9 +101,9 @@ def run(args: argparse.Namespace) -> int:
 
 async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: Spectator) -> SwarmReport:
     from swarmtrack.clock import SystemClock
-    from swarmtrack.localswarm.watch import Watch
-    from swarmtrack.scenario_file import load_limits, load_scenario
-    from swarmtrack.simulation.scenarios import as_told
+    from swarmtrack.lab.scenarios.files import load_limits, load_scenario
+    from swarmtrack.lab.scenarios.scenario import as_told
+    from swarmtrack.lab.swarm.watch import Watch
 
     task = asyncio.current_task()
     assert task is not None
@@ -171,7 +171,7 @@ async def ask_simulator(url: str, patience_s: float) -> FlownScenario:
 
 def _understood(told: dict[str, Any], now: float) -> FlownScenario:
     """now: when the simulator said it, to half of the time that the question took."""
-    from swarmtrack.localswarm.detail import Detail
+    from swarmtrack.lab.swarm.detail import Detail
 
     return FlownScenario(
         scenario=str(told["scenario"]),

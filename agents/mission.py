@@ -104,7 +104,7 @@ def _set_points(drone_id: int, team: Sequence[int], hz: float) -> list[tuple[flo
 
 
 def _write_csv(path: Path, points: dict[int, list[tuple[float, Array]]]) -> None:
-    from swarmtrack.trajectory_file import write_trajectories
+    from swarmtrack.config.trajectories import write_trajectories
 
     rows = ((drone_id, t, *flat[0], *flat[1]) for drone_id, own in points.items() for t, flat in own)
     write_trajectories(path, rows, VELOCITY)

@@ -22,8 +22,8 @@ from swarmtrack.errors import SwarmtrackError, TransportError
 if TYPE_CHECKING:
     import ssl
 
-    from swarmtrack.evaluation.flight_end import FlightEnd
     from swarmtrack.monitor.server import Feed, MonitorServer
+    from swarmtrack.outputs.flight_end import FlightEnd
 
 DEFAULT_PORT = 8080
 MAX_ENDING = 1 << 20  # bytes of a verdict
@@ -113,7 +113,7 @@ async def _told_ending() -> FlightEnd | None:
     """How the flight ended, once that is said on standard input; None: nobody is there to say it."""
     import msgspec
 
-    from swarmtrack.evaluation.flight_end import FlightEnd
+    from swarmtrack.outputs.flight_end import FlightEnd
 
     reader = asyncio.StreamReader(limit=MAX_ENDING)
     await asyncio.get_running_loop().connect_read_pipe(

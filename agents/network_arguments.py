@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_list
-from swarmtrack.config import NetworkSection
+from swarmtrack.config.drone import NetworkSection
 from swarmtrack.transport.listening import network_of_listener
 from swarmtrack.transport.settings import NetworkSettings
 

@@ -18,9 +18,9 @@ from swarmtrack.arguments import add_file, add_flag, add_list, count, one_of
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
-    from swarmtrack.evaluation.replay_diff import ReplayDiff, SeenScan
     from swarmtrack.messages import TrackList
     from swarmtrack.recording.reader import Recording
+    from swarmtrack.replay.diff import ReplayDiff, SeenScan
     from swarmtrack.replay.replayer import Published, Replayed, Watcher
     from swarmtrack.replay.verdict import Judged
 
@@ -171,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_video(args: argparse.Namespace, recordings: list[Recording]) -> None:
-    from swarmtrack.runtime.outputs import check_outputs
+    from swarmtrack.outputs.destinations import check_outputs
 
     check_outputs(None, args.video, video_key="--video")
     _check_pictures(recordings, "--video")
@@ -227,8 +227,8 @@ def _judge_as_heard(flight: Recording, drone: Recording) -> Judged:
 
 def _replay(task: _Task) -> _Flown:
     from swarmtrack.clock import SystemClock
-    from swarmtrack.evaluation.replay_diff import seen_scans
     from swarmtrack.recording.settings import read_settings
+    from swarmtrack.replay.diff import seen_scans
     from swarmtrack.replay.replayer import Published, Replayer
     from swarmtrack.runtime.perception import make_detector
 
@@ -353,7 +353,7 @@ def _judge(flight: Recording, flown: list[_Flown], as_heard: Judged | None, what
 
 
 def _record(one: _Flown) -> dict[str, Any]:
-    from swarmtrack.evaluation.replay_diff import scans_record
+    from swarmtrack.replay.diff import scans_record
 
     replayed = one.replayed
     return {
@@ -381,7 +381,7 @@ def _record(one: _Flown) -> dict[str, Any]:
 
 def _read_other(path: Path) -> dict[tuple[int, str], list[SeenScan]]:
     """What another replay wrote with --json."""
-    from swarmtrack.evaluation.replay_diff import scans_of
+    from swarmtrack.replay.diff import scans_of
 
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -397,7 +397,7 @@ def _read_other(path: Path) -> dict[tuple[int, str], list[SeenScan]]:
 
 
 def _compare(flown: list[_Flown], other: dict[tuple[int, str], list[SeenScan]] | None) -> None:
-    from swarmtrack.evaluation.replay_diff import compare
+    from swarmtrack.replay.diff import compare
 
     for one in flown:
         key = (one.recording.drone_id, one.recording.preface["boot"])

@@ -17,7 +17,7 @@ import zenoh
 
 from swarmtrack.arguments import add_file, add_flag, add_folder, add_seconds
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_team_config
+from swarmtrack.config.drone import load_team_config
 from swarmtrack.errors import TransportError
 from swarmtrack.log_lines import log_to_stderr
 from swarmtrack.security.credentials import Credentials

@@ -27,12 +27,12 @@ from swarmtrack.errors import SourceError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from swarmtrack.evaluation.swarm_verdict import SwarmReport
-    from swarmtrack.localswarm.flight import FlightPlan
-    from swarmtrack.localswarm.machine_load import Capacity
-    from swarmtrack.localswarm.page import FlightPage
-    from swarmtrack.localswarm.table import Spectator
-    from swarmtrack.simulation.scenarios import Scenario
+    from swarmtrack.lab.scenarios.scenario import Scenario
+    from swarmtrack.lab.score.swarm_verdict import SwarmReport
+    from swarmtrack.lab.swarm.flight import FlightPlan
+    from swarmtrack.lab.swarm.machine_load import Capacity
+    from swarmtrack.lab.swarm.page import FlightPage
+    from swarmtrack.lab.swarm.table import Spectator
 
 PASSED, FAILED, NOT_JUDGED = 0, 1, 3
 SLOW_TO_PREPARE = 200  # drones: of more, their places take seconds to find
@@ -44,7 +44,7 @@ class _ListScenarios(argparse.Action):
     """Prints and exits, as --help does."""
 
     def __call__(self, parser: argparse.ArgumentParser, *arguments: Any) -> None:
-        from swarmtrack.scenario_file import load_scenario, scenario_names
+        from swarmtrack.lab.scenarios.files import load_scenario, scenario_names
 
         for name in scenario_names():
             scenario = load_scenario(name)
@@ -126,7 +126,7 @@ def _drones(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     from swarmtrack.clock import SystemClock
-    from swarmtrack.localswarm.machine_load import MachineLoad, choose_detail, described, look_around
+    from swarmtrack.lab.swarm.machine_load import MachineLoad, choose_detail, described, look_around
 
     clock = SystemClock()
     began, load = clock.now(), MachineLoad()
@@ -134,13 +134,13 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from swarmtrack.errors import TransportError
-    from swarmtrack.localswarm.detail import Detail
-    from swarmtrack.localswarm.flight import FlightPlan
-    from swarmtrack.localswarm.outside import NoTruth
-    from swarmtrack.localswarm.processes import ProcessDied
-    from swarmtrack.localswarm.radio import RadioError
-    from swarmtrack.localswarm.recording import check_empty
-    from swarmtrack.localswarm.world_file import check_alone
+    from swarmtrack.lab.swarm.detail import Detail
+    from swarmtrack.lab.swarm.flight import FlightPlan
+    from swarmtrack.lab.swarm.outside import NoTruth
+    from swarmtrack.lab.swarm.processes import ProcessDied
+    from swarmtrack.lab.swarm.radio import RadioError
+    from swarmtrack.lab.swarm.recording import check_empty
+    from swarmtrack.lab.swarm.world_file import check_alone
     from swarmtrack.transport import settings
     from swarmtrack.transport.settings import NetworkSettings
 
@@ -226,7 +226,7 @@ class _Landing:
 
 
 def _check_memory(drones: int, detector: str) -> None:
-    from swarmtrack.localswarm.machine_load import too_large
+    from swarmtrack.lab.swarm.machine_load import too_large
 
     problem = too_large(drones, detector)
     if problem:
@@ -251,7 +251,7 @@ def conclude(report: SwarmReport, console: Console, file: Path | None) -> int:
 
 def exit_code(report: SwarmReport) -> int:
     """Of a verdict."""
-    from swarmtrack.evaluation.swarm_verdict import Verdict
+    from swarmtrack.lab.score.swarm_verdict import Verdict
 
     codes = {
         Verdict.PASSED: PASSED,
@@ -268,7 +268,7 @@ def check_writable(path: Path) -> None:
 
 
 def _spectator(scenario: Scenario, detector: str, console: Console) -> Spectator:
-    from swarmtrack.localswarm.table import LiveTable, PlainLines
+    from swarmtrack.lab.swarm.table import LiveTable, PlainLines
 
     title = f"{scenario.name}: {scenario.about} ({len(scenario.members)} drones, detector {detector})"
     if console.is_terminal:
@@ -280,7 +280,7 @@ def _spectator(scenario: Scenario, detector: str, console: Console) -> Spectator
 
 async def _fly(plan: FlightPlan, capacity: Capacity, spectator: Spectator, landing: _Landing) -> None:
     """Ctrl-C, SIGTERM and a terminal that goes cancel the flight; everything is ended in order."""
-    from swarmtrack.localswarm.flight import fly
+    from swarmtrack.lab.swarm.flight import fly
 
     task = asyncio.current_task()
     assert task is not None
@@ -290,7 +290,7 @@ async def _fly(plan: FlightPlan, capacity: Capacity, spectator: Spectator, landi
 
 
 def print_verdict(report: SwarmReport, console: Console) -> None:
-    from swarmtrack.localswarm.table import agents_table, conclusion, team_table
+    from swarmtrack.lab.swarm.table import agents_table, conclusion, team_table
 
     console.print(agents_table(report))
     console.print(team_table(report))

@@ -50,9 +50,9 @@ if TYPE_CHECKING:
 
     from swarmtrack.clock import Clock
     from swarmtrack.geometry.geodesy import Geodetic
-    from swarmtrack.localswarm.hardware import Addresses
-    from swarmtrack.localswarm.world_file import OutsideWorld
-    from swarmtrack.simulation.scenarios import Scenario
+    from swarmtrack.lab.scenarios.scenario import Scenario
+    from swarmtrack.lab.swarm.hardware import Addresses
+    from swarmtrack.lab.swarm.world_file import OutsideWorld
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 NICENESS = -10  # a camera does not wait until the agents have computed; without root, it has to
@@ -156,7 +156,7 @@ def main(argv: list[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
-    from swarmtrack.localswarm.outside import NoTruth
+    from swarmtrack.lab.swarm.outside import NoTruth
 
     try:
         flown = _load(arguments)
@@ -178,10 +178,10 @@ def main(argv: list[str] | None = None) -> int:
 
 def _load(arguments: argparse.Namespace) -> Scenario | OutsideWorld:
     """Raises SwarmtrackError for what cannot be flown as asked for."""
-    from swarmtrack.localswarm.detail import Detail
-    from swarmtrack.localswarm.hardware import AUTOPILOT_PORTS
-    from swarmtrack.localswarm.world_file import check_alone, load_world
-    from swarmtrack.scenario_file import load_scenario
+    from swarmtrack.lab.scenarios.files import load_scenario
+    from swarmtrack.lab.swarm.detail import Detail
+    from swarmtrack.lab.swarm.hardware import AUTOPILOT_PORTS
+    from swarmtrack.lab.swarm.world_file import check_alone, load_world
 
     if arguments.world is not None:
         check_alone(
@@ -227,9 +227,9 @@ async def fly(flown: Scenario | OutsideWorld, arguments: argparse.Namespace) -> 
 def _simulation(
     flown: Scenario | OutsideWorld, arguments: argparse.Namespace, clock: Clock
 ) -> Coroutine[None, None, None]:
-    from swarmtrack.localswarm.hardware import simulate
-    from swarmtrack.localswarm.outside import simulate_outside
-    from swarmtrack.localswarm.world_file import OutsideWorld
+    from swarmtrack.lab.swarm.hardware import simulate
+    from swarmtrack.lab.swarm.outside import simulate_outside
+    from swarmtrack.lab.swarm.world_file import OutsideWorld
 
     oracle = arguments.detector == "oracle"
     told = {"seed": arguments.seed, "detector": arguments.detector, "detail": arguments.detail}

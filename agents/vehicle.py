@@ -100,10 +100,10 @@ def _fly(arguments: argparse.Namespace) -> int:
     gc.disable()  # while hundreds of modules load it finds nothing, at a tenth of the start's cost
     try:
         from swarmtrack.clock import SystemClock
-        from swarmtrack.config import load_config
+        from swarmtrack.config.drone import load_config
+        from swarmtrack.outputs.console import Console
         from swarmtrack.runtime.agent import Agent
         from swarmtrack.runtime.assembly import assemble
-        from swarmtrack.runtime.console import Console
 
         parts = assemble(load_config(arguments.config), SystemClock())
     finally:

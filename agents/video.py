@@ -74,7 +74,7 @@ def _angle(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Exit codes: 0 done, 1 a part of the file could not be read, 2 wrong usage."""
-    from swarmtrack.sensors.video import VideoFile
+    from swarmtrack.camera_sources.video import VideoFile
 
     video = VideoFile(args.file, None)
     out = args.out if args.out is not None else Path(f"{args.file.stem}-tracked")
@@ -115,10 +115,10 @@ async def _track(config: Path, out: Path, frames: int) -> int:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from swarmtrack.clock import SystemClock
-    from swarmtrack.config import load_config
+    from swarmtrack.config.drone import load_config
+    from swarmtrack.outputs.console import Console
     from swarmtrack.runtime.agent import Agent
     from swarmtrack.runtime.assembly import assemble
-    from swarmtrack.runtime.console import Console
 
     parts = assemble(load_config(config), SystemClock())
     agent = Agent(parts, console=Console(*parts.lenses, quiet=True))

@@ -28,10 +28,10 @@ from swarmtrack.benchmarks.command_line import (
 )
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
-from swarmtrack.evaluation.intervals import fraction_interval
-from swarmtrack.evaluation.swarm_score import GRACE, Glance, SwarmScore
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score.intervals import fraction_interval
+from swarmtrack.lab.score.swarm_score import GRACE, Glance, SwarmScore
 
 NAME = "all-round"
 SCENARIOS = ("all-round", "two-cameras")

@@ -44,21 +44,21 @@ from swarmtrack.calibration.box_width import (
     level_width,
 )
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import DetectorSection
+from swarmtrack.config.drone import DetectorSection
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import PixelMapping
 from swarmtrack.detection.model import model_path
 from swarmtrack.detection.second_stage import SecondStage
-from swarmtrack.evaluation.clip_score import TrackPoints, match_hits
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.lab.scenarios.scenario import BODY_FROM_CAMERA, CAMERA
+from swarmtrack.lab.score.clip_score import TrackPoints, match_hits
+from swarmtrack.lab.world.airframe import Airframe
+from swarmtrack.lab.world.rendering import Renderer
+from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Frame, StampKind
 from swarmtrack.relative.box_width import LEAST_DRONE, BoxWidth
 from swarmtrack.runtime.perception import detector_of
-from swarmtrack.simulation.airframe import Airframe
-from swarmtrack.simulation.rendering import Renderer
-from swarmtrack.simulation.scenarios import BODY_FROM_CAMERA, CAMERA
-from swarmtrack.simulation.world import World
 from swarmtrack.training.dataset import cut_out
 from swarmtrack.training.labelled_clips import drone_clips, read_truth
 

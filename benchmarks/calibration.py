@@ -31,10 +31,10 @@ from swarmtrack.calibration.intrinsics import Fit, Model, fit
 from swarmtrack.calibration.views import BoardViews
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
+from swarmtrack.lab.world.boards import BoardScene, board_poses
+from swarmtrack.lab.world.hand_turned import HandTurned, Room
 from swarmtrack.messages import Array
 from swarmtrack.motion.hand_eye import GyroTurns, HandEye, compare, solve
-from swarmtrack.simulation.boards import BoardScene, board_poses
-from swarmtrack.simulation.hand_turned import HandTurned, Room
 
 NAME = "calibration"
 SEEDS, QUICK_SEEDS = 20, 4

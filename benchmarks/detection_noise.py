@@ -36,8 +36,8 @@ from swarmtrack.benchmarks.command_line import add_clips, add_common
 from swarmtrack.benchmarks.report import number
 from swarmtrack.benchmarks.trackers.clips import look
 from swarmtrack.detection.detector import Detector
-from swarmtrack.evaluation.clip_score import TrackPoints, TruthBoxes, match_hits
-from swarmtrack.evaluation.intervals import Interval
+from swarmtrack.lab.score.clip_score import TrackPoints, TruthBoxes, match_hits
+from swarmtrack.lab.score.intervals import Interval
 from swarmtrack.messages import Array, Detections
 from swarmtrack.training.labelled_clips import drone_clips, read_truth
 

@@ -7,7 +7,7 @@ DATA holds labelled images (see `swarmtrack.training.labelled_images`), or pairs
 `tracks/`, or both. With --frames-of, frames of other clips count as images: of the scenes of --scene, and with
 --held-out-negatives of drone-free clips that a training holds out. The images count as one set, the clips as another,
 and with them the flights of --scenario, rendered as `swarmtrack sim` renders them: not as training pictures are drawn.
-What a hit is: see `swarmtrack.evaluation.detector_score`. With --motion the scores of clips count what moved
+What a hit is: see `swarmtrack.lab.score.detector_score`. With --motion the scores of clips count what moved
 (`detection.motion_cue`), as in an agent whose camera stands still; the clips must be such. Of scenarios the true turn
 is known.
 """
@@ -29,13 +29,13 @@ from swarmtrack.benchmarks.command_line import add_common, add_second_stage
 from swarmtrack.benchmarks.report import BenchmarkError, number
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import Expectation, PixelMapping
-from swarmtrack.evaluation import detector_score
-from swarmtrack.evaluation.detector_score import EMPTY, Matches, ScoredImage, by_centre, match
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score import detector_score
+from swarmtrack.lab.score.detector_score import EMPTY, Matches, ScoredImage, by_centre, match
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
+from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.rendering import Renderer
-from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.training.labelled_clips import (
     Clip,
     drone_clips,

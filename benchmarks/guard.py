@@ -1,7 +1,7 @@
 """What the autopilot hears, and how far the drone flies on, when an engaged agent is stopped, killed, frozen or breaks.
 
 Real agents with real guards, each with a simulated ArduCopter that answers set points as a real one was measured to
-(`simulation/response.py`), over UDP in real time. The law flies north at 2.5 m/s; then one thing happens. Also what a
+(`lab/world/response.py`), over UDP in real time. The law flies north at 2.5 m/s; then one thing happens. Also what a
 guard costs: its share of a core, its memory, and the time from a decision to its set point at the autopilot's socket.
 
     swarmtrack bench guard [--runs N] [--cases NAME …] [--quick] --out DIR
@@ -28,6 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.arguments import count
+from swarmtrack.autopilot.links import Wire
+from swarmtrack.autopilot.mavlink_autopilot import WayToAutopilot
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.lone_agent import free_udp_port
@@ -35,19 +37,17 @@ from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.guard import SLACK, Decision, Guard
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
+from swarmtrack.lab.autopilots.channel import Channel
+from swarmtrack.lab.autopilots.firmware import FlightMode
+from swarmtrack.lab.autopilots.pilot import GuidedPilot
+from swarmtrack.lab.autopilots.px4 import SimulatedPx4
+from swarmtrack.lab.autopilots.senses import DroneSenses
+from swarmtrack.lab.world.guided import GuidedDrone
+from swarmtrack.lab.world.response import Triple
+from swarmtrack.lab.world.trajectory import wander
+from swarmtrack.lab.world.world import World
 from swarmtrack.runtime.guard_process import GuardProcess, guard_limits
-from swarmtrack.sensors.mavlink.autopilot import WayToAutopilot
-from swarmtrack.sensors.mavlink.links import Wire
-from swarmtrack.simulation.autopilot import SimulatedArduPilot
-from swarmtrack.simulation.channel import Channel
-from swarmtrack.simulation.firmware import FlightMode
-from swarmtrack.simulation.guided import GuidedDrone
-from swarmtrack.simulation.pilot import GuidedPilot
-from swarmtrack.simulation.px4 import SimulatedPx4
-from swarmtrack.simulation.response import Triple
-from swarmtrack.simulation.senses import DroneSenses
-from swarmtrack.simulation.trajectory import wander
-from swarmtrack.simulation.world import World
 
 NAME = "guard"
 RUNS, QUICK_RUNS = 20, 1

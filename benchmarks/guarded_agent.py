@@ -14,13 +14,13 @@ import time
 from pathlib import Path
 
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.follower import Engagement, LocalSetpoint
 from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
+from swarmtrack.outputs.console import Console
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.door import Door
 
 BLOCKED_S = 2.0

@@ -32,10 +32,10 @@ from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
-from swarmtrack.evaluation.intervals import fraction_interval
-from swarmtrack.evaluation.swarm_score import Glance, SwarmScore, SwarmScorer
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.scenarios import AnnouncedStart, Scenario
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import AnnouncedStart, Scenario
+from swarmtrack.lab.score.intervals import fraction_interval
+from swarmtrack.lab.score.swarm_score import Glance, SwarmScore, SwarmScorer
 
 NAME = "misconfigured"
 SEEDS, QUICK_SEEDS = 100, 2

@@ -30,9 +30,9 @@ from swarmtrack.benchmarks.processes import cpu_seconds
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import SystemClock
-from swarmtrack.runtime.live_video import with_picture
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.rendering import Renderer
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.world.rendering import Renderer
+from swarmtrack.outputs.live_video import with_picture
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings

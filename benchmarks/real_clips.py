@@ -1,7 +1,7 @@
 """How well the agent follows real drones: labelled clips through `swarmtrack-agent`, scored from its JSON lines.
 
 Each clip runs through the agent's own program, from file to JSON lines, every frame in order. The first second is left
-out, while tracks are being confirmed. Metrics: see `swarmtrack.evaluation.clip_score`.
+out, while tracks are being confirmed. Metrics: see `swarmtrack.lab.score.clip_score`.
 
     swarmtrack bench clips DATA [--tracker kalman] [--set tracker.p_detection=0.8] --out DIR
     swarmtrack bench clips DATA --drone-free [--set …] --out DIR   # how many tracks where no drone is
@@ -30,7 +30,7 @@ from swarmtrack.arguments import add_file, add_flag, add_list, positive
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_clips, add_common, add_tracker
 from swarmtrack.benchmarks.report import BenchmarkError, number
-from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, score_clip
+from swarmtrack.lab.score.clip_score import ClipScore, TrackPoints, score_clip
 from swarmtrack.messages import TrackStatus
 from swarmtrack.tracking import DEFAULT_TRACKER
 from swarmtrack.training.labelled_clips import Clip, drone_clips, find_clips, origins, read_truth

@@ -30,8 +30,8 @@ import numpy as np
 from swarmtrack.arguments import count, positive
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
-from swarmtrack.evaluation.intervals import mean_interval
 from swarmtrack.geometry import rotation
+from swarmtrack.lab.score.intervals import mean_interval
 from swarmtrack.messages import Announcement, Array, MotionReport, RangeReport, SightingReport
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.log_range import across

@@ -28,15 +28,15 @@ import numpy as np
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
-from swarmtrack.evaluation.relative_score import PlaceError, error_of, relative_score
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.score.relative_score import PlaceError, error_of, relative_score
+from swarmtrack.lab.world.sensors import EgoParameters
+from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, EgoPose, RelativeState
 from swarmtrack.motion.heading import HeadingSigma
 from swarmtrack.relative.log_range import across
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.sensors import EgoParameters
-from swarmtrack.simulation.world import World
 
 NAME = "relative-flights"
 SEEDS, QUICK_SEEDS = 20, 2

@@ -5,12 +5,12 @@ from __future__ import annotations
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import DetectorSection
+from swarmtrack.config.drone import DetectorSection
 from swarmtrack.detection.expectation import PerceivedExpectation
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.messages import Detections, Frame, StampKind
 from swarmtrack.runtime.perception import detector_of
-from swarmtrack.simulation.rendering import Renderer
-from swarmtrack.simulation.scenarios import Scenario
 
 USUAL_SECTION = DetectorSection()
 

@@ -27,18 +27,18 @@ from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
-from swarmtrack.evaluation.intervals import Interval, bootstrap_interval
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import HOVER_S, Scenario
+from swarmtrack.lab.score.intervals import Interval, bootstrap_interval
+from swarmtrack.lab.world.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
+from swarmtrack.lab.world.trajectory import SteadyYaw, Trajectory
+from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Detections, ImuSample, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard, OnboardCamera
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.scenarios import HOVER_S, Scenario
-from swarmtrack.simulation.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
-from swarmtrack.simulation.trajectory import SteadyYaw, Trajectory
-from swarmtrack.simulation.world import World
 from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
 
 NAME = "rotation"

@@ -10,7 +10,7 @@ but drones. So a track in the picture that is on none of them, seen or hidden, i
 * recall, precision: of (observer, drone in view, tenth of a second) those with a confirmed track; of all confirmed
   tracks in the picture, those on a drone.
 * RMSE: of each flight the worst observer's, px; median and worst of all flights.
-* identified: the time that it took, as in `evaluation/swarm_score.py`, median and slowest of all observers.
+* identified: the time that it took, as in `lab/score/swarm_score.py`, median and slowest of all observers.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from swarmtrack.benchmarks.command_line import (
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.rendered_eyes import rendered_eyes
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
-from swarmtrack.config import DetectorSection
-from swarmtrack.evaluation.intervals import fraction_interval
-from swarmtrack.evaluation.swarm_score import MIN_HIT_RADIUS, RATE_HZ, Glance, NamedTrack, SwarmScore
+from swarmtrack.config.drone import DetectorSection
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score.intervals import fraction_interval
+from swarmtrack.lab.score.swarm_score import MIN_HIT_RADIUS, RATE_HZ, Glance, NamedTrack, SwarmScore
+from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.messages import Image
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.rendering import Renderer
-from swarmtrack.simulation.scenarios import Scenario
 from swarmtrack.tracking import DEFAULT_TRACKER
 
 NAME = "scenery"

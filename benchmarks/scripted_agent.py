@@ -21,13 +21,13 @@ from typing import cast
 import numpy as np
 
 from swarmtrack.clock import Clock, SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.detection.detector import Detector, Look
 from swarmtrack.detection.expectation import Expectation
 from swarmtrack.messages import Detections, Frame, Image, LinkStatus, StampKind
+from swarmtrack.outputs.console import Console
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.console import Console
 
 DRONES = 5
 CENTRE_SIGMA = 1.0  # px

@@ -28,14 +28,14 @@ from numpy.typing import NDArray
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
-from swarmtrack.evaluation.intervals import fraction_interval
+from swarmtrack.cameras.rig import Rig, RigCamera
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_trackers
-from swarmtrack.tracking.rig import Rig, RigCamera
 
 NAME = "seams"
 SEEDS, QUICK_SEEDS = 40, 2

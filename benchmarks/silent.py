@@ -29,13 +29,8 @@ from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
-from swarmtrack.evaluation.intervals import fraction_interval
-from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScorer
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, TrackStatus
-from swarmtrack.runtime.filed import SOMEWHERE_M
-from swarmtrack.simulation.scenarios import (
+from swarmtrack.lab.scenarios.scenario import (
     AnnouncedStart,
     Plan,
     Scenario,
@@ -43,9 +38,14 @@ from swarmtrack.simulation.scenarios import (
     announced_starts,
     fly,
 )
-from swarmtrack.simulation.sensors import DetectorParameters
-from swarmtrack.simulation.trajectory import SteadyYaw
-from swarmtrack.simulation.world import World
+from swarmtrack.lab.score.intervals import fraction_interval
+from swarmtrack.lab.score.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScorer
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
+from swarmtrack.lab.world.sensors import DetectorParameters
+from swarmtrack.lab.world.trajectory import SteadyYaw
+from swarmtrack.lab.world.world import World
+from swarmtrack.messages import Array, TrackStatus
+from swarmtrack.runtime.filed import SOMEWHERE_M
 
 NAME = "silent"
 SEEDS, QUICK_SEEDS = 60, 4

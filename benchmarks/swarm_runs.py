@@ -22,9 +22,9 @@ from typing import Any
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
 from swarmtrack.errors import SwarmtrackError
-from swarmtrack.evaluation.swarm_verdict import SwarmReport
-from swarmtrack.localswarm.flight import FlightPlan, fly
-from swarmtrack.localswarm.table import NoTable
+from swarmtrack.lab.score.swarm_verdict import SwarmReport
+from swarmtrack.lab.swarm.flight import FlightPlan, fly
+from swarmtrack.lab.swarm.table import NoTable
 
 NAME = "swarm"
 MAX_WRONG = 0.001  # of all judged views of a scenario: the claim

@@ -27,17 +27,17 @@ from numpy.typing import NDArray
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_seeds
-from swarmtrack.evaluation.intervals import bootstrap_interval, fraction_interval, mean_interval
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score.intervals import bootstrap_interval, fraction_interval, mean_interval
+from swarmtrack.lab.world.sensors import Ego, EgoParameters, Imu, ImuParameters, detect, visible
+from swarmtrack.lab.world.trajectory import Hover, SteadyYaw, Trajectory, YawProfile
+from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Detections, EgoPose, ImuSample, Scan
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.gyro_bias import SURE as SURE_BIAS
 from swarmtrack.motion.gyro_bias import GyroBias
 from swarmtrack.motion.time_offset import SURE, CameraClock
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters, detect, visible
-from swarmtrack.simulation.trajectory import Hover, SteadyYaw, Trajectory, YawProfile
-from swarmtrack.simulation.world import World
 
 NAME = "offset"
 SEEDS, QUICK_SEEDS = 100, 4

@@ -18,6 +18,9 @@ import numpy as np
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.lab.scenarios.oracle import OracleDetector
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.world.sensors import Ego, EgoParameters, Imu, ImuParameters
 from swarmtrack.messages import (
     Announcement,
     Array,
@@ -39,9 +42,6 @@ from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.perceived import Perceived
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion, filed_announcement
-from swarmtrack.simulation.oracle import OracleDetector
-from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_trackers
 
 RADIO_S = 0.05  # s from a question to the announcement it asked for

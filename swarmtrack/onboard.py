@@ -21,6 +21,9 @@ from typing import NamedTuple, assert_never
 
 import numpy as np
 
+from swarmtrack.cameras.picture_turn import MountingNews, PictureTurns
+from swarmtrack.cameras.rig import NOTHING_EXPECTED, ExpectedTracks, Rig, RigCamera
+from swarmtrack.cameras.seams import SeamNews
 from swarmtrack.formation.setpoint import NO_SWAY, OwnFlight, OwnSway
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
@@ -65,7 +68,6 @@ from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
 from swarmtrack.motion.gyro_bias import BiasEstimate, GyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.motion.picture_turn import MountingNews, PictureTurns
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
@@ -79,9 +81,7 @@ from swarmtrack.relative.states import RelativeStates
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
-from swarmtrack.tracking.rig import NOTHING_EXPECTED, ExpectedTracks, Rig, RigCamera
 from swarmtrack.tracking.scan import make_scan
-from swarmtrack.tracking.seams import SeamNews
 
 # s that a scan may stay away beyond the history: by then a target may be anywhere.
 MAX_SILENCE = 1.0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from swarmtrack.cameras.rig import ExpectedTracks
 from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -18,7 +19,6 @@ from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.onboard import Counters
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
-from swarmtrack.tracking.rig import ExpectedTracks
 
 
 class Perceived(Protocol):

@@ -58,19 +58,19 @@ ALONE = (
     "replay/test_replay.py::test_on_a_full_disk",
     "replay/test_replay.py::test_record_hears",
     "runtime/test_healthy.py",
-    "runtime/test_live_video.py",
-    "runtime/test_pilot_notices.py",
+    "outputs/test_live_video.py",
+    "outputs/test_pilot_notices.py",
 )
 SOCKETS = (
-    "localswarm/",
+    "lab/swarm/",
     "monitor/test_entrance.py",
     "security/test_security.py",
-    "sensors/test_camera_http.py",
-    "sensors/test_camera_rtsp.py",
-    "sensors/test_camera_v4l2.py",
-    "sensors/test_detection_stream.py",
-    "sensors/test_mavlink_autopilot.py",
-    "sensors/test_mavlink_links.py",
+    "camera_sources/test_camera_http.py",
+    "camera_sources/test_camera_rtsp.py",
+    "camera_sources/test_camera_v4l2.py",
+    "camera_sources/test_detection_stream.py",
+    "autopilot/test_mavlink_autopilot.py",
+    "autopilot/test_mavlink_links.py",
     "transport/",
 )
 

@@ -8,11 +8,11 @@ import pytest
 
 from support.mutants import MUTANTS, mutants
 from support.places import ROOT
-from swarmtrack.camera_files import DEEPEST, MOST_ENTRIES, load_calibration
-from swarmtrack.config import load_config
+from swarmtrack.config.camera_files import DEEPEST, MOST_ENTRIES, load_calibration
+from swarmtrack.config.drone import load_config
+from swarmtrack.config.toml.layers import MAX_SEARCHED, MOST_FILES, MOST_PARTS, key_lines
 from swarmtrack.errors import CalibrationError, ConfigError, SwarmtrackError
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.toml.layers import MAX_SEARCHED, MOST_FILES, MOST_PARTS, key_lines
+from swarmtrack.lab.scenarios.files import load_scenario
 
 CALIBRATION = (ROOT / "configs" / "usb-camera.yaml").read_text(encoding="utf-8")
 CONFIG = """\

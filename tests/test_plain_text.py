@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.simulated_agent import SimulatedFlight
+from swarmtrack.autopilot.notices import LONGEST_TEXT, Severity, status_text
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.log_lines import PlainFormatter
 from swarmtrack.messages import LinkStatus
 from swarmtrack.plain_text import LONGEST, LONGEST_OF_SEVERAL, MOST_LINES, plain, plain_lines
-from swarmtrack.sensors.mavlink.notices import LONGEST_TEXT, Severity, status_text
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire.fields import LONGEST_LINE
 from swarmtrack.wire.health import HealthMessage, link_health

@@ -38,10 +38,10 @@ from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.errands.judge import SIGMAS, FlightJudge, FlightRecord
 from swarmtrack.benchmarks.virtual_swarm import Eyes, VirtualSwarm
-from swarmtrack.evaluation.intervals import Interval, fraction_interval
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score.intervals import Interval, fraction_interval
 from swarmtrack.messages import Array
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.scenarios import Scenario
 
 NAME = "errand"
 SEEDS, QUICK_SEEDS = 100, 4

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
-from swarmtrack.evaluation.swarm_score import (
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score.swarm_score import (
     GRACE,
     RATE_HZ,
     Glance,
@@ -22,10 +23,9 @@ from swarmtrack.evaluation.swarm_score import (
     SwarmScorer,
     confirmed_tracks,
 )
-from swarmtrack.evaluation.swarm_truth import SwarmTruth, TrueView
+from swarmtrack.lab.score.swarm_truth import SwarmTruth, TrueView
 from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.motion.time_offset import CameraClock
-from swarmtrack.simulation.scenarios import Scenario
 
 CLOSE_S = 3e-3  # within which an offset counts as found
 TURNING_PX_S = 100.0

@@ -32,7 +32,8 @@ from swarmtrack.benchmarks.formation.flights import (
     FormationFlight,
 )
 from swarmtrack.benchmarks.formation.meetings import Meeting, meet, meetings_row
-from swarmtrack.evaluation.formation_score import (
+from swarmtrack.formation.setpoint import Why
+from swarmtrack.lab.score.formation_score import (
     LOST_M,
     NEAR_M,
     LeaderGone,
@@ -41,7 +42,6 @@ from swarmtrack.evaluation.formation_score import (
     formation_score,
     slot_errors,
 )
-from swarmtrack.formation.setpoint import Why
 
 NAME = "formation"
 # Of the law alone, without pictures (`meetings.py`).

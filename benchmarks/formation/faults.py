@@ -14,6 +14,9 @@ from typing import Any, assert_never
 import numpy as np
 
 from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, Said, VirtualSwarm
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.world.response import Triple
+from swarmtrack.lab.world.sensors import EgoParameters
 from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
@@ -24,9 +27,6 @@ from swarmtrack.messages import (
     PeerDeparted,
     SightingReport,
 )
-from swarmtrack.simulation.response import Triple
-from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.sensors import EgoParameters
 from swarmtrack.transport.sender_clock import (
     ANNOUNCED_CLOCKS_AGREE_S,
     REPORTED_CLOCKS_AGREE_S,

@@ -1,7 +1,7 @@
 """Drones that fly in formation by what they see: the loop closed, in one process, as fast as it computes.
 
 Every follower's real `Onboard` (tracker, names, places in metres), the real `Follower` and its barrier, and an
-autopilot's measured response (`simulation/response.py`); oracle detections with misses, noise and clutter. The leader
+autopilot's measured response (`lab/world/response.py`); oracle detections with misses, noise and clutter. The leader
 hovers, flies a square to be known, then off, turns a quarter and stops.
 """
 
@@ -20,13 +20,7 @@ from swarmtrack.follower import Engagement, Follower
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters, Place
 from swarmtrack.formation.setpoint import Why
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, Detections, EgoPose
-from swarmtrack.relative.box_width import BoxWidth
-from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.simulation.airframe import Airframe
-from swarmtrack.simulation.guided import GuidedDrone
-from swarmtrack.simulation.response import ARDUPILOT, SetPoint, Triple
-from swarmtrack.simulation.scenarios import (
+from swarmtrack.lab.scenarios.scenario import (
     BODY_FROM_CAMERA,
     DRIFT_M,
     Ghost,
@@ -34,10 +28,16 @@ from swarmtrack.simulation.scenarios import (
     ScenarioCamera,
     announced_starts,
 )
-from swarmtrack.simulation.sensors import DetectorParameters, visible
-from swarmtrack.simulation.star import arc
-from swarmtrack.simulation.trajectory import wander
-from swarmtrack.simulation.world import World
+from swarmtrack.lab.world.airframe import Airframe
+from swarmtrack.lab.world.guided import GuidedDrone
+from swarmtrack.lab.world.response import ARDUPILOT, SetPoint, Triple
+from swarmtrack.lab.world.sensors import DetectorParameters, visible
+from swarmtrack.lab.world.star import arc
+from swarmtrack.lab.world.trajectory import wander
+from swarmtrack.lab.world.world import World
+from swarmtrack.messages import Array, Detections, EgoPose
+from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.relative.parameters import RelativeParameters
 
 LEADER, INTRUDER = 1, 99
 HEIGHT_M = 8.0

@@ -30,11 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from swarmtrack.evaluation.intervals import Interval, fraction_interval
-from swarmtrack.evaluation.reliability import Reliability, Stated
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.posterior import PRIOR, Prior, log_ratios, nearest, residuals
 from swarmtrack.identity.reprojection import Predictions
+from swarmtrack.lab.score.intervals import Interval, fraction_interval
+from swarmtrack.lab.score.reliability import Reliability, Stated
 from swarmtrack.messages import Array
 from swarmtrack.tracking import marginals
 from swarmtrack.tracking.marginals import WIDEST, matching_marginals, sweep_width

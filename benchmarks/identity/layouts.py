@@ -31,7 +31,7 @@ from swarmtrack.benchmarks.identity.experiment import (
     scores,
     thinned,
 )
-from swarmtrack.evaluation.reliability import Reliability, Stated, reliability_of
+from swarmtrack.lab.score.reliability import Reliability, Stated, reliability_of
 
 NAME = "identity"
 DRONES = (3, 5, 8, 12, 16, 20, 25, 30)

@@ -25,8 +25,8 @@ from swarmtrack.benchmarks.identity.experiment import (
     Result,
     Thinned,
 )
-from swarmtrack.evaluation.intervals import Interval
-from swarmtrack.evaluation.reliability import Reliability, ReliabilityBin
+from swarmtrack.lab.score.intervals import Interval
+from swarmtrack.lab.score.reliability import Reliability, ReliabilityBin
 from swarmtrack.tracking.marginals import WIDEST
 
 FEWEST = 100  # statements in a bin that is drawn

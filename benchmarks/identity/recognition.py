@@ -19,11 +19,11 @@ import numpy as np
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
-from swarmtrack.evaluation.intervals import Interval, mean_interval
-from swarmtrack.evaluation.swarm_score import RATE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.scenarios import Scenario
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score.intervals import Interval, mean_interval
+from swarmtrack.lab.score.swarm_score import RATE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
 
 NAME = "recognition"
 SHARES = ("correct", "wrong", "unknown", "agreement")

@@ -1,7 +1,7 @@
 """Every tracker on real detections: each labelled clip is looked at once, by the shipped detector, in every frame.
 
 What the detector found goes through an `Onboard` for each tracker, with the agent's own parameters, as it would in
-flight. Scores: see `swarmtrack.evaluation.clip_score`.
+flight. Scores: see `swarmtrack.lab.score.clip_score`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.real_clips import START_S
 from swarmtrack.detection.detector import Detector
-from swarmtrack.evaluation.clip_score import ClipScore, TrackPoints, score_clip
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.lab.score.clip_score import ClipScore, TrackPoints, score_clip
 from swarmtrack.messages import Detections, Frame, StampKind, TrackStatus
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory

@@ -22,7 +22,7 @@ from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.report import number
 from swarmtrack.benchmarks.trackers.play import make_tracker
 from swarmtrack.benchmarks.trackers.scenes import Scene, film, find_scene
-from swarmtrack.evaluation.intervals import bootstrap_interval
+from swarmtrack.lab.score.intervals import bootstrap_interval
 from swarmtrack.messages import Array, Track
 
 NAME = "fixed-lag"

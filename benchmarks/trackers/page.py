@@ -14,8 +14,8 @@ from swarmtrack.benchmarks.trackers.programme import Result
 from swarmtrack.benchmarks.trackers.results import Row, by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, SEED
 from swarmtrack.benchmarks.trackers.verdicts import Verdict, verdicts
-from swarmtrack.evaluation.clip_score import ClipScore
-from swarmtrack.evaluation.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
+from swarmtrack.lab.score.clip_score import ClipScore
+from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 
 STONE_SOUP_RMSE_PX = {  # 50 runs each, measured when this project began; `--peers` measures anew
     "ss_gnn": (0.08, 0.08, 0.08, 0.08, 0.62, 1.16, 1.66, 0.12, 0.16, 0.25, 0.48, 1.18, 0.65),

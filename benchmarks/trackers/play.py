@@ -14,8 +14,8 @@ from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.trackers import oracle
 from swarmtrack.benchmarks.trackers.oracle import ConstantVelocity, Interacting, OracleFilter
 from swarmtrack.benchmarks.trackers.scenes import SCENES, Scene, Take, film
-from swarmtrack.evaluation.gospa import gospa
-from swarmtrack.evaluation.track_score import FoundScore, StatedTracks, score_found, score_named
+from swarmtrack.lab.score.gospa import gospa
+from swarmtrack.lab.score.track_score import FoundScore, StatedTracks, score_found, score_named
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
 from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker
 

@@ -13,7 +13,7 @@ from swarmtrack.benchmarks.trackers.play import SMOOTHER, record
 from swarmtrack.benchmarks.trackers.programme import Result
 from swarmtrack.benchmarks.trackers.results import by_cell, rmse_over_time
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
-from swarmtrack.evaluation.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
+from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 
 COLOURS = {
     "kalman": "tab:orange",

@@ -11,7 +11,7 @@ from scipy.special import gammaincinv
 
 from swarmtrack.benchmarks.trackers.play import Score
 from swarmtrack.benchmarks.trackers.scenes import Scene
-from swarmtrack.evaluation.intervals import Interval, fraction_interval, mean_interval
+from swarmtrack.lab.score.intervals import Interval, fraction_interval, mean_interval
 from swarmtrack.messages import Array
 
 FOUND_WITHIN_S = 0.5

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.benchmarks.report import BenchmarkError
-from swarmtrack.evaluation import paper_scenario
-from swarmtrack.evaluation.paper_scenario import HERE, STEP_S, STEPS, THERE
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.lab.score import paper_scenario
+from swarmtrack.lab.score.paper_scenario import HERE, STEP_S, STEPS, THERE
 from swarmtrack.messages import Array, Scan
 from swarmtrack.motion.gyro import GyroHistory
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from swarmtrack.benchmarks.trackers.play import MakePlayer, Player, make_tracker
 from swarmtrack.benchmarks.trackers.scenes import Scene, Sensor
-from swarmtrack.evaluation.paper_scenario import STEP_S
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.lab.score.paper_scenario import STEP_S
 from swarmtrack.messages import Array, Scan
 
 SIZES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)

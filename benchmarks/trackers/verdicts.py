@@ -10,7 +10,7 @@ from swarmtrack.benchmarks.trackers.play import Score
 from swarmtrack.benchmarks.trackers.results import Row, by_cell, paired_ratio
 from swarmtrack.benchmarks.trackers.scenes import SCENES
 from swarmtrack.benchmarks.trackers.timing import AT_BUDGET_MS, BUDGET_MS, Cost, Enumeration
-from swarmtrack.evaluation.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
+from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 
 Played = Mapping[tuple[str, str], list[Score]]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarmtrack.config import MountedCamera
+from swarmtrack.config.drone import MountedCamera
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import WIDEST, PinholeCamera

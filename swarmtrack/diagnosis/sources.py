@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarmtrack.autopilot.address import parse_address
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Array, LinkStatus, StampKind
-from swarmtrack.sensors.mavlink.address import parse_address
 
 LATE_MS = 150.0  # of a frame at arrival
 DAMAGED = 0.02  # share of frames

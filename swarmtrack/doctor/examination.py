@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
+from swarmtrack.config.drone import CameraSection, DroneConfig, MountedCamera
 from swarmtrack.diagnosis import mounting, sources, surroundings
 from swarmtrack.diagnosis.findings import Finding, of_camera, skipped
 from swarmtrack.diagnosis.mounting import MountFacts
@@ -21,9 +20,7 @@ from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.runtime.assembly import make_simulation, mount
 from swarmtrack.runtime.perception import make_detector
-
-if TYPE_CHECKING:
-    from swarmtrack.sensors.simulated import Simulation
+from swarmtrack.sources import SimulatedSources
 
 TIMED_FRAMES = 8
 NETWORK_SECONDS = 5.0  # at most: whoever is there has answered by then
@@ -76,7 +73,7 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     return [*missing, *findings]
 
 
-def _mount(section: CameraSection, simulation: Simulation | None) -> MountFacts:
+def _mount(section: CameraSection, simulation: SimulatedSources | None) -> MountFacts:
     sits = section.body_from_camera
     try:
         mounted = mount(section, simulation)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 
+from swarmtrack.autopilot.address import is_recording
+from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
+from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.clock import Clock
-from swarmtrack.config import DroneConfig
+from swarmtrack.config.drone import DroneConfig
 from swarmtrack.diagnosis.autopilot_limits import Asked, asked_of, check_limits, unheard
 from swarmtrack.diagnosis.findings import Finding, skipped
 from swarmtrack.doctor.sample_collector import SampleCollector
 from swarmtrack.runtime.assembly import make_autopilot
-from swarmtrack.sensors.base import Autopilot
-from swarmtrack.sensors.mavlink.address import is_recording
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.parameters import ParameterReader
+from swarmtrack.sources import Autopilot
 
 # s: at most; a heartbeat comes each second, and what is not told is asked for four times.
 WITHIN_S = 6.0

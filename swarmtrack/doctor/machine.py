@@ -10,10 +10,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from swarmtrack.config import DroneConfig
+from swarmtrack.config.drone import DroneConfig
 from swarmtrack.diagnosis.surroundings import DiskFacts, HeatFacts
 from swarmtrack.errors import SourceError, SwarmtrackError
-from swarmtrack.runtime.outputs import check_outputs
+from swarmtrack.outputs.destinations import check_outputs
 
 THERMAL = Path("/sys/class/thermal")
 PLAUSIBLE_CELSIUS = (-40.0, 150.0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from swarmtrack.messages import EgoPose, FlightState, ImuSample
 from swarmtrack.motion.hand_eye import GyroTurns
-from swarmtrack.sensors.base import AutopilotListener
+from swarmtrack.sources import AutopilotListener
 
 MOST_SAMPLES = 400_000
 

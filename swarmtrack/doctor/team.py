@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from swarmtrack.clock import Clock
-from swarmtrack.config import DroneConfig
+from swarmtrack.config.drone import DroneConfig
 from swarmtrack.diagnosis.surroundings import NetworkFacts
 from swarmtrack.errors import KeysError, SwarmtrackError, TransportError
 from swarmtrack.runtime.assembly import credentials_of

@@ -6,14 +6,16 @@ import asyncio
 import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from swarmtrack.autopilot.address import is_recording
 from swarmtrack.calibration.image_motion import ImageMotion
+from swarmtrack.camera_sources.address import parse_address
 from swarmtrack.clock import Clock
-from swarmtrack.config import CameraSection, DroneConfig, MountedCamera
+from swarmtrack.config.drone import CameraSection, DroneConfig, MountedCamera
 from swarmtrack.diagnosis.mounting import MotionFacts
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts, ImuFacts, PoseFacts
 from swarmtrack.doctor.limits import limits_reader
@@ -22,12 +24,7 @@ from swarmtrack.errors import SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.motion.hand_eye import compare, solve
 from swarmtrack.runtime.assembly import make_autopilot, make_camera
-from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
-from swarmtrack.sensors.camera_address import parse_address
-from swarmtrack.sensors.mavlink.address import is_recording
-
-if TYPE_CHECKING:
-    from swarmtrack.sensors.simulated import Simulation
+from swarmtrack.sources import Autopilot, Camera, DetectionSource, SimulatedSources
 
 RECORDINGS = ("file", "images")
 RATE_OVER = 2.0  # s: the last samples, by which a rate is told
@@ -59,7 +56,7 @@ class CameraWatch:
         section: CameraSection,
         mounted: MountedCamera | None,
         clock: Clock,
-        simulation: Simulation | None,
+        simulation: SimulatedSources | None,
     ) -> None:
         self._section = section
         self._mounted = mounted
@@ -142,7 +139,7 @@ class SensorWatch:
         config: DroneConfig,
         mounted: Sequence[MountedCamera | None],
         clock: Clock,
-        simulation: Simulation | None = None,
+        simulation: SimulatedSources | None = None,
     ) -> None:
         """mounted: of each camera of the config; None where it is not known."""
         self._config = config

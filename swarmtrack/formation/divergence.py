@@ -19,7 +19,7 @@ from typing import NamedTuple
 from swarmtrack.formation.law import saturated
 from swarmtrack.formation.setpoint import STILL, Velocity
 
-# s: of the first-order lag, that of an ArduPilot and of a PX4 as measured (`simulation/response.py`: 0.6 to 0.8 s after
+# s: of the first-order lag, that of an ArduPilot and of a PX4 as measured (`lab/world/response.py`: 0.6 to 0.8 s after
 # a step of 1.5 m/s) and the 0.15 s over which a velocity is measured; m/s²: level and vertical, the slower of both.
 LAG_S, LEVEL_M_S2, VERTICAL_M_S2 = 0.8, 2.1, 1.17
 # s: over which the difference is averaged; and a step is never longer.

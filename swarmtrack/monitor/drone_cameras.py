@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.cameras.field_of_view import around, outline_around
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.geometry.field_of_view import around, outline_around
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 from swarmtrack.monitor.metres import ORIGIN

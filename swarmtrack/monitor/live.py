@@ -8,11 +8,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, Protocol
 
 from swarmtrack.errors import TransportError
-from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.monitor.drone_cameras import ViewKey
 from swarmtrack.monitor.overlay import boxes
 from swarmtrack.monitor.server import STATE_HZ, Audience
 from swarmtrack.monitor.team import MonitoredTeam
+from swarmtrack.outputs.flight_end import FlightEnd
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Sample
 from swarmtrack.transport.listening import hint_at, other_teams

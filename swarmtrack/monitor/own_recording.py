@@ -27,13 +27,13 @@ from swarmtrack.messages import (
 )
 from swarmtrack.monitor.timeline import Blob, BlobFile, TimelineEvent, Tracked
 from swarmtrack.motion.ego import TeamPose
+from swarmtrack.outputs import periods
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
 from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
 from swarmtrack.replay.recorded_frames import jpeg_of
-from swarmtrack.runtime import periods
 from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample

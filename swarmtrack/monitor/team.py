@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from swarmtrack.cameras.field_of_view import half_angles
 from swarmtrack.clock import Clock
-from swarmtrack.evaluation.flight_end import FlightEnd
-from swarmtrack.geometry.field_of_view import half_angles
 from swarmtrack.geometry.rotation import from_quaternion
 from swarmtrack.monitor.drone_cameras import CameraView, DroneCameras, ViewKey
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
+from swarmtrack.outputs.flight_end import FlightEnd
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.sender_clock import REPORTED_CLOCKS_AGREE_S, SenderClock

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from swarmtrack import __version__
-from swarmtrack.config import DISTORTIONS, DroneConfig, MountedCamera, config_of, mount_camera
+from swarmtrack.config.drone import DISTORTIONS, DroneConfig, MountedCamera, config_of, mount_camera
+from swarmtrack.config.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.errors import ConfigError, RecordingError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.recording.reader import FORMAT, Recording
 from swarmtrack.recording.writer import Attachment
 from swarmtrack.relative.box_width import BoxWidth
-from swarmtrack.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.tracking import TRACKERS
 
 CONFIG, RESOLVED, CALIBRATION = "config.json", "resolved_config.json", "calibration.json"

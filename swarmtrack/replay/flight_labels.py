@@ -21,7 +21,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from swarmtrack.config import MountedCamera
+from swarmtrack.config.drone import MountedCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Announcement, Array, AutopilotRebooted, EgoPose, FlightState, SightingReport
 from swarmtrack.motion.ego import EgoHistory, TeamPose

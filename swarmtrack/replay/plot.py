@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.evaluation.replay_diff import ReplayDiff
+from swarmtrack.replay.diff import ReplayDiff
 
 mpl.use("Agg")
 

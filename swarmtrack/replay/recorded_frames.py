@@ -29,8 +29,8 @@ class RecordedFrames:
         import cv2  # noqa: PLC0415
         import numpy as np  # noqa: PLC0415
 
-        from swarmtrack.sensors.decode import check_pixels  # noqa: PLC0415
-        from swarmtrack.sensors.frame_slot import BadImage  # noqa: PLC0415
+        from swarmtrack.camera_sources.decode import check_pixels  # noqa: PLC0415
+        from swarmtrack.camera_sources.frame_slot import BadImage  # noqa: PLC0415
 
         if topic == FRAMES_TOPIC:
             self._exact_times = msgspec.json.decode(data)

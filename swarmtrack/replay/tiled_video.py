@@ -12,11 +12,11 @@ import numpy as np
 
 from swarmtrack.errors import RecordingError
 from swarmtrack.messages import Frame, Image, ScanReport
+from swarmtrack.outputs.annotated_video import TimedVideo, Trails, annotate, write_text
+from swarmtrack.outputs.destinations import as_seen
 from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.replay.recorded_frames import RecordedFrames
-from swarmtrack.runtime.annotated_video import TimedVideo, Trails, annotate, write_text
-from swarmtrack.runtime.outputs import as_seen
 
 WIDEST = 1920  # px, of all pictures beside each other
 MOST_IN_A_ROW = 3

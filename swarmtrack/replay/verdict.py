@@ -11,13 +11,17 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from swarmtrack.config.toml.layers import Layer, Layers
 from swarmtrack.errors import ConfigError, RecordingError
-from swarmtrack.evaluation.swarm_verdict import SwarmReport
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import from_quaternion
-from swarmtrack.localswarm.detail import Detail
-from swarmtrack.localswarm.watch import HeldClock, Watch
-from swarmtrack.localswarm.world_file import world_of
+from swarmtrack.lab.scenarios.files import limits_of, scenario_of
+from swarmtrack.lab.scenarios.scenario import Scenario, as_told
+from swarmtrack.lab.score.swarm_verdict import SwarmReport
+from swarmtrack.lab.swarm.detail import Detail
+from swarmtrack.lab.swarm.watch import HeldClock, Watch
+from swarmtrack.lab.swarm.world_file import world_of
+from swarmtrack.lab.world.followed import FollowedDrone
 from swarmtrack.recording.reader import FLIGHT_PLAN, Message, Recording
 from swarmtrack.replay.replayer import Published
 from swarmtrack.runtime.swarm_recorder import (
@@ -30,10 +34,6 @@ from swarmtrack.runtime.swarm_recorder import (
     read_heard,
     read_truth,
 )
-from swarmtrack.scenario_file import limits_of, scenario_of
-from swarmtrack.simulation.followed import FollowedDrone
-from swarmtrack.simulation.scenarios import Scenario, as_told
-from swarmtrack.toml.layers import Layer, Layers
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec

@@ -10,6 +10,11 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
+from swarmtrack.autopilot.notices import Severity
+from swarmtrack.cameras.picture_turn import MountingNews
+from swarmtrack.cameras.seams import SeamNews
+from swarmtrack.config.toml.sections import key_text
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.identity.proof import Astray
@@ -26,31 +31,26 @@ from swarmtrack.messages import (
     PoseWanted,
     ScanReport,
 )
-from swarmtrack.motion.picture_turn import MountingNews
+from swarmtrack.outputs.console import Console
+from swarmtrack.outputs.destinations import JsonLines, as_seen, video_paths
+from swarmtrack.outputs.live_video import LiveVideo
+from swarmtrack.outputs.mounting_words import describe_mounting, describe_seam
+from swarmtrack.outputs.pilot_notices import PilotNotices
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.assembly import Parts
-from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.runtime.guard_process import GuardProcess
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
-from swarmtrack.runtime.live_video import LiveVideo
-from swarmtrack.runtime.outputs import JsonLines, as_seen, video_paths
-from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
-from swarmtrack.runtime.seam_words import describe_mounting, describe_seam
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
 from swarmtrack.runtime.turns import FairTurns, NewestFrames, in_order
-from swarmtrack.sensors.base import Camera, DetectionSource
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.notices import Severity
-from swarmtrack.toml.sections import key_text
-from swarmtrack.tracking.seams import SeamNews
+from swarmtrack.sources import Camera, DetectionSource
 
 if TYPE_CHECKING:
-    from swarmtrack.runtime.annotated_video import AnnotatedVideo
+    from swarmtrack.outputs.annotated_video import AnnotatedVideo
 
 log = logging.getLogger(__name__)
 
@@ -491,7 +491,7 @@ def _open_videos(parts: Parts) -> list[AnnotatedVideo]:
     if path is None:
         return []
     # Here, not above: OpenCV is nothing that an agent without pictures should pay for.
-    from swarmtrack.runtime.annotated_video import AnnotatedVideo  # noqa: PLC0415
+    from swarmtrack.outputs.annotated_video import AnnotatedVideo  # noqa: PLC0415
 
     lossless, alone = parts.paced is not None, parts.config.network.transport == "memory"
     paths = video_paths(path, len(parts.cameras))

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
+from swarmtrack.autopilot.address import is_recording
+from swarmtrack.autopilot.address import parse_address as parse_link
+from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.global_position import GlobalPosition
+from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
+from swarmtrack.autopilot.pilot_switch import PilotSwitch
+from swarmtrack.camera_sources.address import parse_address
+from swarmtrack.camera_sources.detection_stream import DetectionStream
 from swarmtrack.clock import Clock, ManualClock
-from swarmtrack.config import CameraSection, DroneConfig, MountedCamera, mount_camera
+from swarmtrack.config.drone import CameraSection, DroneConfig, MountedCamera, mount_camera
+from swarmtrack.config.formation import fields_of_view
+from swarmtrack.config.team import SwitchSection
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.formation.plan import range_faults, view_faults
-from swarmtrack.formation_config import fields_of_view
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import AgreedMotion, Announcement
@@ -20,16 +30,14 @@ from swarmtrack.runtime.filed import agreed_motions, filed_announcements
 from swarmtrack.runtime.perception import make_detector, make_follower, make_onboard
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
-from swarmtrack.sensors.base import Autopilot, Camera, DetectionSource
-from swarmtrack.sensors.camera_address import parse_address
-from swarmtrack.sensors.detection_stream import DetectionStream
-from swarmtrack.sensors.mavlink.address import is_recording
-from swarmtrack.sensors.mavlink.address import parse_address as parse_link
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.engagement import PilotEngagement
-from swarmtrack.sensors.mavlink.global_position import GlobalPosition
-from swarmtrack.sensors.mavlink.pilot_switch import PilotSwitch
-from swarmtrack.team_config import SwitchSection
+from swarmtrack.sources import (
+    SIMULATIONS,
+    Autopilot,
+    Camera,
+    DetectionSource,
+    OpenSimulation,
+    SimulatedSources,
+)
 from swarmtrack.transport import topology
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
@@ -42,7 +50,6 @@ if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
     from swarmtrack.runtime.flight_recorder import FlightRecorder
     from swarmtrack.runtime.key_renewal import KeyRenewal
-    from swarmtrack.sensors.simulated import Simulation
 
 
 @dataclass(slots=True)
@@ -180,15 +187,22 @@ def _as_fast_as_it_goes(config: DroneConfig) -> bool:
     return fast[0]
 
 
-def make_simulation(config: DroneConfig, clock: Clock) -> Simulation | None:
+def make_simulation(config: DroneConfig, clock: Clock) -> SimulatedSources | None:
+    """Opened by whatever is registered for `sim`; an agent in the air never loads it."""
     if not config.camera.simulated:
         return None
-    from swarmtrack.sensors.simulated import open_simulation  # noqa: PLC0415
+    source = config.camera.source
+    registered = entry_points(group=SIMULATIONS, name="sim")
+    if not registered:
+        raise SourceError(
+            f"camera.source {source}: no simulator is registered for sim://, expected swarmtrack's own: install "
+            "swarmtrack again"
+        )
+    open_simulation: OpenSimulation = next(iter(registered)).load()
+    return open_simulation(source, config.drone.id, clock)
 
-    return open_simulation(config.camera.source, config.drone.id, clock)
 
-
-def mount(section: CameraSection, simulation: Simulation | None) -> MountedCamera:
+def mount(section: CameraSection, simulation: SimulatedSources | None) -> MountedCamera:
     """The calibrated camera that a table [camera] describes, or that is simulated."""
     if simulation is None:
         return mount_camera(section)
@@ -197,13 +211,13 @@ def mount(section: CameraSection, simulation: Simulation | None) -> MountedCamer
 
 
 def make_camera(
-    section: CameraSection, mounted: MountedCamera, clock: Clock, simulation: Simulation | None
+    section: CameraSection, mounted: MountedCamera, clock: Clock, simulation: SimulatedSources | None
 ) -> Camera | DetectionSource:
     if simulation is not None:
         return simulation.camera
     if section.detects_by_itself:
         return DetectionStream(parse_address(section.source), clock=clock)
-    from swarmtrack.sensors.cameras import open_camera  # noqa: PLC0415
+    from swarmtrack.camera_sources.opening import open_camera  # noqa: PLC0415
 
     return open_camera(section.source, clock=clock, size=(mounted.camera.width, mounted.camera.height))
 
@@ -216,7 +230,7 @@ def _refuse_video(config: DroneConfig) -> None:
         )
 
 
-def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
+def _start(config: DroneConfig, simulation: SimulatedSources | None) -> Pose | None:
     start = config.drone.start
     if start.source is not None:
         return None
@@ -228,7 +242,7 @@ def _start(config: DroneConfig, simulation: Simulation | None) -> Pose | None:
 def make_autopilot(
     config: DroneConfig,
     clock: Clock,
-    simulation: Simulation | None,
+    simulation: SimulatedSources | None,
     *,
     in_step: bool = False,
     engagement: PilotEngagement | None = None,
@@ -325,7 +339,7 @@ def _recorder(
 
 
 def _teammates(
-    config: DroneConfig, simulation: Simulation | None, hub: MemoryHub, clock: Clock
+    config: DroneConfig, simulation: SimulatedSources | None, hub: MemoryHub, clock: Clock
 ) -> list[tuple[Transport, Announcement]]:
     """In a simulation within one process the teammates have no agents: their announcements are made for them."""
     if simulation is None or config.network.transport != "memory":

@@ -6,18 +6,18 @@ import math
 import textwrap
 from pathlib import Path
 
+from swarmtrack.autopilot.address import parse_address as link_address
+from swarmtrack.camera_sources.address import parse_address as camera_address
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import CameraSection, DroneConfig, load_config
+from swarmtrack.config.drone import CameraSection, DroneConfig, load_config
+from swarmtrack.config.formation import fields_of_view
 from swarmtrack.diagnosis.findings import fault
 from swarmtrack.diagnosis.formation_drawing import as_svg, as_text
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan, HalfView
-from swarmtrack.formation_config import fields_of_view
+from swarmtrack.outputs.destinations import check_outputs
 from swarmtrack.runtime.assembly import Parts, assemble
-from swarmtrack.runtime.outputs import check_outputs
-from swarmtrack.sensors.camera_address import parse_address as camera_address
-from swarmtrack.sensors.mavlink.address import parse_address as link_address
 
 # What --check says of `autopilot.tell` beyond the harmless (docs/telling.md).
 DANGERS = {

@@ -7,12 +7,12 @@ from collections.abc import Collection
 
 import numpy as np
 
-from swarmtrack.config import DroneConfig
+from swarmtrack.config.drone import DroneConfig
+from swarmtrack.config.trajectories import read_trajectories
 from swarmtrack.errors import ConfigError
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import AgreedMotion, Announcement, Array
 from swarmtrack.motion.sway import LASTS_S, sway
-from swarmtrack.trajectory_file import read_trajectories
 
 # Of a code, Hz: between the samples it is 2 mm off at most.
 SAMPLED_HZ = 20.0

@@ -15,11 +15,11 @@ from swarmtrack.clock import Clock
 from swarmtrack.follower import Engagement, LocalSetpoint
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Frame, Input, LinkStatus, ScanReport, SightingReport, TrackList
+from swarmtrack.outputs.foxglove_scene import FoxgloveScene
+from swarmtrack.outputs.foxglove_views import FoxgloveViews, stamp
 from swarmtrack.recording import inputs, outputs, schemas
 from swarmtrack.recording.settings import FlightSettings, attachments, preface
 from swarmtrack.recording.writer import Bounds, Preface, Topic
-from swarmtrack.runtime.foxglove_scene import FoxgloveScene
-from swarmtrack.runtime.foxglove_views import FoxgloveViews, stamp
 from swarmtrack.runtime.recording_thread import Job, RecordingThread, Write, folder_name
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.records import as_record

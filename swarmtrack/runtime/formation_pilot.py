@@ -1,7 +1,7 @@
 """Flies a follower: ten decisions per second to its guard, while its pilot wants that.
 
 It never arms, takes off, lands, changes a mode or a parameter. It decides, and only while the pilot has it engaged
-(`sensors/mavlink/engagement.py`). What becomes of a decision is the guard's business (`swarmtrack/guard.py`): it alone
+(`autopilot/engagement.py`). What becomes of a decision is the guard's business (`swarmtrack/guard.py`): it alone
 sends set points, and ends the engagement where decisions stay away or go beyond the limits. Where the guard is gone
 nobody flies; it is started again on the ground.
 """
@@ -12,18 +12,18 @@ import asyncio
 import logging
 import math
 
+from swarmtrack.autopilot.engagement import EngagementStage, PilotEngagement
+from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
+from swarmtrack.autopilot.notices import Severity
 from swarmtrack.clock import Clock
 from swarmtrack.follower import Engagement, LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import Velocity, Why
 from swarmtrack.guard import Decision
 from swarmtrack.messages import LinkStatus
+from swarmtrack.outputs.pilot_notices import PilotNotices
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.guard_process import GuardLine
-from swarmtrack.runtime.pilot_notices import PilotNotices
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.engagement import EngagementStage, PilotEngagement
-from swarmtrack.sensors.mavlink.notices import Severity
 
 log = logging.getLogger(__name__)
 

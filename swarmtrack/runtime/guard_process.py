@@ -10,9 +10,9 @@ import sys
 from typing import NamedTuple, Protocol
 
 from swarmtrack import guard
+from swarmtrack.autopilot.mavlink_autopilot import WayToAutopilot
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.guard import Decision, GuardLimits
-from swarmtrack.sensors.mavlink.autopilot import WayToAutopilot
 
 log = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from swarmtrack.diagnosis.readiness import Readiness, judge
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.diagnosis.tracking import check_tracking, ratio_of, worst
 from swarmtrack.messages import Array, IdClash, LinkStatus, Membership, PeerDeparted
+from swarmtrack.outputs import periods
 from swarmtrack.perceived import Perceived
-from swarmtrack.runtime import periods
 from swarmtrack.runtime.meters import LatencyMeter, ProcessMeter, RateMeter
 from swarmtrack.wire.fields import VERSION
 from swarmtrack.wire.health import (

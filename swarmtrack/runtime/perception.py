@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.config import DetectorSection, DroneConfig, MountedCamera
+from swarmtrack.config.drone import DetectorSection, DroneConfig, MountedCamera
 from swarmtrack.follower import Follower
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from swarmtrack.clock import UTC_SIGMA, Clock
 from swarmtrack.messages import LinkStatus
-from swarmtrack.runtime import periods
-from swarmtrack.runtime.console import Console
+from swarmtrack.outputs import periods
+from swarmtrack.outputs.console import Console
+from swarmtrack.outputs.pilot_notices import PilotNotices
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.health_file import HealthFile
-from swarmtrack.runtime.pilot_notices import PilotNotices
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec

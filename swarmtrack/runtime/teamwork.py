@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from swarmtrack.autopilot.notices import Severity
 from swarmtrack.clock import UTC_SIGMA, Clock
 from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.geometry.pose import Pose
@@ -35,14 +36,13 @@ from swarmtrack.messages import (
     SightingReport,
 )
 from swarmtrack.motion.sway import next_begin, possible_begins
+from swarmtrack.outputs import periods
+from swarmtrack.outputs.pilot_notices import PilotNotices
 from swarmtrack.perceived import Perceived
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
-from swarmtrack.runtime import periods
 from swarmtrack.runtime.filed import coded_motion
 from swarmtrack.runtime.health import Health
-from swarmtrack.runtime.pilot_notices import PilotNotices
-from swarmtrack.sensors.mavlink.notices import Severity
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.camera import camera_message

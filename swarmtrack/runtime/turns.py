@@ -15,7 +15,7 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 
 from swarmtrack.messages import Frame
-from swarmtrack.sensors.base import AnnouncingCamera, Camera
+from swarmtrack.sources import AnnouncingCamera, Camera
 
 # s: a frame that was there and still is not decoded is not waited for by the other cameras.
 LONGEST_DECODE = 0.2

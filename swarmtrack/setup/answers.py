@@ -79,7 +79,7 @@ def angle(text: str) -> float:
 
 def calibration(text: str) -> CalibrationFile | None:
     """None: there is none yet."""
-    from swarmtrack.camera_files import load_calibration
+    from swarmtrack.config.camera_files import load_calibration
 
     if text == "-":
         return None
@@ -89,7 +89,7 @@ def calibration(text: str) -> CalibrationFile | None:
 
 def camera(text: str) -> str:
     """`usb`, or an address that can be one."""
-    from swarmtrack.sensors.camera_address import parse_address
+    from swarmtrack.camera_sources.address import parse_address
 
     if text != "usb":
         parse_address(text)
@@ -97,7 +97,7 @@ def camera(text: str) -> str:
 
 
 def wiring(text: str) -> Wiring:
-    from swarmtrack.sensors.mavlink.address import parse_address
+    from swarmtrack.autopilot.address import parse_address
 
     if text in WIRINGS:
         return WIRINGS[text]

@@ -8,7 +8,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
-from swarmtrack.config import DroneConfig
+from swarmtrack.config.drone import DroneConfig
 
 SAME_PLACE = 0.1  # m: nearer than this two drones do not stand beside each other
 

@@ -176,7 +176,7 @@ def _new_team(args: argparse.Namespace, questions: Questions) -> TeamPlan:
 
 def _team_of(file: Path, args: argparse.Namespace) -> TeamPlan:
     """A file of the team that is there stays as it is, and must be of the team that is told."""
-    from swarmtrack.config import load_team_config
+    from swarmtrack.config.drone import load_team_config
 
     name = load_team_config(file).network.team
     if args.team not in (None, name):

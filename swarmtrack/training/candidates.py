@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.detection.net import Net
 from swarmtrack.detection.second_stage import LEAST, SMALLEST, square
-from swarmtrack.evaluation.detector_score import by_centre
+from swarmtrack.lab.score.detector_score import by_centre
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.training.dataset import TrainingSample, cut_out
 from swarmtrack.training.labelled_images import Boxes, LabelledFrame

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.detection.description import LOOK_ALIKES
-from swarmtrack.evaluation.clip_score import TruthBoxes
+from swarmtrack.lab.score.clip_score import TruthBoxes
 from swarmtrack.training.labelled_images import NEGATIVE, DataError, LabelledFrame
 
 VIDEOS = (".mp4", ".avi", ".mkv")

@@ -32,7 +32,7 @@ from torch.nn import functional
 from swarmtrack.clock import SystemClock
 from swarmtrack.detection.odds import logit, probability
 from swarmtrack.detection.second_stage import HEAD, square
-from swarmtrack.evaluation.detector_score import Matches
+from swarmtrack.lab.score.detector_score import Matches
 from swarmtrack.training import render
 from swarmtrack.training.candidates import DRAWN, DRONE, KEPT, KEPT_AROUND, OTHER, Candidate
 from swarmtrack.training.export import write_onnx

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from swarmtrack.calibration.box_width import level_width
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.lab.scenarios.scenario import CAMERA, ScenarioCamera
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
+from swarmtrack.lab.world.airframe import Airframe
+from swarmtrack.lab.world.rendering import Optics, Renderer
+from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array
-from swarmtrack.simulation.airframe import Airframe
-from swarmtrack.simulation.rendering import Optics, Renderer
-from swarmtrack.simulation.scenarios import CAMERA, ScenarioCamera
-from swarmtrack.simulation.world import World
 from swarmtrack.training.labelled_images import LabelledFrame
 
 SIMULATED = "simulated"

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.evaluation.detector_score import ScoredImage, by_centre, match
+from swarmtrack.lab.score.detector_score import ScoredImage, by_centre, match
 from swarmtrack.training.labelled_images import LabelledFrame
 from swarmtrack.training.validation import SURE_RECALL, look, scores
 

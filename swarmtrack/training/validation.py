@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from swarmtrack.detection.detector import Detector
-from swarmtrack.evaluation import detector_score
-from swarmtrack.evaluation.detector_score import ScoredImage, by_centre, match
+from swarmtrack.lab.score import detector_score
+from swarmtrack.lab.score.detector_score import ScoredImage, by_centre, match
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training.feeding import TrainingError
 from swarmtrack.training.labelled_images import LabelledFrame

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import NetworkSection, load_team_config
+from swarmtrack.config.drone import NetworkSection, load_team_config
 from swarmtrack.errors import KeysError, TransportError
 from swarmtrack.plain_text import plain
 from swarmtrack.security import names

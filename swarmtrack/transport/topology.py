@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import socket
 
-from swarmtrack.config import NetworkSection
+from swarmtrack.config.drone import NetworkSection
 from swarmtrack.errors import TransportError
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials

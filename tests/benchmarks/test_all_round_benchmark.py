@@ -7,8 +7,8 @@ import pytest
 
 from swarmtrack.benchmarks import all_round
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm, oracle_eyes
-from swarmtrack.evaluation.swarm_score import Glance, NamedTrack
-from swarmtrack.scenario_file import load_scenario
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.score.swarm_score import Glance, NamedTrack
 
 
 def box(u: float) -> np.ndarray:

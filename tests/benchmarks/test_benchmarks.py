@@ -15,7 +15,7 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents.bench import BENCHMARKS
 from swarmtrack.benchmarks import agent_budget, lone_agent, real_clips, report, rotating_observer
 from swarmtrack.benchmarks.report import BenchmarkError
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.training import labelled_clips
 from swarmtrack.training.labelled_clips import find_clips, read_truth
 from swarmtrack.training.labelled_images import DataError, held_out

@@ -13,7 +13,7 @@ from swarmtrack.benchmarks.detection_noise import (
     separated,
     told_apart,
 )
-from swarmtrack.evaluation.clip_score import TruthBoxes
+from swarmtrack.lab.score.clip_score import TruthBoxes
 from swarmtrack.messages import Detections
 
 FLOOR, SIZE_NOISE, SCORE_NOISE = 0.3, 0.012, 0.03

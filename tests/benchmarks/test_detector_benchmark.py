@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from swarmtrack.agents.main import main
-from swarmtrack.evaluation import detector_score
-from swarmtrack.evaluation.detector_score import ScoredImage
+from swarmtrack.lab.score import detector_score
+from swarmtrack.lab.score.detector_score import ScoredImage
 from swarmtrack.messages import Detections
 from swarmtrack.training import render
 

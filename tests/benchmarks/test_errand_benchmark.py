@@ -14,10 +14,10 @@ from swarmtrack.benchmarks.errands import benchmark
 from swarmtrack.benchmarks.errands.benchmark import Programme, fly, scenario_of_seed, summary
 from swarmtrack.benchmarks.errands.judge import ClockRecord, FlightJudge
 from swarmtrack.benchmarks.virtual_swarm import Exposure, ObservedScan, VirtualSwarm
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
 from swarmtrack.messages import Array, IdentifiedTrack, Track, TrackList, TrackStatus
 from swarmtrack.motion.time_offset import OffsetEstimate
-from swarmtrack.simulation.scenarios import Scenario
 
 
 def clock(used_s: float, found: tuple[float, float] | None = None) -> SimpleNamespace:

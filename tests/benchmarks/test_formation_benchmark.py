@@ -5,10 +5,10 @@ import pytest
 
 from swarmtrack.benchmarks.formation import benchmark, flights
 from swarmtrack.benchmarks.formation.flights import FlightPlan, FormationFlight
-from swarmtrack.evaluation.formation_score import SlotErrors
 from swarmtrack.formation.plan import FormationPlan, neighbours_at_one_height, plan_faults
 from swarmtrack.formation.setpoint import Why
-from swarmtrack.simulation.star import arc
+from swarmtrack.lab.score.formation_score import SlotErrors
+from swarmtrack.lab.world.star import arc
 
 
 @pytest.mark.parametrize(("n", "gap_m"), [(3, 5.0), (5, 5.0), (8, 7.0)])

@@ -21,9 +21,9 @@ from swarmtrack.benchmarks.identity.experiment import (
     play,
     scores,
 )
-from swarmtrack.evaluation.intervals import fraction_interval
-from swarmtrack.evaluation.reliability import Stated, reliability_of
 from swarmtrack.identity.posterior import PRIOR
+from swarmtrack.lab.score.intervals import fraction_interval
+from swarmtrack.lab.score.reliability import Stated, reliability_of
 from swarmtrack.tracking.marginals import matching_marginals
 
 

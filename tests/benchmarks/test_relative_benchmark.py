@@ -9,12 +9,12 @@ import pytest
 from swarmtrack.benchmarks import relative, relative_flights
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
 from swarmtrack.geometry import rotation
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.world.sensors import EgoParameters
+from swarmtrack.lab.world.world import World
 from swarmtrack.messages import RelativeState
 from swarmtrack.motion.heading import HeadingSigma
 from swarmtrack.relative.parameters import RelativeParameters
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.sensors import EgoParameters
-from swarmtrack.simulation.world import World
 
 
 def test_the_table_has_a_row_for_each_kind_and_range(tmp_path):

@@ -8,9 +8,9 @@ import pytest
 from swarmtrack.benchmarks import rendered_eyes, scenery
 from swarmtrack.benchmarks.virtual_swarm import Exposure
 from swarmtrack.errors import ConfigError
-from swarmtrack.evaluation.swarm_score import Glance, NamedTrack
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.scenario_file import load_scenario
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.score.swarm_score import Glance, NamedTrack
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
 
 
 def watched(*tracks, in_view=None, hidden=None):

@@ -15,8 +15,8 @@ from swarmtrack.benchmarks.trackers.benchmark import Block, Entrant, play_all
 from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, make_tracker, play
 from swarmtrack.benchmarks.trackers.results import paired_ratio
 from swarmtrack.benchmarks.trackers.scenes import MOST_P_DETECTION, SCENES, film
-from swarmtrack.evaluation.paper_scenario import CONDITIONS
-from swarmtrack.evaluation.track_score import FAR_PX, StatedTracks, score_found, score_named
+from swarmtrack.lab.score.paper_scenario import CONDITIONS
+from swarmtrack.lab.score.track_score import FAR_PX, StatedTracks, score_found, score_named
 from swarmtrack.tracking import TRACKERS, Scan
 from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.motion_model import propagate

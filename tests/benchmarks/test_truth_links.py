@@ -16,14 +16,14 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.benchmarks.identity.recognition import Flight, judge
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm, oracle_eyes
-from swarmtrack.localswarm.truth_messages import ATTITUDE_QUATERNION, SIM_STATE, TruthReader
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.autopilot import SimulatedArduPilot
-from swarmtrack.simulation.followed import FollowedDrone
-from swarmtrack.simulation.scenarios import Scenario
-from swarmtrack.simulation.senses import DroneSenses
-from swarmtrack.simulation.truth import DroneTruth
-from swarmtrack.simulation.world import World
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
+from swarmtrack.lab.autopilots.senses import DroneSenses
+from swarmtrack.lab.autopilots.truth import DroneTruth
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.swarm.truth_messages import ATTITUDE_QUATERNION, SIM_STATE, TruthReader
+from swarmtrack.lab.world.followed import FollowedDrone
+from swarmtrack.lab.world.world import World
 
 TRUTH_PORT = 2
 BEGINS_S = (

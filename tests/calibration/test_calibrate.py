@@ -32,14 +32,14 @@ from swarmtrack.calibration.extrinsics import (
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.calibration.intrinsics import as_yaml, fit
 from swarmtrack.calibration.views import BoardViews
-from swarmtrack.camera_files import load_calibration
-from swarmtrack.config import load_config, mount_camera
+from swarmtrack.config.camera_files import load_calibration
+from swarmtrack.config.drone import load_config, mount_camera
 from swarmtrack.errors import CalibrationError, SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.lab.world.boards import BoardScene, board_poses
+from swarmtrack.lab.world.hand_turned import HandTurned, Room
 from swarmtrack.motion.hand_eye import GyroTurns, HandEye, Turns, compare, solve
-from swarmtrack.simulation.boards import BoardScene, board_poses
-from swarmtrack.simulation.hand_turned import HandTurned, Room
 
 FORWARD = rotation.BODY_FROM_FORWARD_CAMERA
 

@@ -13,13 +13,13 @@ from support.recorded_flight import BEGIN, fly
 from swarmtrack.agents.main import main
 from swarmtrack.calibration.box_width import level_width
 from swarmtrack.clock import ManualClock
-from swarmtrack.config import DroneConfig
+from swarmtrack.config.drone import DroneConfig
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.world.sensors import visible
 from swarmtrack.recording.reader import FLIGHT_PLAN, recordings_below
 from swarmtrack.recording.writer import Attachment
 from swarmtrack.replay.flight_widths import FlightWidths
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder, TruePose
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.sensors import visible
 
 SPAN = 0.5
 

@@ -24,7 +24,7 @@ from support.network_of_keys import Team, free_addresses
 from support.seen_swarm import LENS, UTC, seen, speaking
 from swarmtrack.client import Ranging, Swarm
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import NetworkSection
+from swarmtrack.config.drone import NetworkSection
 from swarmtrack.errors import KeysError, TransportError
 from swarmtrack.messages import RangeReport
 from swarmtrack.transport import topology

@@ -21,10 +21,10 @@ from swarmtrack.detection.attention import (
 )
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.heads import Candidates, of_several_looks, together
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
+from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.rendering import Renderer
 from swarmtrack.training import render
 
 IMAGE = (1280, 720)

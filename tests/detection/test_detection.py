@@ -20,7 +20,7 @@ from swarmtrack.detection.heads import Candidates, centernet, read, suppress
 from swarmtrack.detection.metadata import box_width_of
 from swarmtrack.detection.model import metadata_of, model_path
 from swarmtrack.errors import ModelError
-from swarmtrack.evaluation import detector_score
+from swarmtrack.lab.score import detector_score
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training import render
 from swarmtrack.training.labelled_clips import find_clips

@@ -12,10 +12,10 @@ from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
 from support.ports import free_port
 from swarmtrack.agents.main import main
+from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.diagnosis.autopilot_limits import ARDUPILOT, DEMANDS, PX4, Asked, asked_of, check_limits
 from swarmtrack.diagnosis.findings import Level
 from swarmtrack.formation.parameters import FlightLimits
-from swarmtrack.sensors.mavlink.parameters import ParameterReader
 
 ASKED = Asked(FlightLimits(), 6.0)
 GOOD = {

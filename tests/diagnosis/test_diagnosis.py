@@ -10,7 +10,7 @@ import pytest
 
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import MountedCamera, load_config
+from swarmtrack.config.drone import MountedCamera, load_config
 from swarmtrack.diagnosis.autopilot_limits import Asked, check_limits, unheard
 from swarmtrack.diagnosis.findings import FAULTS, Finding, Level, markdown_table, worst
 from swarmtrack.diagnosis.mounting import (

@@ -7,7 +7,7 @@ import pytest
 from swarmtrack.formation.divergence import AGREES_S, HOLDS_S, WITHIN_S, DivergenceWatch
 from swarmtrack.formation.law import towards
 from swarmtrack.formation.setpoint import STILL
-from swarmtrack.simulation.response import ARDUPILOT, PX4, STEP_S, SetPoint, advance, at_rest
+from swarmtrack.lab.world.response import ARDUPILOT, PX4, STEP_S, SetPoint, advance, at_rest
 
 DT = 0.1
 STEPS = {

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from swarmtrack.config.formation import fields_of_view
 from swarmtrack.formation.plan import (
     FormationPlan,
     HalfView,
@@ -11,7 +12,6 @@ from swarmtrack.formation.plan import (
     range_faults,
     view_faults,
 )
-from swarmtrack.formation_config import fields_of_view
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, from_euler

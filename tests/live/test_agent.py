@@ -20,10 +20,10 @@ from support.clips import shorten
 from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
+from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.scenario_file import load_scenario
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import GyroBiasHealth, HealthMessage, TimeOffsetHealth
 

@@ -22,7 +22,7 @@ from support.patience import PATIENCE
 from support.places import ROOT
 from support.streams import Script, Send, StreamServer, stream_server
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.diagnosis.findings import Level
 from swarmtrack.doctor.examination import examine
 from swarmtrack.recording.reader import recordings_below

@@ -23,9 +23,9 @@ import yaml
 from support.places import ROOT
 from swarmtrack.agents import simulator, vehicle
 from swarmtrack.agents.main import COMMANDS
-from swarmtrack.config import load_config, load_team_config, mount_camera
+from swarmtrack.config.drone import load_config, load_team_config, mount_camera
+from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.runtime.health_file import ENVIRONMENT
-from swarmtrack.scenario_file import load_scenario
 
 DOCKER, UNITS = ROOT / "docker", ROOT / "configs" / "systemd"
 DOCKERFILE = (DOCKER / "Dockerfile").read_text(encoding="utf-8")

@@ -28,7 +28,7 @@ from support.places import ROOT, V4L2_STAND_IN
 from support.ports import free_port
 from swarmtrack.agents import doctor
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.diagnosis.findings import Finding, Level
 from swarmtrack.diagnosis.mounting import check_motion
 from swarmtrack.diagnosis.sources import check_autopilot, check_camera, check_imu
@@ -37,8 +37,8 @@ from swarmtrack.doctor import examination, team
 from swarmtrack.doctor.examination import examine
 from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.geometry import rotation
-from swarmtrack.simulation.channel import Channel
-from swarmtrack.simulation.hand_turned import HandTurned, Room
+from swarmtrack.lab.autopilots.channel import Channel
+from swarmtrack.lab.world.hand_turned import HandTurned, Room
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 

@@ -19,7 +19,7 @@ import pytest
 
 from support.patience import PATIENCE
 from support.team_in_the_air import Look, Team, team_in_the_air
-from swarmtrack.localswarm.radio import RadioError
+from swarmtrack.lab.swarm.radio import RadioError
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 

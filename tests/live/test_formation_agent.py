@@ -13,7 +13,7 @@ from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.patience import PATIENCE
 from support.ports import free_port
 from swarmtrack.agents import main as swarmtrack
-from swarmtrack.simulation.firmware import FlightMode
+from swarmtrack.lab.autopilots.firmware import FlightMode
 
 CONFIG = """
 [team]

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from swarmtrack.evaluation.swarm_verdict import BUSY
+from swarmtrack.lab.score.swarm_verdict import BUSY
 
 PAIR = """
 about = "one drone follows another by sight"

@@ -22,8 +22,8 @@ from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents import simulator
-from swarmtrack.localswarm.configs import Sources, write_configs
-from swarmtrack.scenario_file import load_scenario
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.swarm.configs import Sources, write_configs
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 

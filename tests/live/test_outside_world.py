@@ -24,10 +24,10 @@ from support.places import DOCS, ROOT
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.agents import main as swarmtrack
-from swarmtrack.evaluation.swarm_verdict import BUSY
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.score.swarm_verdict import BUSY
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, read_truth
-from swarmtrack.scenario_file import load_scenario
 
 LENGTHS = (6, 24)  # s: the second where the machine is so busy that the first flight was over too soon
 

@@ -25,18 +25,18 @@ from support.autopilot_flight import RealFlight
 from support.patience import PATIENCE, eventually
 from support.places import ROOT
 from support.streams import first
+from swarmtrack.camera_sources.address import parse_address
+from swarmtrack.camera_sources.detection_stream import DetectionStream
+from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.geodesy import Geodetic, to_ned
-from swarmtrack.localswarm.truth_feed import follow_truth
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.scenarios.scenario import as_told
+from swarmtrack.lab.swarm.truth_feed import follow_truth
+from swarmtrack.lab.world.rendering import Renderer
+from swarmtrack.lab.world.sensors import Imu, visible
 from swarmtrack.messages import Detections, EgoPose, Frame, ImuSample
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.sensors.base import Camera, DetectionSource
-from swarmtrack.sensors.camera_address import parse_address
-from swarmtrack.sensors.cameras import open_camera
-from swarmtrack.sensors.detection_stream import DetectionStream
-from swarmtrack.simulation.rendering import Renderer
-from swarmtrack.simulation.scenarios import as_told
-from swarmtrack.simulation.sensors import Imu, visible
+from swarmtrack.sources import Camera, DetectionSource
 
 # Detections that are exactly the truth, from drones that turn and fly from the start.
 EXACT = """

@@ -26,12 +26,12 @@ from support.places import ROOT
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.agents import main as swarmtrack
-from swarmtrack.config import load_config, mount_camera
+from swarmtrack.config.drone import load_config, mount_camera
 from swarmtrack.errors import RecordingError
-from swarmtrack.localswarm.configs import RadioEnds, Sources, write_configs
-from swarmtrack.localswarm.processes import Children
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.swarm.configs import RadioEnds, Sources, write_configs
+from swarmtrack.lab.swarm.processes import Children
 from swarmtrack.recording.reader import recordings_below
-from swarmtrack.scenario_file import load_scenario
 
 LENGTHS = ("4", "16", "64")  # s: the next one where the machine is so busy that the flight was over too soon
 
@@ -87,7 +87,7 @@ async def test_a_child_that_ends_by_itself_is_told_of_and_one_that_we_end_is_not
 
 
 async def test_a_child_that_does_not_listen_is_killed(tmp_path, monkeypatch):
-    monkeypatch.setattr("swarmtrack.localswarm.processes.STOP_S", 0.2)
+    monkeypatch.setattr("swarmtrack.lab.swarm.processes.STOP_S", 0.2)
     async with Children(tmp_path, keep=True) as children:
         deaf = "import signal, time; signal.signal(15, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)"
         child = await children.start("deaf one", [sys.executable, "-c", deaf], talks=True)
@@ -103,7 +103,7 @@ def test_a_module_runs_on_a_clock_that_is_wrong(tmp_path):
         "print(SystemClock().utc(), SystemClock().now() - time.monotonic(), sys.argv[1:], __name__)\n"
     )
     said = subprocess.run(
-        [sys.executable, "-m", "swarmtrack.localswarm.skewed_clock", "-7200", "tells", "--config", "x"],
+        [sys.executable, "-m", "swarmtrack.lab.swarm.skewed_clock", "-7200", "tells", "--config", "x"],
         env={**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}"},
         capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
@@ -326,7 +326,7 @@ def test_wrong_usage_says_what_was_expected_and_starts_nothing(tmp_path, argumen
 def test_a_scripted_radio_that_cannot_be_made_here_is_said_before_anything_starts(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr("swarmtrack.localswarm.radio.PROGRAMS", ("no-such-program",))
+    monkeypatch.setattr("swarmtrack.lab.swarm.radio.PROGRAMS", ("no-such-program",))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert swarmtrack.main(["sim", "--scenario", "lossy-radio", "--detector", "oracle"]) == 1
     said = capsys.readouterr()

@@ -8,10 +8,10 @@ import re
 from support.patience import eventually
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import TransportError
-from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.monitor import live
 from swarmtrack.monitor.live import LiveFeed
 from swarmtrack.monitor.team import START_ONE, STARTING, MonitoredTeam
+from swarmtrack.outputs.flight_end import FlightEnd
 from swarmtrack.transport.base import Sample
 from swarmtrack.transport.listening import hint_at, other_teams
 

@@ -17,13 +17,13 @@ pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 from support import golden_bytes
 from support.seen_swarm import LENS, UTC, healthy, seen
 from swarmtrack.clock import ManualClock
-from swarmtrack.evaluation.flight_end import FlightEnd
 from swarmtrack.monitor import live
 from swarmtrack.monitor import team as monitored
 from swarmtrack.monitor.live import LiveFeed
 from swarmtrack.monitor.player import Playback, RecordingPlayer
 from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.monitor.timeline import BlobFile, Timeline, TimelineEvent
+from swarmtrack.outputs.flight_end import FlightEnd
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec

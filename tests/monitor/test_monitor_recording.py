@@ -31,6 +31,7 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import RecordingError
+from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.monitor.overlay import boxes
 from swarmtrack.monitor.own_recording import DroneRecording
 from swarmtrack.monitor.player import STEP_S, Playback, RecordingPlayer
@@ -38,7 +39,6 @@ from swarmtrack.monitor.recorded import read_timeline
 from swarmtrack.monitor.timeline import BlobFile
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
-from swarmtrack.scenario_file import load_scenario
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec

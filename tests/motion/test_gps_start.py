@@ -14,20 +14,20 @@ from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.patience import PATIENCE
 from support.ports import free_port
+from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.errors import ConfigError
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
+from swarmtrack.lab.autopilots.senses import DroneSenses, GpsFix
+from swarmtrack.lab.world.trajectory import Lissajous, SteadyYaw, Trajectory
+from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Announcement, EgoPose
 from swarmtrack.motion.ego import EgoHistory
+from swarmtrack.outputs.console import Console
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.console import Console
-from swarmtrack.sensors.mavlink.global_position import GlobalPosition
-from swarmtrack.simulation.autopilot import SimulatedArduPilot
-from swarmtrack.simulation.senses import DroneSenses, GpsFix
-from swarmtrack.simulation.trajectory import Lissajous, SteadyYaw, Trajectory
-from swarmtrack.simulation.world import World
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
 ORIGIN = Geodetic.from_degrees(47.3977, 8.5456, 488.0)

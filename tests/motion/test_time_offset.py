@@ -14,13 +14,13 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.lab.world.trajectory import STANDARD_GRAVITY
 from swarmtrack.messages import Detections, ImuSample, Scan
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import SURE, TAUS, CameraClock, OffsetEstimate, _agreed, to_use
 from swarmtrack.onboard import Onboard, OnboardCamera
-from swarmtrack.simulation.trajectory import STANDARD_GRAVITY
 from swarmtrack.tracking import create_tracker
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)

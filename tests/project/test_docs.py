@@ -22,8 +22,8 @@ import pytest
 from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents import bench, main, vehicle
-from swarmtrack.config import load_config, load_team_config
-from swarmtrack.localswarm.world_file import load_world
+from swarmtrack.config.drone import load_config, load_team_config
+from swarmtrack.lab.swarm.world_file import load_world
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROGRAMS = ("swarmtrack", "swarmtrack-agent")

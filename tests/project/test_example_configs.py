@@ -14,7 +14,7 @@ import pytest
 from support.fake_autopilot import FakeAutopilot
 from support.places import ROOT
 from swarmtrack.agents.main import main
-from swarmtrack.config import load_config, load_team_config
+from swarmtrack.config.drone import load_config, load_team_config
 from swarmtrack.setup.team_check import contradictions
 
 CONFIGS = ROOT / "configs"

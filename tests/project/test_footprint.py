@@ -15,10 +15,10 @@ INTRINSICS = "{ fx = 430.0, fy = 430.0, cx = 319.5, cy = 239.5, width = 640, hei
 LOADED = """
 import json, sys
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.console import Console
+from swarmtrack.outputs.console import Console
 assemble(load_config(sys.argv[1]), SystemClock())
 print(json.dumps(sorted(sys.modules)))
 """

@@ -17,14 +17,16 @@ LAYERS: list[set[str]] = [
     {"errors", "messages", "clock", "arguments", "plain_text", "log_lines", "guard", "mavlink_dialect"},
     {"geometry"},
     {"motion", "tracking", "identity", "relative", "formation"},
+    {"cameras"},
     {"onboard", "perceived", "follower"},
-    {"simulation", "evaluation"},
-    {"toml", "wire", "security", "camera_files", "trajectory_file"},
-    {"team_config", "formation_config", "config", "scenario_file"},
-    {"detection", "sensors", "transport", "recording", "calibration"},
-    {"diagnosis"},
-    {"training", "runtime"},
-    {"localswarm", "doctor", "setup"},
+    {"wire", "security"},
+    {"config"},
+    {"sources", "detection", "camera_sources", "autopilot", "transport", "recording", "calibration"},
+    {"diagnosis", "outputs"},
+    {"runtime"},
+    {"doctor", "setup"},
+    {"lab.world", "lab.score", "lab.autopilots", "lab.scenarios", "lab.sources"},
+    {"training", "lab.swarm"},
     {"replay"},
     {"monitor", "client"},
     {"benchmarks"},
@@ -36,7 +38,7 @@ CORE = {
     "onboard", "perceived", "follower",
 }  # fmt: skip
 # What judges and says, and touches nothing: facts in, sentences out.
-JUDGES = {"diagnosis", "evaluation", "monitor.verdict", "monitor.team", "monitor.timeline"}
+JUDGES = {"diagnosis", "lab.score", "monitor.verdict", "monitor.team", "monitor.timeline"}
 TOUCHES_THE_WORLD = {
     "asyncio",
     "threading",
@@ -101,8 +103,8 @@ def imports(name: str) -> frozenset[str]:
 
 
 def package(name: str) -> str:
-    """The room: `monitor` of `monitor.team`; a module that stands alone is one by itself."""
-    return name.split(".", maxsplit=1)[0]
+    """The room: `monitor` of `monitor.team`, `lab.world` of `lab.world.airframe`; a module that stands alone is one."""
+    return ".".join(name.split(".")[: 2 if name.startswith("lab.") else 1])
 
 
 def layer(name: str) -> int:
@@ -114,7 +116,7 @@ def ours(names: Set[str]) -> set[str]:
 
 
 def test_every_module_has_its_layer():
-    assert {name.split(".")[0] for name in MODULES} <= set(LAYER)
+    assert {package(name) for name in MODULES} - {"lab"} <= set(LAYER)
     assert {"errors", "messages", "geometry.camera", "clock"} <= set(MODULES)  # the search finds modules
 
 
@@ -124,10 +126,34 @@ def test_nothing_imports_from_a_layer_above(name):
     assert not above, f"{name} imports {', '.join(sorted(above))}, which stand above it"
 
 
+def reached_from(name: str) -> set[str]:
+    """Every module that a module imports, by itself or by what it imports."""
+    reached, waiting = set(), [name]
+    while waiting:
+        for other in imports(waiting.pop()) - reached:
+            reached.add(other)
+            if other in MODULES:
+                waiting.append(other)
+    return reached
+
+
+def test_what_flies_does_not_reach_the_lab():
+    flying = [name for name in MODULES if layer_of_flight(name)]
+    assert "runtime.agent" in flying
+    for name in flying:
+        lab = {other for other in reached_from(name) if other.startswith("lab.")}
+        assert not lab, f"{name} imports, by itself or by what it imports, {', '.join(sorted(lab))}"
+
+
+def layer_of_flight(name: str) -> bool:
+    """Whether a module is in a layer below the lab's; the programs on top open simulated sources by name."""
+    return name != "lab" and layer(name) < LAYER["lab.world"]
+
+
 def test_the_page_on_rooms_lists_every_room_from_the_bottom_up():
     page = (ROOT / "docs" / "decisions" / "0015-rooms.md").read_text(encoding="utf-8")
     rows = [row for row in page.splitlines() if row.startswith("| ") and "`" in row]
-    rooms = re.findall(r"`(\w+)`", "\n".join(rows))
+    rooms = re.findall(r"`([\w.]+)`", "\n".join(rows))
     assert sorted(rooms) == sorted(LAYER)
     assert [LAYER[room] for room in rooms] == sorted(LAYER.values())
 
@@ -157,12 +183,7 @@ def test_agents_holds_programs_only_one_file_each():
     "name", sorted(name for name in MODULES if name in JUDGES or package(name) in JUDGES)
 )
 def test_a_judge_imports_nothing_that_touches_the_world(name):
-    reached, waiting = set(), [name]
-    while waiting:
-        for other in imports(waiting.pop()) - reached:
-            reached.add(other)
-            if other in MODULES:
-                waiting.append(other)
+    reached = reached_from(name)
     touched = {other.split(".")[0] for other in reached - set(MODULES)} & TOUCHES_THE_WORLD
     assert not touched, f"{name} imports, by itself or by what it imports, {', '.join(sorted(touched))}"
 
@@ -178,7 +199,7 @@ def test_the_core_imports_only_numpy_scipy_and_what_is_pure(name):
 @pytest.mark.parametrize("name", sorted(name for name in MODULES if not name.startswith("benchmarks")))
 def test_only_one_module_reads_a_clock(name):
     # The second sets wrong what the first reads; the third is a program of its own, of the standard library alone.
-    if name in ("clock", "localswarm.skewed_clock", "guard"):
+    if name in ("clock", "lab.swarm.skewed_clock", "guard"):
         return
     clocks = CLOCKS - STOPWATCHES if name.startswith("training") else CLOCKS
     reads = set()

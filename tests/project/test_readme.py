@@ -14,7 +14,7 @@ import pytest
 
 from support.patience import PATIENCE
 from support.places import ROOT
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BENCHMARKS_PAGE = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")

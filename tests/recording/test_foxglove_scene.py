@@ -17,9 +17,9 @@ from support.recorded_flight import fly
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA, from_euler, from_quaternion
+from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.messages import IdentifiedTrack, RelativeState, ScanReport, Track, TrackList, TrackStatus
-from swarmtrack.runtime.foxglove_scene import CALIBRATIONS, FoxgloveScene, calibration
-from swarmtrack.scenario_file import load_scenario
+from swarmtrack.outputs.foxglove_scene import CALIBRATIONS, FoxgloveScene, calibration
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pytest
 
 from support.recorded_flight import BEGIN, fly
 from swarmtrack.agents.main import main
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.world.sensors import visible
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.replay.flight_labels import Body, FlightLabels
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.sensors import visible
 from swarmtrack.training.labelled_images import load_frames
 
 WITH_PICTURES = '\n[recording]\nframes = "jpeg"\nframes_hz = 50.0\n'

@@ -25,15 +25,15 @@ pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 
 from support.recorded_flight import SAID, fly
 from swarmtrack.agents import main as swarmtrack
-from swarmtrack.config import load_config
-from swarmtrack.evaluation.replay_diff import ConfirmedTrack, SeenScan, compare
-from swarmtrack.evaluation.swarm_verdict import Limits
+from swarmtrack.config.drone import load_config
 from swarmtrack.formation.setpoint import Why
+from swarmtrack.lab.score.swarm_verdict import Limits
 from swarmtrack.recording import inputs
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.repair import repair
 from swarmtrack.recording.settings import BOXES_OF_OLD, read_settings
 from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.replay.diff import ConfirmedTrack, SeenScan, compare
 from swarmtrack.replay.replayer import Replayer
 from swarmtrack.runtime import perception
 

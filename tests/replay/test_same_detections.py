@@ -15,18 +15,18 @@ pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 from support.drone_on_the_bench import written
 from swarmtrack.agents.import_flight import BEGIN_S, DETECTOR_S, import_flight
 from swarmtrack.clock import ManualClock, SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.world.rendering import Renderer
+from swarmtrack.lab.world.sensors import Imu, ImuParameters
 from swarmtrack.messages import Frame, LinkStatus, StampKind
+from swarmtrack.outputs.console import Console
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.recording.settings import read_settings
 from swarmtrack.replay.replayer import Replayer
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.perception import make_detector
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.rendering import Renderer
-from swarmtrack.simulation.sensors import Imu, ImuParameters
 
 FRAMES, FPS, IMU_HZ = 24, 15.0, 200.0
 FROM_S = 5.0  # of the scenario, where the swing is at its full

@@ -12,15 +12,15 @@ from support.autopilot_flight import Flight, RealFlight
 from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
 from support.inline_guard import InlineGuard
 from support.ports import free_port
+from swarmtrack.autopilot.engagement import EngagementStage, PilotEngagement
 from swarmtrack.clock import SystemClock
 from swarmtrack.follower import LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.guard import DEAD_S, STALE_S
+from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4, FlightMode
 from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.runtime.guard_process import GuardProcess
-from swarmtrack.sensors.mavlink.engagement import EngagementStage, PilotEngagement
-from swarmtrack.simulation.firmware import ARDUCOPTER, PX4, FlightMode
 
 PLACE = FormationParameters(
     drone_id=2, leader=1, slots={1: (0.0, 0.0, 0.0), 2: (-4.0, 3.0, -1.0)}, references=(1,), height=5.0

@@ -9,12 +9,12 @@ from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.patience import PATIENCE
 from support.ports import free_port
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.messages import AgreedMotion
 from swarmtrack.motion.sway import BEGINS_EVERY_S
+from swarmtrack.outputs.console import Console
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.console import Console
 
 CONFIG = """
 drone.id = 1

@@ -14,19 +14,19 @@ import pytest
 from support.autopilot_flight import Flight
 from support.fake_autopilot import FakePx4
 from support.inline_guard import InlineGuard
+from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.follower import LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.geometry.geodesy import Geodetic
+from swarmtrack.lab.autopilots.firmware import PX4, FlightMode
+from swarmtrack.lab.autopilots.pilot import GuidedPilot
+from swarmtrack.lab.autopilots.senses import LastingErrors
+from swarmtrack.lab.world.guided import GuidedDrone
+from swarmtrack.lab.world.response import PX4 as RESPONSE
+from swarmtrack.lab.world.trajectory import wander
 from swarmtrack.runtime.formation_pilot import FormationPilot
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.engagement import PilotEngagement
-from swarmtrack.simulation.firmware import PX4, FlightMode
-from swarmtrack.simulation.guided import GuidedDrone
-from swarmtrack.simulation.pilot import GuidedPilot
-from swarmtrack.simulation.response import PX4 as RESPONSE
-from swarmtrack.simulation.senses import LastingErrors
-from swarmtrack.simulation.trajectory import wander
 
 ORIGIN = Geodetic.from_degrees(47.4, 8.5, 400.0)
 START = (0.0, 0.0, -10.0)

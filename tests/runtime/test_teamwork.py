@@ -10,7 +10,8 @@ import pytest
 from support.patience import PATIENCE
 from support.ports import free_port
 from swarmtrack.clock import ManualClock, SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
+from swarmtrack.config.team import TeamSection
 from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.messages import (
     Announcement,
@@ -29,7 +30,6 @@ from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import EVENTS_KEPT
 from swarmtrack.runtime.teamwork import LINES, Teamwork
-from swarmtrack.team_config import TeamSection
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
 CONFIG = """

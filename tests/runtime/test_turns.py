@@ -7,10 +7,10 @@ from collections.abc import AsyncIterator
 
 import numpy as np
 
+from swarmtrack.camera_sources.frame_slot import BadImage, FrameSlot, RawFrame
 from swarmtrack.clock import ManualClock
 from swarmtrack.messages import Frame, LinkStatus, StampKind
 from swarmtrack.runtime.turns import FairTurns, NewestFrames, in_order
-from swarmtrack.sensors.frame_slot import BadImage, FrameSlot, RawFrame
 
 IMAGE = np.zeros((8, 8, 3), np.uint8)
 

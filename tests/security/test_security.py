@@ -35,7 +35,7 @@ from support.network_of_keys import (
     now,
 )
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import NetworkSection
+from swarmtrack.config.drone import NetworkSection
 from swarmtrack.messages import IdClash, PeerArrived, PeerDeparted, PeerEvent, PeerExpelled
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, topology

@@ -15,7 +15,7 @@ import pytest
 from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents.main import main
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.setup.answers import WIRINGS
 from swarmtrack.setup.example import SHOWN, example
 from swarmtrack.setup.reference import json_schema, reference, referred, tables

@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable
 from typing import Any, Self
 
+from swarmtrack.autopilot.address import LinkAddress
+from swarmtrack.autopilot.links import Receiver, Wire
+from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.clock import ManualClock, SystemClock
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
 from swarmtrack.messages import EgoPose, FlightState, ImuSample
-from swarmtrack.sensors.mavlink.address import LinkAddress
-from swarmtrack.sensors.mavlink.autopilot import MavlinkAutopilot
-from swarmtrack.sensors.mavlink.links import Receiver, Wire
-from swarmtrack.simulation.autopilot import SimulatedArduPilot
 
 PATIENCE = 60.0  # s: far beyond what anything here takes, on however slow a machine
 

@@ -12,10 +12,10 @@ import numpy as np
 from aiohttp import web
 
 from support.fake_autopilot import FakeAutopilot
+from swarmtrack.autopilot.gyro_delay import INS_GYRO_FILTER, low_pass_delay
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.sensors.mavlink.gyro_delay import INS_GYRO_FILTER, low_pass_delay
-from swarmtrack.simulation.hand_turned import HandTurned
-from swarmtrack.simulation.senses import Inertial, SensedState
+from swarmtrack.lab.autopilots.senses import Inertial, SensedState
+from swarmtrack.lab.world.hand_turned import HandTurned
 
 SMALL = PinholeCamera(160.0, 160.0, 79.5, 59.5, 160, 120)
 NUMBERS = "{ fx = 160.0, fy = 160.0, cx = 79.5, cy = 59.5, width = 160, height = 120 }"

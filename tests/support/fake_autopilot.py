@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.simulation.autopilot import SimulatedArduPilot, SimulatedVehicle
-from swarmtrack.simulation.channel import Channel
-from swarmtrack.simulation.px4 import SimulatedPx4
-from swarmtrack.simulation.senses import GpsFix, Inertial, SensedState
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot, SimulatedVehicle
+from swarmtrack.lab.autopilots.channel import Channel
+from swarmtrack.lab.autopilots.px4 import SimulatedPx4
+from swarmtrack.lab.autopilots.senses import GpsFix, Inertial, SensedState
 
 SIGNING_BEGINS = 1_420_070_400  # s UTC: 2015-01-01
 

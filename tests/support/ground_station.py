@@ -8,7 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega
 
-from swarmtrack.simulation.autopilot import SimulatedVehicle
+from swarmtrack.lab.autopilots.autopilot import SimulatedVehicle
 
 COMPANION, GROUND = 0, 1
 GROUND_STATION = 255

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from swarmtrack.clock import ManualClock, SystemClock
-from swarmtrack.config import load_config, mount_camera
+from swarmtrack.config.drone import load_config, mount_camera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import (
     Announcement,

@@ -12,9 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from swarmtrack.clock import ManualClock, SystemClock
-from swarmtrack.config import load_config, mount_camera
+from swarmtrack.config.drone import load_config, mount_camera
 from swarmtrack.follower import Engagement
-from swarmtrack.localswarm.configs import Sources, write_configs
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.swarm.configs import Sources, write_configs
+from swarmtrack.lab.world.sensors import Ego, EgoParameters, Imu, ImuParameters, detect, visible
 from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
@@ -31,8 +33,6 @@ from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.flight_recorder import FlightRecorder
 from swarmtrack.runtime.perception import make_follower, make_onboard
-from swarmtrack.scenario_file import load_scenario
-from swarmtrack.simulation.sensors import Ego, EgoParameters, Imu, ImuParameters, detect, visible
 
 LATENCY_S = 0.08
 # With RTK, so that pictures can be labelled by it.

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from swarmtrack.camera_sources.newest_slot import NewestSlot
 from swarmtrack.clock import ManualClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.messages import Detections, Frame, ImuSample, LinkStatus, StampKind
+from swarmtrack.outputs.console import Console
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.console import Console
 from swarmtrack.runtime.systemd import Notifier
-from swarmtrack.sensors.newest_slot import NewestSlot
 from swarmtrack.transport import keys
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 from swarmtrack.wire import codec

@@ -11,7 +11,7 @@ import pytest
 from aiohttp import web
 
 from support.patience import PATIENCE
-from swarmtrack.sensors.base import Camera, DetectionSource
+from swarmtrack.sources import Camera, DetectionSource
 
 Send = Callable[[bytes], Awaitable[None]]
 Script = Callable[[Send], Awaitable[None]]

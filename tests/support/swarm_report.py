@@ -3,8 +3,8 @@
 import math
 from dataclasses import replace
 
-from swarmtrack.evaluation.swarm_score import SwarmScore
-from swarmtrack.evaluation.swarm_verdict import AgentFigures, Limits, SwarmReport
+from swarmtrack.lab.score.swarm_score import SwarmScore
+from swarmtrack.lab.score.swarm_verdict import AgentFigures, Limits, SwarmReport
 
 GOOD_SCORE = SwarmScore(
     samples=400,

@@ -26,13 +26,13 @@ from pathlib import Path
 from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import NetworkSection
-from swarmtrack.evaluation.swarm_score import MIN_HIT_RADIUS
-from swarmtrack.evaluation.swarm_truth import SwarmTruth
-from swarmtrack.localswarm.configs import Sources, write_configs
-from swarmtrack.localswarm.radio import RadioEmulator
+from swarmtrack.config.drone import NetworkSection
+from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.lab.score.swarm_score import MIN_HIT_RADIUS
+from swarmtrack.lab.score.swarm_truth import SwarmTruth
+from swarmtrack.lab.swarm.configs import Sources, write_configs
+from swarmtrack.lab.swarm.radio import RadioEmulator
 from swarmtrack.messages import Array
-from swarmtrack.scenario_file import load_scenario
 from swarmtrack.security import names
 from swarmtrack.security.authority import create_authority, open_authority
 from swarmtrack.security.loading import load_credentials
@@ -202,7 +202,7 @@ class Team:
         self._clock_off_s[name] = clock_off_s
         module = ["swarmtrack.agents.vehicle", "--config", str(path), "--quiet", "--log", "info"]
         if clock_off_s:
-            module = ["swarmtrack.localswarm.skewed_clock", repr(clock_off_s), *module]
+            module = ["swarmtrack.lab.swarm.skewed_clock", repr(clock_off_s), *module]
         process = await asyncio.create_subprocess_exec(
             *self.emulator.wrap(drone, [sys.executable, "-m", *module]),
             stdin=DEVNULL,

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.geodesy import Geodetic
-from swarmtrack.simulation.autopilot import SimulatedArduPilot
-from swarmtrack.simulation.scenarios import ORIGIN, SteadyYaw, Trajectory
-from swarmtrack.simulation.senses import DroneSenses
-from swarmtrack.simulation.trajectory import Lissajous
-from swarmtrack.simulation.truth import DroneTruth
-from swarmtrack.simulation.world import World
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
+from swarmtrack.lab.autopilots.senses import DroneSenses
+from swarmtrack.lab.autopilots.truth import DroneTruth
+from swarmtrack.lab.scenarios.scenario import ORIGIN, SteadyYaw, Trajectory
+from swarmtrack.lab.world.trajectory import Lissajous
+from swarmtrack.lab.world.world import World
 
 TICK = 0.004  # s
 PATH = Lissajous((2.0, 0.0, -5.0), (1.0, 0.0, 0.0), (0.1, 0.0, 0.0))

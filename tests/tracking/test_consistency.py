@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from swarmtrack.clock import SystemClock
-from swarmtrack.config import load_config
+from swarmtrack.config.drone import load_config
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Detections
 from swarmtrack.runtime.agent import make_health

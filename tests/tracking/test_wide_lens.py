@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from swarmtrack.cameras.rig import Rig, RigCamera
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -13,7 +14,6 @@ from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_tracker, create_trackers
 from swarmtrack.tracking.lifecycle import probability_in_view, within_reach
 from swarmtrack.tracking.motion_model import POSITION, propagate, turn_by_flow, turn_exactly, turn_into
-from swarmtrack.tracking.rig import Rig, RigCamera
 from swarmtrack.tracking.scan import make_scan
 
 # 190 degrees across 640 px.

@@ -12,7 +12,7 @@ from support.labelled_pictures import data_directory
 from swarmtrack.agents.main import main
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.heads import centernet
-from swarmtrack.evaluation import detector_score
+from swarmtrack.lab.score import detector_score
 from swarmtrack.messages import Detections, Frame, StampKind
 from swarmtrack.training import dataset, render
 from swarmtrack.training.dataset import Recipe, SampleSource

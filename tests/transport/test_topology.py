@@ -21,7 +21,7 @@ from support.places import ROOT
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from support.network_of_keys import Drone, Team, free_addresses
-from swarmtrack.config import NetworkSection, load_team_config
+from swarmtrack.config.drone import NetworkSection, load_team_config
 from swarmtrack.errors import ConfigError, TransportError
 from swarmtrack.security.roster import Roster
 from swarmtrack.transport import topology

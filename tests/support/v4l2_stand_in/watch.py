@@ -12,8 +12,8 @@ import resource
 import sys
 import time
 
+from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.clock import SystemClock
-from swarmtrack.sensors.cameras import open_camera
 
 
 def say(**words: object) -> None:

@@ -1,0 +1,157 @@
+"""How late the gyro of an autopilot is: told by its kind, until the autopilot itself has been asked.
+
+ArduPilot sends its gyro after INS_GYRO_FILTER, a two-pole Butterworth low-pass. Motion far below the corner f passes it
+late by √2/(2πf), 11 ms at 20 Hz. PX4 sends the mean over one interval of integration, stamped at its end, which is late
+by half of 1/IMU_INTEG_RATE; the rates next to its attitude have passed IMU_GYRO_CUTOFF, another two poles. An attitude
+is the estimator's, which integrates every sample: it is not late, and is left alone.
+
+A parameter is asked for by PARAM_REQUEST_READ, once for each start of the autopilot. Nothing is ever written.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import common
+
+from swarmtrack.autopilot.parameters import ParameterReader
+from swarmtrack.autopilot.streams import ATTITUDE_QUATERNION
+
+log = logging.getLogger(__package__)
+
+ASK_EVERY = 1.0  # s
+ATTEMPTS = 5  # an ArduPilot that boots answers when it has read its storage
+# s, one sigma, of a delay that the autopilot told: seven flights of ArduPilot and one of PX4 were no farther off.
+TOLD_SIGMA = 1e-3
+UNKNOWN_SIGMA = 10e-3  # s, likewise, of an autopilot whose filters we do not know
+LATEST = 0.1  # s: what says more is no filter of a gyro that somebody flies by
+
+
+class GyroDelay(NamedTuple):
+    """A gyro says `seconds` later what it measured; sigma: s; cause: how that is known, for people."""
+
+    seconds: float
+    sigma: float
+    cause: str
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.seconds:.1f} ± {1e3 * self.sigma:.1f} ms"
+
+
+def low_pass_delay(cutoff_hz: float) -> float:
+    """Group delay [s] of a two-pole Butterworth low-pass far below its corner; a corner of 0 Hz is no filter.
+
+    Of H(s) = ω²/(s² + √2 ω s + ω²) the phase falls by √2/ω at zero frequency.
+    """
+    return math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz) if cutoff_hz else 0.0
+
+
+def mean_delay(rate_hz: float) -> float:
+    """Delay [s] of a mean over one interval of the rate, stamped at its end."""
+    return 0.5 / rate_hz if rate_hz else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class DelayParameter:
+    """An autopilot's parameter that says how late its gyro is.
+
+    delay: s, of the value in Hz; usual_hz: where nobody has changed it; usual_sigma: s by which the delays of those who
+    have changed it differ.
+    """
+
+    name: str
+    delay: Callable[[float], float]
+    usual_hz: float
+    usual_sigma: float
+
+
+INS_GYRO_FILTER = DelayParameter("INS_GYRO_FILTER", low_pass_delay, 20.0, 4e-3)
+IMU_INTEG_RATE = DelayParameter("IMU_INTEG_RATE", mean_delay, 200.0, 2e-3)
+IMU_GYRO_CUTOFF = DelayParameter("IMU_GYRO_CUTOFF", low_pass_delay, 40.0, 3e-3)
+
+
+class _Kind(NamedTuple):
+    """of_imu, of_rates: what delays the samples, and the rates next to an attitude."""
+
+    of_imu: DelayParameter
+    of_rates: DelayParameter
+
+
+KINDS: dict[int, _Kind] = {
+    common.MAV_AUTOPILOT_ARDUPILOTMEGA: _Kind(INS_GYRO_FILTER, INS_GYRO_FILTER),
+    common.MAV_AUTOPILOT_PX4: _Kind(IMU_INTEG_RATE, IMU_GYRO_CUTOFF),
+}
+
+
+def _names_of(kind: int) -> tuple[str, ...]:
+    return tuple(parameter.name for parameter in KINDS.get(kind, ()))
+
+
+class GyroDelays:
+    """Asks one autopilot for what delays its gyro, and says how late it is.
+
+    told_s: by the user; then nothing is asked. asks: False where nobody would hear it. name: of the link, for the log.
+    """
+
+    def __init__(self, told_s: float | None, *, asks: bool, name: str) -> None:
+        self._told_s = told_s
+        self._reader = ParameterReader(
+            _names_of, asks=asks and told_s is None, every_s=ASK_EVERY, attempts=ATTEMPTS
+        )
+        self._name = name
+        self._said: GyroDelay | None = None
+        self._of_imu = self._of_rates = self._judge(None)
+
+    def meet(self, autopilot: int) -> None:
+        """The autopilot's first heartbeat says of which MAV_AUTOPILOT it is."""
+        self._reader.meet(autopilot)
+        self._settle()
+
+    def restart(self) -> None:
+        """The autopilot has started again, perhaps with another filter: ask; meanwhile what it told before holds."""
+        self._reader.restart()
+
+    def tick(self, now: float, system: int) -> list[Any]:
+        """The questions to send now."""
+        return self._reader.tick(now, system)
+
+    def on_value(self, t: float, m: Any) -> None:
+        """PARAM_VALUE has come, whoever asked for it."""
+        self._reader.on_value(t, m)
+        self._settle()
+
+    def of(self, message_id: int) -> GyroDelay:
+        """How late the angular velocity in this message is."""
+        return self._of_rates if message_id == ATTITUDE_QUATERNION else self._of_imu
+
+    def say(self, message_id: int) -> None:
+        """Log how late the gyro is taken to be, once and where it has changed; not while an answer is due."""
+        delay = self.of(message_id)
+        if self._reader.waits or delay == self._said:
+            return
+        self._said = delay
+        log.info("%s: gyro taken to be %s late: %s", self._name, delay, delay.cause)
+
+    @property
+    def _parameters(self) -> tuple[DelayParameter, ...]:
+        kind = self._reader.kind
+        return () if kind is None else tuple(KINDS.get(kind, ()))
+
+    def _settle(self) -> None:
+        self._of_imu, self._of_rates = map(self._judge, self._parameters or (None, None))
+
+    def _judge(self, parameter: DelayParameter | None) -> GyroDelay:
+        if self._told_s is not None:
+            return GyroDelay(self._told_s, 0.0, "motion.gyro_delay_s")
+        if parameter is None:
+            return GyroDelay(0.0, UNKNOWN_SIGMA, "of this autopilot no filter is known")
+        value = self._reader.values.get(parameter.name)
+        if value is not None and 0.0 <= parameter.delay(value) <= LATEST:  # NaN is not
+            return GyroDelay(parameter.delay(value), TOLD_SIGMA, f"{parameter.name} is {value:g} Hz")
+        found = "was not told" if value is None else f"was told as {value:g} Hz"
+        cause = f"{parameter.name} {found}, and usually is {parameter.usual_hz:g} Hz"
+        return GyroDelay(parameter.delay(parameter.usual_hz), parameter.usual_sigma, cause)

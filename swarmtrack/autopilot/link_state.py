@@ -1,0 +1,176 @@
+"""Where the link to an autopilot stands, and why it is not streaming, in one sentence.
+
+    searching ── heartbeat of an autopilot ──▶ requesting ── first IMU sample ──▶ streaming ◀──▶ stale (0.5 s)
+        ▲                                          ▲                                   │
+        └──── connection gone, tried again ────────┴──────────── lost (3 s) ◀──────────┘
+
+Every state but streaming names its reason within 3 s: in `status`, and as one line in the log when it changes.
+"""
+
+from __future__ import annotations
+
+import enum
+import logging
+import math
+from dataclasses import dataclass
+
+from swarmtrack.autopilot.contact import OPENING, Contact, News
+from swarmtrack.autopilot.framer import Framer
+from swarmtrack.autopilot.links import Link
+from swarmtrack.autopilot.pilot_switch import PilotSwitch
+from swarmtrack.autopilot.signing import Codec
+from swarmtrack.autopilot.streams import StreamRequests
+from swarmtrack.autopilot.telemetry import STALE_AFTER, Telemetry
+from swarmtrack.messages import LinkStatus
+
+LOST_AFTER = 3.0  # s without any message of the autopilot
+DIAGNOSE_AFTER = 2.5  # s to wait before a silence is given a name
+
+
+class State(enum.StrEnum):
+    """Where the link to the autopilot stands."""
+
+    SEARCHING = "searching"
+    REQUESTING = "requesting"
+    STREAMING = "streaming"
+    STALE = "stale"
+    LOST = "lost"
+    ENDED = "ended"  # a recording has been played to its end
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class LinkState:
+    """Looks at all parts of a `MavlinkAutopilot` and changes none of them."""
+
+    link: Link
+    contact: Contact
+    framer: Framer
+    codec: Codec
+    requests: StreamRequests
+    telemetry: Telemetry
+    news: News
+    switch: PilotSwitch | None = None
+    state: State = State.SEARCHING
+    _trouble: str = "just started"
+    """The name of the present one, empty while streaming."""
+
+    def judge(self, now: float) -> None:
+        """Set the state; log one line where it, or the reason for it, has changed."""
+        self.state = self._state_at(now)
+        contact, telemetry, address = self.contact, self.telemetry, self.link.address
+        if self.state is State.STALE or contact.down == OPENING:
+            return  # a hiccup until it is called lost; nothing to say until the first attempt is over
+        if self.state is State.STREAMING and not telemetry.lack(now):
+            if self._trouble and telemetry.imu_rate_hz:  # the line tells the rate, so wait until it is known
+                self._trouble = ""
+                text = self._sentence(now)[1]
+                self.news.say(logging.INFO, "streaming", "%s: streaming: %s", address, text)
+            return
+        name, text = self._sentence(now)
+        patient = contact.down is None and now - max(contact.opened_at, contact.known_at) < DIAGNOSE_AFTER
+        if name != self._trouble and (not patient or self.state is State.LOST):
+            self._trouble = name
+            self.news.warn(name, "%s: %s: %s", address, self.state, text)
+
+    def _state_at(self, now: float) -> State:
+        contact, telemetry = self.contact, self.telemetry
+        if contact.down is not None or contact.system is None:
+            return State.SEARCHING
+        if now - contact.heard_at > LOST_AFTER:
+            return State.LOST
+        silence = now - telemetry.imu_at
+        if silence > LOST_AFTER:
+            return State.REQUESTING
+        return State.STALE if silence > max(STALE_AFTER, 3 * telemetry.cadence.period) else State.STREAMING
+
+    def _sentence(self, now: float) -> tuple[str, str]:
+        """(name, text) of the present state; the name does not change while only a number does."""
+        contact, telemetry = self.contact, self.telemetry
+        if contact.down is not None:
+            return contact.down, contact.down if contact.down == OPENING else f"{contact.down}; trying again"
+        match self.state:
+            case State.SEARCHING:
+                return self._why_no_autopilot()
+            case State.LOST:
+                why, valid = (
+                    (f": {contact.signature_trouble}", " valid") if contact.signature_trouble else ("", "")
+                )
+                silence = f"nothing{valid} from autopilot {contact.system} for {now - contact.heard_at:.0f} s"
+                return "lost", silence + why
+            case State.REQUESTING:
+                return "no imu", "heartbeat, no IMU" + (
+                    "" if self.link.recording else f" ({self.requests.imu.name} asked for)"
+                )
+            case State.ENDED:
+                return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
+            case State.STALE:
+                return "stale", f"no IMU sample for {now - telemetry.imu_at:.1f} s"
+            case State.STREAMING if lack := telemetry.lack(now):
+                return "no position", f"{self._imu_text(now)}, but no position: {lack}"
+            case State.STREAMING:
+                return "streaming", self._imu_text(now)
+
+    def _why_no_autopilot(self) -> tuple[str, str]:
+        framer, contact = self.framer, self.contact
+        if not contact.bytes:
+            remark = f" ({self.link.remark})" if self.link.remark else ""
+            return f"0 bytes{remark}", f"port open, 0 bytes{remark}"
+        if framer.good == contact.frames_before:
+            guess = "wrong baud?" if self.link.bytes_per_second is not None else "not MAVLink?"
+            return "no frame", f"bytes but no valid frame: {guess} ({framer.bad_bytes} bad)"
+        if contact.signature_trouble:
+            return "signature", f"frames, but {contact.signature_trouble}"
+        others = ", ".join(f"{s}/{c} {what}".strip() for (s, c), what in contact.others.items())
+        expected = "" if contact.expected_system is None else f" of system {contact.expected_system}"
+        return (
+            "no heartbeat",
+            f"frames but no autopilot heartbeat{expected} (heard: {others or 'nobody by name'})",
+        )
+
+    def _imu_text(self, now: float) -> str:
+        telemetry = self.telemetry
+        sigma = telemetry.clock_map.sigma
+        clock = f", clock ±{sigma * 1e3:.1f} ms" if math.isfinite(sigma) else ""
+        if wrong := telemetry.clock_map.in_words:
+            clock += f" (it {wrong})"
+        gyro = f", gyro {telemetry.gyro_delay} late"
+        asked = "" if self.link.recording else f"{self.requests.imu_stream.asked_hz:g} Hz asked, "
+        switch = f", {self.switch.in_words(now)}" if self.switch else ""
+        source = telemetry.imu_source.name
+        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}"
+
+    def trouble(self, now: float) -> str:
+        """What is missing, in a few words for a pilot; a hiccup is nothing."""
+        if self.state in (State.STREAMING, State.STALE, State.ENDED):
+            return "no position" if self.telemetry.lack(now) else ""
+        return "no IMU" if self.state is State.REQUESTING else "no autopilot"
+
+    def status(self, now: float) -> LinkStatus:
+        """One line for people, and the counters, all since the start."""
+        if self.link.address.scheme == "none":
+            return LinkStatus("autopilot", True, "none: no autopilot asked for")
+        text = f"{self.link.address}: {self.state}: {self._sentence(now)[1]}"
+        framer, requests, codec = self.framer, self.requests, self.codec
+        counters: dict[str, float] = {
+            "imu_rate_asked_hz": requests.imu_rate_hz,
+            "imu_rate_granted_hz": requests.imu_stream.target_hz,
+            **self.telemetry.counters,
+            "frames": framer.good,
+            "frames_unknown": framer.unknown,
+            "foreign": self.contact.foreign,
+            "foreign_datagrams": self.link.foreign,
+            "bad_bytes": framer.bad_bytes,
+            "crc_failures": framer.crc_failures,
+            "reconnects": self.contact.reconnects,
+        }
+        if self.contact.kind is not None:
+            counters["autopilot_kind"] = self.contact.kind
+        if codec.has_key:
+            counters |= {
+                "signed_good": codec.signed_good,
+                "signed_bad": codec.signed_bad,
+                "signed_old": codec.signed_old,
+                "unsigned": codec.unsigned,
+            }
+        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self.telemetry.lack(now))
+        return LinkStatus("autopilot", ok, text, tuple(counters.items()))

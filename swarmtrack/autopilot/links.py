@@ -1,0 +1,572 @@
+"""The links an autopilot may be at the other end of: UDP, TCP, a serial port, a recording, or nothing.
+
+A link carries one connection: `run` returns where a recording ends, and raises `LinkDown` with a sentence where the
+other end is away. Whoever runs it decides when to try again. Every link stamps arrival before it does anything else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import fcntl
+import logging
+import math
+import mmap
+import os
+import re
+import socket
+import termios
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple, Protocol, cast
+
+import serial
+
+from swarmtrack.autopilot.address import LinkAddress, parse_address
+from swarmtrack.autopilot.datagrams import Address, DatagramSocket, open_socket
+from swarmtrack.autopilot.ulog import read_ulog
+from swarmtrack.clock import Clock
+from swarmtrack.errors import SourceError
+
+log = logging.getLogger(__name__)
+
+# s without a valid frame, after which another address may be the autopilot's: a router that was restarted. Heartbeats
+# come each second.
+PEER_SILENT = 2.0
+CONNECT_TIMEOUT = 2.5  # s: every failure names its reason within 3 s
+READ_SIZE = 4096  # bytes: a tenth of a second of the fastest serial link
+# bytes waiting to be sent; beyond it new frames are dropped, all of ours are soon repeated
+SEND_BUFFER = 4096
+RECORDS_PER_TURN = 200  # of a recording as fast as it goes, before others on the event loop get their turn
+
+
+class LinkDown(Exception):
+    """The connection could not be made or has ended; the text says why. It is tried again."""
+
+
+class Wire(NamedTuple):
+    """What another process needs to write to the same end. peer: of a socket that hears several, None of others."""
+
+    descriptor: int
+    peer: Address | None = None
+
+
+class Receiver(Protocol):
+    """Who is told what a link carries; called on the event loop."""
+
+    def opened(self) -> None:
+        """The port is open, the connection stands."""
+        ...
+
+    def received(self, t: float, data: bytes) -> bool:
+        """`data` came at t on our clock; True when it held a frame of our own autopilot."""
+        ...
+
+
+class Link(Protocol):
+    """One way to an autopilot.
+
+    datagrams: `received` gets whole ones; recording: time comes from the file, sending goes nowhere;
+    bytes_per_second: what the line carries, None where it hardly matters; remark: the last trouble that did not end
+    the connection, or empty; foreign: what came from elsewhere than the autopilot's address and was not read, since
+    the start.
+    """
+
+    address: LinkAddress
+    datagrams: bool
+    recording: bool
+    bytes_per_second: float | None
+    remark: str
+    foreign: int
+
+    async def run(self, receiver: Receiver) -> None: ...
+
+    def send(self, data: bytes) -> None:
+        """Send a frame if that is possible now; never blocks."""
+        ...
+
+    def wire(self) -> Wire | None:
+        """Where `send` writes to just now; None where it goes nowhere."""
+        ...
+
+    def drop(self, reason: str) -> None:
+        """End the connection: `run` raises `LinkDown(reason)`. Only where silence means a dead connection (TCP)."""
+        ...
+
+
+def open_link(address: str, clock: Clock) -> Link:
+    """The link for an address such as `udpin:127.0.0.1:14540`; `SourceError` where it can never work."""
+    parsed = parse_address(address)
+    match parsed.scheme:
+        case "udpin" | "udpout":
+            return UdpLink(parsed, clock)
+        case "tcp":
+            return TcpLink(parsed, clock)
+        case "serial":
+            return SerialLink(parsed, clock)
+        case "tlog":
+            return TlogLink(parsed, clock)
+        case "ulog":
+            return UlogLink(parsed, clock)
+        case "none":
+            return NoLink(parsed)
+
+
+class NoLink:
+    """No autopilot: `run` waits until it is cancelled."""
+
+    datagrams = False
+    recording = False
+    bytes_per_second: float | None = None
+    remark = ""
+    foreign = 0
+
+    def __init__(self, address: LinkAddress) -> None:
+        self.address = address
+
+    async def run(self, receiver: Receiver) -> None:
+        await asyncio.Event().wait()
+
+    def send(self, data: bytes) -> None:
+        """Nobody is there."""
+
+    def wire(self) -> None:
+        """Nobody is there."""
+
+    def drop(self, reason: str) -> None:
+        """Nothing to drop."""
+
+
+class LiveLink:
+    """What links to something live have in common; one that is different says so."""
+
+    datagrams = False
+    recording = False
+    bytes_per_second: float | None = None
+    foreign = 0
+
+    def __init__(self, address: LinkAddress, clock: Clock) -> None:
+        self.address = address
+        self.remark = ""
+        self._clock = clock
+
+
+class UdpLink(LiveLink):
+    """`udpin` listens, and answers the autopilot where it speaks from; `udpout` speaks first.
+
+    The peer is learned from a valid frame of our autopilot only: otherwise whoever sends one byte captures our answers.
+    It is kept until it has been silent for PEER_SILENT: what others send meanwhile is counted and not read, or anybody
+    in reach could tell us where we are.
+    """
+
+    datagrams = True
+
+    def __init__(self, address: LinkAddress, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._listens = address.scheme == "udpin"
+        self._peer: Address | None = None
+        self._heard_at = -math.inf
+        self._stranger: Address | None = None
+        self._socket: DatagramSocket | None = None
+
+    async def run(self, receiver: Receiver) -> None:
+        self.remark = ""
+        self._peer = self._stranger = None
+        host, port = self.address.host, self.address.port
+        try:
+            async with asyncio.timeout(CONNECT_TIMEOUT):
+                self._socket = await open_socket(host, port, self._clock, listens=self._listens)
+        except TimeoutError as error:  # nothing else of UDP takes its time
+            raise LinkDown(f"no name server tells within {CONNECT_TIMEOUT:g} s where {host} is") from error
+        except OSError as error:
+            raise LinkDown(self._why(error)) from error
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._socket, self._read, self._socket, receiver)
+        try:
+            receiver.opened()
+            await asyncio.Event().wait()
+        finally:
+            loop.remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
+
+    def _read(self, opened: DatagramSocket, receiver: Receiver) -> None:
+        """All that came since the last look."""
+        try:
+            for arrival, data, sender in opened.waiting():
+                if self._peer not in (None, sender) and arrival - self._heard_at < PEER_SILENT:
+                    self._refuse(sender)
+                elif receiver.received(arrival, data):
+                    self._peer, self._heard_at = sender, arrival
+                    self.remark = ""
+        except OSError as error:
+            self._note(error)
+
+    def _why(self, error: OSError) -> str:
+        if error.errno == errno.EADDRINUSE:
+            return f"busy, port {self.address.port} is held by {holder_of_udp_port(self.address.port)}"
+        if error.errno == errno.EACCES:
+            return f"permission: port {self.address.port} needs root, choose one above 1023"
+        return network_trouble(error, self.address)
+
+    def _refuse(self, sender: Address) -> None:
+        """Said once for each connection: whoever forges may come from thousands of ports."""
+        self.foreign += 1
+        if self._stranger is None and self._peer is not None:
+            self._stranger = sender
+            log.warning(
+                "%s: %s port %d speaks as well: not read while the autopilot does, at %s port %d",
+                self.address,
+                *sender[:2],
+                *self._peer[:2],
+            )
+
+    def _note(self, error: OSError) -> None:
+        refused = isinstance(error, ConnectionRefusedError)
+        self.remark = "nobody listens there" if refused else network_trouble(error, self.address)
+
+    def send(self, data: bytes) -> None:
+        if self._socket is None or (self._listens and self._peer is None):
+            return
+        try:
+            self._socket.send(data, self._peer if self._listens else None)
+        except OSError as error:
+            self._note(error)
+
+    def wire(self) -> Wire | None:
+        if self._socket is None or (self._listens and self._peer is None):
+            return None
+        return Wire(self._socket.fileno(), self._peer if self._listens else None)
+
+    def drop(self, reason: str) -> None:
+        """Silence says nothing about a UDP socket."""
+
+
+class TcpLink(LiveLink, asyncio.Protocol):
+    """Calls a TCP server: a simulator or a router."""
+
+    def __init__(self, address: LinkAddress, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._transport: asyncio.Transport | None = None
+        self._receiver: Receiver
+        self._lost: asyncio.Future[str]
+
+    async def run(self, receiver: Receiver) -> None:
+        loop = asyncio.get_running_loop()
+        self._receiver, self._lost = receiver, loop.create_future()
+        try:
+            async with asyncio.timeout(CONNECT_TIMEOUT):
+                await loop.create_connection(lambda: self, self.address.host, self.address.port)
+        except TimeoutError as error:
+            raise LinkDown(f"no answer from {self.address.host} within {CONNECT_TIMEOUT:g} s") from error
+        except OSError as error:
+            raise LinkDown(network_trouble(error, self.address)) from error
+        try:
+            receiver.opened()
+            raise LinkDown(await self._lost)
+        finally:
+            if self._transport is not None:
+                self._transport.abort()
+            self._transport = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+
+    def data_received(self, data: bytes) -> None:
+        arrival = self._clock.now()
+        self._receiver.received(arrival, data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.drop("the other end closed the connection" if exc is None else f"the connection broke: {exc}")
+
+    def send(self, data: bytes) -> None:
+        if self._transport is not None and self._transport.get_write_buffer_size() <= SEND_BUFFER:
+            self._transport.write(data)
+
+    def wire(self) -> Wire | None:
+        opened = None if self._transport is None else self._transport.get_extra_info("socket")
+        return None if opened is None or opened.fileno() < 0 else Wire(opened.fileno())
+
+    def drop(self, reason: str) -> None:
+        if not self._lost.done():
+            self._lost.set_result(reason)
+
+
+class SerialLink(LiveLink):
+    """A serial port or USB device, opened exclusively; the device may come and go."""
+
+    def __init__(self, address: LinkAddress, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self.bytes_per_second = address.baud / 10  # 8N1: ten bits a byte
+        self._fd: int | None = None
+        self._unsent = bytearray()
+        self._receiver: Receiver
+        self._lost: asyncio.Future[str]
+
+    async def run(self, receiver: Receiver) -> None:
+        loop = asyncio.get_running_loop()
+        port = self._open()
+        self._receiver, self._lost = receiver, loop.create_future()
+        self._fd = fd = port.fileno()
+        self._unsent.clear()
+        loop.add_reader(fd, self._readable)
+        try:
+            receiver.opened()
+            raise LinkDown(await self._lost)
+        finally:
+            self._detach()
+            port.close()
+
+    def _open(self) -> serial.Serial:
+        path = self.address.path
+        try:
+            port = serial.Serial(path, self.address.baud, timeout=0, write_timeout=0, exclusive=True)
+        except ValueError as error:
+            raise LinkDown(f"{path} refuses {self.address.baud} baud: {error}") from error
+        except serial.SerialException as error:
+            raise LinkDown(serial_trouble(path, error.errno, str(error))) from error
+        except termios.error as error:
+            raise LinkDown(f"{path} went away while it was opened: {error}") from error
+        # The lock binds only programs that ask for it; those that do not would steal every other byte.
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
+        others = [holder for holder in holders_of(os.path.realpath(path)) if holder.pid != os.getpid()]
+        self.remark = f"also open in {others[0]}, which takes bytes away from us" if others else ""
+        if others:
+            log.warning("%s is %s", path, self.remark)
+        return port
+
+    def _readable(self) -> None:
+        arrival = self._clock.now()
+        assert self._fd is not None
+        try:
+            data = os.read(self._fd, READ_SIZE)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._end(f"unplugged: {error.strerror}")
+            return
+        if not data:
+            self._end("unplugged: end of file")
+            return
+        self._receiver.received(arrival, data)
+
+    def _end(self, reason: str) -> None:
+        self._detach()
+        self.drop(reason)
+
+    def _detach(self) -> None:
+        """Take the descriptor off the loop before it is closed: its number may soon mean another file."""
+        if self._fd is not None:
+            loop = asyncio.get_running_loop()
+            loop.remove_reader(self._fd)
+            loop.remove_writer(self._fd)
+        self._fd = None
+
+    def send(self, data: bytes) -> None:
+        if self._fd is None or len(self._unsent) + len(data) > SEND_BUFFER:
+            return
+        self._unsent += data
+        self._writable()
+
+    def _writable(self) -> None:
+        if self._fd is None:
+            return
+        try:
+            del self._unsent[: os.write(self._fd, self._unsent)]
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            self._end(f"unplugged: {error.strerror}")
+            return
+        loop = asyncio.get_running_loop()
+        if self._unsent:
+            loop.add_writer(self._fd, self._writable)
+        else:
+            loop.remove_writer(self._fd)
+
+    def wire(self) -> Wire | None:
+        return None if self._fd is None else Wire(self._fd)
+
+    def drop(self, reason: str) -> None:
+        if not self._lost.done():
+            self._lost.set_result(reason)
+
+
+class RecordingLink(ABC):
+    """What an autopilot said in a flight that is over.
+
+    The first record is at clock.now() of the start and the others at the recording's own distances, so integrals over
+    time stay right at any speed; `speed` only says how early they are delivered. 0: as fast as it goes.
+    """
+
+    datagrams = True
+    recording = True
+    bytes_per_second: float | None = None
+    remark = ""
+    foreign = 0
+
+    def __init__(self, address: LinkAddress, clock: Clock) -> None:
+        if not os.path.isfile(address.path):
+            raise SourceError(f"autopilot link {address}: there is no file {address.path}")
+        self.address = address
+        self._clock = clock
+
+    @abstractmethod
+    async def run(self, receiver: Receiver) -> None: ...
+
+    async def _play(self, records: Iterable[tuple[float, bytes]], receiver: Receiver) -> None:
+        """records: (time [s], bytes), ascending."""
+        start = self._clock.now()
+        first: float | None = None
+        for i, (stamp, record) in enumerate(records):
+            first = stamp if first is None else first
+            if self.address.speed:
+                wait = start + (stamp - first) / self.address.speed - self._clock.now()
+                if wait > 0:
+                    await asyncio.sleep(wait)
+            if i % RECORDS_PER_TURN == 0:
+                await asyncio.sleep(0)
+            receiver.received(start + stamp - first, record)
+        if first is None:
+            raise SourceError(f"autopilot link {self.address}: holds no record, is it a telemetry log?")
+
+    def send(self, data: bytes) -> None:
+        """A recording cannot be spoken to."""
+        return
+
+    def wire(self) -> None:
+        """Nor can anybody else."""
+        return
+
+    def drop(self, reason: str) -> None:
+        """A recording ends by itself."""
+        return
+
+
+class TlogLink(RecordingLink):
+    """A recording of a ground station: 8 bytes of big-endian UTC microseconds before each frame."""
+
+    async def run(self, receiver: Receiver) -> None:
+        with self._map() as data:
+            receiver.opened()
+            await self._play(records(data), receiver)
+
+    def _map(self) -> mmap.mmap:
+        try:
+            with Path(self.address.path).open("rb") as file:
+                return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:  # ValueError: the file is empty
+            raise SourceError(f"autopilot link {self.address}: {error}") from error
+
+
+class UlogLink(RecordingLink):
+    """PX4's own log, as what it would have sent meanwhile."""
+
+    async def run(self, receiver: Receiver) -> None:
+        flight = read_ulog(Path(self.address.path))
+        receiver.opened()
+        await self._play(flight.records, receiver)
+
+
+STAMP_LENGTH = 8
+# A stamp of the years 2004 … 2100 in microseconds with a magic byte behind it.
+RECORD = re.compile(rb"\x00[\x03-\x0e].{6}[\xfd\xfe]", re.DOTALL)
+LONGEST_PAUSE = 86_400.0  # s between two records; what claims more is not a stamp
+
+
+def records(data: mmap.mmap | bytes) -> Iterator[tuple[float, bytes]]:
+    """(UTC [s], bytes) of each record of a telemetry log.
+
+    A record ends where the next plausible stamp stands with a magic byte behind it, not where its own header claims:
+    so a damaged one costs no other. Whether the bytes are a frame is the framer's to judge.
+    """
+    last: tuple[float, int] | None = None  # stamp, and where the bytes after it begin
+    position = 0
+    while (match := RECORD.search(data, position)) is not None:
+        start = match.start()
+        stamp = int.from_bytes(data[start : start + STAMP_LENGTH], "big") * 1e-6
+        position = start + 1
+        if last is None or abs(stamp - last[0]) < LONGEST_PAUSE:
+            if last is not None:
+                yield last[0], data[last[1] : start]
+            position = start + STAMP_LENGTH
+            last = (stamp, position)
+    if last is not None:
+        yield last[0], data[last[1] :]
+
+
+class Holder:
+    """A process that has a file open."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+
+    def __str__(self) -> str:
+        try:
+            name = Path(f"/proc/{self.pid}/comm").read_text().strip()
+        except OSError:
+            name = "(gone)"
+        return f"PID {self.pid} {name}"
+
+
+def holders_of(target: str) -> list[Holder]:
+    """Processes that have `target` open: a path, or `socket:[INODE]`. Those of other users show only to root."""
+    found: list[Holder] = []
+    for process in Path("/proc").iterdir():
+        if not process.name.isdigit():
+            continue
+        try:
+            if any(os.readlink(fd) == target for fd in (process / "fd").iterdir()):
+                found.append(Holder(int(process.name)))
+        except OSError:
+            continue  # gone meanwhile, or not ours to look into
+    return found
+
+
+def holder_of_udp_port(port: int) -> str:
+    """Who is bound to a local UDP port, for people."""
+    for table in ("/proc/net/udp", "/proc/net/udp6"):
+        try:
+            lines = Path(table).read_text().splitlines()[1:]
+        except OSError:
+            continue
+        for line in lines:
+            fields = line.split()
+            if int(fields[1].rpartition(":")[2], 16) == port:
+                return _first_of(holders_of(f"socket:[{fields[9]}]"))
+    return "another program"
+
+
+def _first_of(holders: list[Holder]) -> str:
+    return str(holders[0]) if holders else "another user's program"
+
+
+def serial_trouble(path: str, number: int | None, text: str) -> str:
+    """Why a serial port does not open, and what to do about it."""
+    if number == errno.ENOENT:
+        return f"no such device: {path} (not plugged in, or under another name: see /dev/serial/by-id)"
+    if number in (errno.EACCES, errno.EPERM):
+        return (
+            f"permission: {path} is not ours to open, add yourself to dialout: "
+            "sudo usermod -aG dialout $USER, then log in again"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return f"busy, held by {_first_of(holders_of(os.path.realpath(path)))}"
+    if number == errno.ENOTTY or "configure port" in text:
+        return f"{path} is not a serial port ({text})"
+    return text
+
+
+def network_trouble(error: OSError, address: LinkAddress) -> str:
+    """Why a socket does not open or a packet does not leave."""
+    where = f"{address.host}:{address.port}"
+    if isinstance(error, socket.gaierror):
+        return f"the name {address.host} is unknown here"
+    if isinstance(error, ConnectionRefusedError):
+        return f"nobody listens at {where}"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"{address.host} is not an address of this machine"
+    return f"{where}: {os.strerror(error.errno) if error.errno else error}"

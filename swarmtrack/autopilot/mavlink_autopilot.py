@@ -1,0 +1,451 @@
+"""The autopilot at the other end of a MAVLink link: found, asked for what we need, and listened to.
+
+The autopilot is component 1 of the first system whose HEARTBEAT names an autopilot, or of the system that the user
+named. It stays that one: a neighbour's autopilot on the same radio must not take its place while ours is silent.
+
+What it says becomes samples and poses in telemetry.py; which streams it is asked for is decided in streams.py; what
+state the link is in, and why nothing comes, is said in link_state.py.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import common
+
+from swarmtrack.arguments import page
+from swarmtrack.autopilot.contact import Contact, News, heartbeat
+from swarmtrack.autopilot.engagement import CURRENT_MODE_HZ, PilotEngagement
+from swarmtrack.autopilot.flight import FlightWatch
+from swarmtrack.autopilot.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
+from swarmtrack.autopilot.global_position import GlobalPosition
+from swarmtrack.autopilot.gyro_delay import GyroDelays
+from swarmtrack.autopilot.link_state import LOST_AFTER, LinkState, State
+from swarmtrack.autopilot.links import Link, LinkDown, Wire, open_link
+from swarmtrack.autopilot.parameters import ParameterReader
+from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, REPORTS_HZ, PilotSwitch
+from swarmtrack.autopilot.signing import Codec, read_key
+from swarmtrack.autopilot.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, Answer, StreamRequests
+from swarmtrack.autopilot.telemetry import Telemetry
+from swarmtrack.clock import Clock
+from swarmtrack.errors import SourceError
+from swarmtrack.mavlink_dialect import CURRENT_MODE
+from swarmtrack.messages import LinkStatus
+from swarmtrack.sources import AutopilotListener
+
+log = logging.getLogger(__name__)
+
+AUTOPILOT: int = common.MAV_COMP_ID_AUTOPILOT1
+HEARTBEAT_EVERY = 1.0  # s: also what makes routers learn us
+TICK = 0.05  # s
+SILENT_TCP = 5.0  # s without a byte: the other end went without saying so
+RETRY_FIRST, RETRY_LAST = 0.5, 5.0  # s between attempts to connect, doubling
+FASTEST_IMU = 8000.0  # Hz: what the sensors themselves reach
+EARLY_FRAMES = 1000  # kept until a heartbeat tells whose they are: more than a second of a fast link
+NAMED_SOURCES = 8  # other systems remembered by name
+
+
+def _check(imu_rate_hz: float, system_id: int | None) -> None:
+    if not 0.0 < imu_rate_hz <= FASTEST_IMU:
+        raise SourceError(
+            f"autopilot imu_rate_hz: found {imu_rate_hz:g}, expected more than 0, at most {FASTEST_IMU:g}"
+        )
+    if system_id is not None and not 1 <= system_id <= 255:
+        raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
+
+
+def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
+    """Hz by message, beside gyro and attitude: of places, of the transmitter's channels, of the mode."""
+    rates = dict(GLOBAL_POSE if by_gps else LOCAL_POSE)
+    if channels:
+        rates[RC_CHANNELS] = REPORTS_HZ
+    if mode:
+        rates[CURRENT_MODE] = CURRENT_MODE_HZ
+    return rates
+
+
+class WayToAutopilot(NamedTuple):
+    """wire: an open link; opened_at [s]: since when, so that another connection is another way; system: the vehicle's;
+    component: ours."""
+
+    wire: Wire
+    opened_at: float
+    system: int
+    component: int
+
+
+class MavlinkAutopilot:
+    """An `Autopilot` (sources.py) at a MAVLink address.
+
+    link: an address such as `udpin:127.0.0.1:14540`, or a link already made; system_id: the vehicle to listen to, None
+    for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
+    see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
+    gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched; engagement:
+    is told of the flight mode. Raises `SourceError` for what can never work.
+
+    Beside `run`, `opened`, `received` and `tick` are all there is to it: told the time, it needs no event loop.
+    """
+
+    def __init__(
+        self,
+        link: str | Link,
+        *,
+        clock: Clock,
+        imu_rate_hz: float = 200.0,
+        system_id: int | None = None,
+        component_id: int = 191,
+        signing_key: Path | None = None,
+        gps: GlobalPosition | None = None,
+        gyro_delay_s: float | None = None,
+        switch: PilotSwitch | None = None,
+        engagement: PilotEngagement | None = None,
+    ) -> None:
+        _check(imu_rate_hz, system_id)
+        self._clock = clock
+        self._link = open_link(link, clock) if isinstance(link, str) else link
+        key = None if signing_key is None else read_key(signing_key)
+        # Until the vehicle's own system is known we speak as its most likely one.
+        self._codec = Codec(clock, system=system_id or 1, component=component_id, key=key)
+        self._framer = Framer()
+        self._contact = Contact(system_id)
+        self._news = News(self._now)
+        self._flight = FlightWatch()
+        self._switch = switch
+        self._engagement = engagement
+        reads_channels = switch is not None or (engagement is not None and engagement.asks_for_switch)
+        self._requests = StreamRequests(
+            imu_rate_hz,
+            _rates(by_gps=gps is not None, channels=reads_channels, mode=engagement is not None),
+            line=self._link.bytes_per_second,
+            signed=key is not None,
+        )
+        name = str(self._link.address)
+        self._gyro_delays = GyroDelays(gyro_delay_s, asks=not self._link.recording, name=name)
+        self._telemetry = Telemetry(
+            self._requests,
+            self._contact,
+            self._news,
+            gps=gps,
+            send=self._send,
+            gyro_delays=self._gyro_delays,
+            name=name,
+        )
+        self._link_state = LinkState(
+            link=self._link,
+            contact=self._contact,
+            framer=self._framer,
+            codec=self._codec,
+            requests=self._requests,
+            telemetry=self._telemetry,
+            news=self._news,
+            switch=switch,
+        )
+        self._readers: dict[int, Callable[[float, Any], None]] = {
+            common.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._flight.on_landed_state,
+            common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
+            **self._telemetry.readers,
+        }
+        if reads_channels:
+            self._readers[RC_CHANNELS] = self._on_channels
+        if engagement is not None:
+            self._readers[CURRENT_MODE] = engagement.on_current_mode
+            self._readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
+        self._parameters: ParameterReader | None = None
+        self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES)
+        self._next_heartbeat = self._next_tick = -math.inf
+        self._greeted = False
+
+    def read_parameters(self, reader: ParameterReader) -> None:
+        """Before `run`: these are asked for as well."""
+        self._parameters = reader
+        before = self._readers[common.MAVLINK_MSG_ID_PARAM_VALUE]
+
+        def on_value(t: float, m: Any) -> None:
+            before(t, m)
+            reader.on_value(t, m)
+
+        self._readers[common.MAVLINK_MSG_ID_PARAM_VALUE] = on_value
+
+    # ── running ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def run(self, listener: AutopilotListener) -> None:
+        """Connect, reconnect and deliver until cancelled; returns only where a recording ends."""
+        self._telemetry.listener = listener
+        if not FAST_CRC:
+            log.warning("fastcrc is not installed: reading MAVLink costs three times the CPU time")
+        if self._link.address.reachable_from_outside and not self._codec.has_key:
+            log.warning(
+                "%s: anybody who reaches this address may speak before the autopilot does, and then as it: listen on "
+                "127.0.0.1, or set autopilot.signing_key (%s)",
+                self._link.address,
+                page("security.md"),
+            )
+        if self._link.recording:
+            await self._link.run(self)
+            self._link_state.state = State.ENDED
+            return
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._keep_connected(), name="mavlink link")
+            tasks.create_task(self._keep_ticking(), name="mavlink tick")
+
+    async def _keep_connected(self) -> None:
+        delay = RETRY_FIRST
+        while True:
+            try:
+                await self._link.run(self)
+            except LinkDown as down:
+                self._contact.down = str(down)
+            if self._contact.bytes:
+                delay = RETRY_FIRST
+            self._contact.bytes = 0
+            await asyncio.sleep(delay)
+            delay = min(2 * delay, RETRY_LAST)
+            self._contact.reconnects += 1
+
+    async def _keep_ticking(self) -> None:
+        while True:
+            self.tick(self._clock.now())
+            await asyncio.sleep(TICK)
+
+    def tick(self, now: float) -> None:
+        """What time alone brings about: silence, heartbeats, requests that were not answered."""
+        contact = self._contact
+        if self._framer.pending and now - contact.received_at > FLUSH_AFTER:
+            self._take(now, self._framer.flush())
+        if contact.down is None and not self._link.recording:
+            self._speak(now)
+            silent = now - max(contact.opened_at, contact.received_at)
+            if self._link.address.scheme == "tcp" and silent > SILENT_TCP:
+                self._link.drop(f"silent for {SILENT_TCP:g} s")
+        self._telemetry.measure(now)
+        self._link_state.judge(now)
+
+    def _speak(self, now: float) -> None:
+        if now >= self._next_heartbeat:
+            self._next_heartbeat = now + HEARTBEAT_EVERY
+            self._send(heartbeat(common.MAV_TYPE_ONBOARD_CONTROLLER))
+        contact = self._contact
+        if contact.system is None or now - contact.heard_at > LOST_AFTER:
+            return
+        asked = self._requests.tick(now, contact.system) + self._gyro_delays.tick(now, contact.system)
+        if self._parameters is not None:
+            asked += self._parameters.tick(now, contact.system)
+        for message in asked:
+            self._send(message)
+        self._telemetry.ask_time(now)
+
+    def _send(self, message: Any) -> None:
+        self._link.send(self._codec.encode(message))
+
+    def _now(self) -> float:
+        """A recording's time is that of its bytes."""
+        contact = self._contact
+        return contact.received_at if self._link.recording and contact.bytes else self._clock.now()
+
+    def status(self) -> LinkStatus:
+        """One line for people, and the counters, all since the start."""
+        return self._link_state.status(self._now())
+
+    @property
+    def trouble(self) -> str:
+        """What of the autopilot's is missing, in a few words for a pilot; empty while gyro and position come."""
+        return self._link_state.trouble(self._now())
+
+    @property
+    def system(self) -> int:
+        """The vehicle that is listened to; 0 before one is heard."""
+        return self._contact.system or 0
+
+    @property
+    def clock_known(self) -> bool:
+        """Whether its times can be mapped to ours."""
+        return self._telemetry.clock_map.offset is not None
+
+    @property
+    def place(self) -> tuple[float, tuple[float, float, float]] | None:
+        """When its newest position came, and the position itself: NED [m] in the axes of its local frame."""
+        return self._telemetry.place
+
+    @property
+    def signing_key(self) -> bytes | None:
+        """32 bytes; None where nothing is signed."""
+        return self._codec.key
+
+    def way(self) -> WayToAutopilot | None:
+        """How a frame of another process of ours would reach it; None where `tell` would be deaf."""
+        wire = None if self._is_deaf() else self._link.wire()
+        if wire is None:
+            return None
+        return WayToAutopilot(wire, self._contact.opened_at, self._codec.system, self._codec.component)
+
+    def tell(self, message: Any) -> bool:
+        """Say a message of the dialect to the autopilot, and by way of it to ground stations. Never blocks.
+
+        False, and nothing is sent, where nobody would hear it: into a recording, or while the autopilot is silent.
+        """
+        if self._is_deaf():
+            return False
+        self._send(message)
+        return True
+
+    def _is_deaf(self) -> bool:
+        contact = self._contact
+        deaf = contact.system is None or contact.down is not None or self._link.recording
+        return deaf or self._now() - contact.heard_at > LOST_AFTER
+
+    # ── Receiver: called by the link ─────────────────────────────────────────────────────────────────────────────
+
+    def opened(self) -> None:
+        """The link stands: everything is asked for anew, and bytes of the last connection mean nothing any more."""
+        contact = self._contact
+        contact.down = None
+        contact.opened_at = self._now()
+        contact.bytes = 0
+        contact.frames_before = self._framer.good
+        self._framer.reset()
+        self._early.clear()
+        self._requests.reset()
+        self._telemetry.opened()
+        self._next_heartbeat = -math.inf
+
+    def received(self, t: float, data: bytes) -> bool:
+        """Bytes came at t; True when a valid frame of our autopilot was among them."""
+        self._contact.received_at = t
+        self._contact.bytes += len(data)
+        frames = self._framer.datagram(data) if self._link.datagrams else self._framer.feed(data)
+        ours = self._take(t, frames)
+        if self._link.recording and t >= self._next_tick:
+            self._next_tick = t + TICK
+            self.tick(t)
+        return ours
+
+    def _take(self, t: float, frames: list[MavlinkFrame]) -> bool:
+        ours = False
+        for frame in frames:
+            # Decoded once, in the order of arrival: a signed frame that is decoded again counts as replayed.
+            message = self._decode(frame) if self._is_read(frame) else None
+            if self._contact.system is not None:
+                ours |= self._on_frame(t, frame, message)
+                continue
+            # What came before the first heartbeat is not lost, once it is known whose it was.
+            self._early.append((t, frame, message))
+            if self._is_autopilot(t, frame, message):
+                while self._early:
+                    ours |= self._on_frame(*self._early.popleft())
+        return ours
+
+    def _is_read(self, frame: MavlinkFrame) -> bool:
+        """Whether the frame is worth decoding: it is our autopilot's, or may turn out to be."""
+        contact = self._contact
+        if contact.system is None and frame.id == common.MAVLINK_MSG_ID_HEARTBEAT:
+            return True
+        system = contact.expected_system if contact.system is None else contact.system
+        return frame.id in self._readers and frame.component == AUTOPILOT and system in (None, frame.system)
+
+    def _on_frame(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
+        """Take a frame once the autopilot is known; message: what it decodes to, None where it was refused."""
+        contact = self._contact
+        if frame.component != AUTOPILOT or frame.system != contact.system:
+            contact.foreign += 1
+            return False
+        reader = self._readers.get(frame.id)
+        if reader is None:
+            # Not worth decoding; but with a key, what was not verified proves nobody's presence.
+            return not self._codec.has_key
+        if message is None:
+            return False
+        contact.heard_at = t
+        contact.signature_trouble = ""
+        self._requests.arrived(frame.id)
+        reader(t, message)
+        return True
+
+    def _decode(self, frame: MavlinkFrame) -> Any | None:
+        message = self._codec.decode(frame)
+        if message is None and self._codec.has_key:
+            who = f"{frame.system}/{frame.component}"
+            fault = "signs with another key or an old time" if frame.signed else "speaks unsigned"
+            trouble = f"{who} {fault}, and we hold a signing key"
+            self._contact.signature_trouble = trouble
+            self._news.warn(f"{who} {fault}", "refused: %s", trouble)
+        return message
+
+    # ── who it is ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _is_autopilot(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
+        """Whether this frame is the heartbeat of the autopilot we look for; then it is ours from now on."""
+        contact = self._contact
+        source = (frame.system, frame.component)
+        if frame.id != common.MAVLINK_MSG_ID_HEARTBEAT:
+            if len(contact.others) < NAMED_SOURCES:
+                contact.others.setdefault(source, "")
+            return False
+        if message is None:
+            return False
+        is_autopilot = (
+            frame.component == AUTOPILOT
+            and message.autopilot != common.MAV_AUTOPILOT_INVALID
+            and message.type != common.MAV_TYPE_GCS
+        )
+        if is_autopilot and contact.expected_system in (None, frame.system):
+            contact.system = self._codec.system = frame.system
+            contact.kind = message.autopilot
+            contact.known_at = t
+            log.info("%s: found autopilot %d", self._link.address, frame.system)
+            self._gyro_delays.meet(message.autopilot)
+            if self._parameters is not None:
+                self._parameters.meet(message.autopilot)
+            self._check_line()
+            return True
+        if len(contact.others) < NAMED_SOURCES:
+            contact.others[source] = "an autopilot" if is_autopilot else ""
+        return False
+
+    def _check_line(self) -> None:
+        share = self._requests.line_share
+        if share > LINE_SHARE:
+            log.warning(
+                "%s: the rates asked for need %.1f kB/s, %.0f %% of what the line carries; ask for a lower IMU rate "
+                "or set a faster baud rate",
+                self._link.address,
+                self._requests.bytes_per_second * 1e-3,
+                100 * share,
+            )
+
+    def _on_heartbeat(self, t: float, m: Any) -> None:
+        """Each tells that the autopilot is there, and whether the drone flies."""
+        state = self._flight.on_heartbeat(t, m)
+        self._telemetry.listener.on_flight_state(state)
+        if self._engagement is not None:
+            airborne = state.airborne_since is not None
+            self._engagement.on_heartbeat(t, m, self._contact.kind, airborne=airborne)
+        if not self._greeted and state.airborne_since is not None:
+            self._telemetry.listener.on_found_flying()
+        self._greeted = True
+
+    def _on_text(self, t: float, m: Any) -> None:
+        assert self._engagement is not None
+        self._engagement.on_text(t, m.text)
+
+    def _on_channels(self, t: float, m: Any) -> None:
+        if self._engagement is not None:
+            self._engagement.on_channels(t, m)
+        if self._switch is not None and self._switch.on_channels(t, m):
+            self._telemetry.listener.on_switch(t)
+
+    def _on_ack(self, t: float, m: Any) -> None:
+        codec, system = self._codec, self._contact.system
+        for_us = m.target_system in (0, codec.system) and m.target_component in (0, codec.component)
+        if m.command == common.MAV_CMD_SET_MESSAGE_INTERVAL and for_us and system is not None:
+            for message in self._requests.acknowledged(m.result, t, system):
+                self._send(message)
+            imu = self._requests.imu_stream
+            if imu.answered_at == t and imu.answer is Answer.ACCEPTED:
+                self._telemetry.cadence.learn_again()

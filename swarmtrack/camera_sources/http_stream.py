@@ -1,0 +1,137 @@
+"""A stream over HTTP that never ends, from a camera that may come and go: opened, opened again, and stamped.
+
+A stream rarely says when its images were exposed. If it does, in seconds as a decimal number, that is taken as the
+time of exposure: on our monotonic clock if it lies within two seconds of it (a sender on the same machine), else as
+UTC of a sender whose clock is synchronised with ours. A stamp that fits neither, or lies in the future, is counted as
+`bad_stamps` and the time of arrival is used instead, with `latency_ms` taken off and `sigma_ms` as its uncertainty.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from swarmtrack.camera_sources.address import in_range
+from swarmtrack.camera_sources.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, NewestSlot, start, stop
+from swarmtrack.clock import Clock
+from swarmtrack.messages import LinkStatus, StampKind
+
+if TYPE_CHECKING:
+    import aiohttp
+
+STAMP_WINDOW = 2.0  # s: a stamp further from a clock is not of that clock, and no tracker looks back so far
+FUTURE = 0.005  # s: a stamp this much after the arrival shows that the two clocks disagree
+MONOTONIC_SIGMA = 1e-3  # s
+UTC_SIGMA = 5e-3  # s: two machines synchronised over a radio link
+HINTS = {401: ": give user and password, http://USER:PASSWORD@HOST/…", 404: ": check the path"}
+
+
+@dataclass(frozen=True, slots=True)
+class StreamOptions:
+    """Of streams from the network, which may carry no time of exposure."""
+
+    latency_ms: float = 0.0  # from exposure to arrival, where only the arrival is known
+    sigma_ms: float = 50.0  # of the same
+    timeout_s: float = 3.0  # without a byte, then the stream is opened anew
+
+    def __post_init__(self) -> None:
+        in_range("latency_ms", self.latency_ms, 0, 10_000)
+        in_range("sigma_ms", self.sigma_ms, 0.1, 10_000)
+        in_range("timeout_s", self.timeout_s, 0.5, 60)
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkOptions(StreamOptions):
+    """Of `http:` and `rtsp:`."""
+
+    resize: bool = False
+
+
+Read = Callable[["aiohttp.ClientResponse"], Awaitable[None]]
+
+
+class StreamEnded(Exception):
+    """The text says why; the stream is opened again."""
+
+
+class Exposure(NamedTuple):
+    """When an image was exposed [s], with its standard deviation [s], and how we know."""
+
+    stamp: StampKind
+    t: float
+    t_sigma: float
+
+
+class HttpStream:
+    """received: images (or lines, or whatever it is that comes) since the start; bad_stamps: of these, see above."""
+
+    def __init__(self, url: str, options: StreamOptions, clock: Clock, slot: NewestSlot[Any]) -> None:
+        self.received = 0
+        self.bad_stamps = 0
+        self._url = url
+        self._options = options
+        self._clock = clock
+        self._slot = slot
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self, read: Read) -> None:
+        """Have each connection's answer read, until `stop`. `read` may raise StreamEnded."""
+        self._task = self._task or start(partial(self._run, read), self._slot)
+
+    async def stop(self) -> None:
+        await stop(self._task, self._slot)
+
+    def status(self) -> LinkStatus:
+        status = self._slot.source.status()
+        return replace(status, counters=(*status.counters, ("bad_stamps", self.bad_stamps)))
+
+    async def _run(self, read: Read) -> None:
+        """Connect, read, say why it broke, and again; until cancelled."""
+        # Here, not above: 20 MB and 0.2 s that only such a camera needs.
+        import aiohttp  # noqa: PLC0415
+
+        backoff = BACKOFF_FIRST
+        timeout = aiohttp.ClientTimeout(
+            total=None, sock_connect=self._options.timeout_s, sock_read=self._options.timeout_s
+        )
+        async with aiohttp.ClientSession(timeout=timeout, read_bufsize=1 << 20) as session:
+            while True:
+                received = self.received
+                try:
+                    async with session.get(self._url) as response:
+                        if response.status != 200:
+                            hint = HINTS.get(response.status, "")
+                            raise StreamEnded(f"HTTP {response.status} {response.reason}{hint}")
+                        self._slot.source.counts.reconnects += received > 0
+                        await read(response)
+                    reason = "the server ended the stream"
+                except StreamEnded as ended:
+                    reason = str(ended)
+                except TimeoutError:  # before ClientError: aiohttp's own are both
+                    reason = f"nothing for {self._options.timeout_s:g} s"
+                except aiohttp.ClientConnectorError as error:
+                    why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
+                    reason = f"cannot connect to {error.host} port {error.port}: {why}"
+                except aiohttp.ClientError as error:
+                    reason = f"lost: {error}"
+                self._slot.source.say(False, f"{reason}; trying again")
+                if self.received > received:
+                    backoff = BACKOFF_FIRST
+                await asyncio.sleep(backoff)
+                backoff = min(2 * backoff, BACKOFF_LONGEST)
+
+    def exposure(self, stamp: float | None, arrived: float) -> Exposure:
+        """stamp [s]: what the stream says, NaN for what is no number, None for nothing; arrived: on our clock."""
+        if stamp is not None:
+            now = self._clock.now()
+            for clock_now, sigma in ((now, MONOTONIC_SIGMA), (self._clock.utc(), UTC_SIGMA)):
+                t = now + stamp - clock_now
+                if abs(t - now) < STAMP_WINDOW and t < arrived + FUTURE:
+                    return Exposure(StampKind.EXPOSURE, t, sigma)
+            self.bad_stamps += 1
+        options = self._options
+        return Exposure(StampKind.ARRIVAL, arrived - 1e-3 * options.latency_ms, 1e-3 * options.sigma_ms)

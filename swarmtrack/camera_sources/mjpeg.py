@@ -1,0 +1,102 @@
+"""`http:` a stream of JPEGs (`multipart/x-mixed-replace`), as IP cameras, phones and mjpg-streamer send it.
+
+A part may carry `X-Timestamp`, the time of its exposure; `http_stream` says how it is read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmtrack.camera_sources.address import CameraAddress, read_options, server_url
+from swarmtrack.camera_sources.decode import check_pixels, decode_jpeg
+from swarmtrack.camera_sources.frame_slot import FrameSlot, Freshness, RawFrame
+from swarmtrack.camera_sources.http_stream import HttpStream, NetworkOptions, StreamEnded
+from swarmtrack.camera_sources.multipart import MultipartReader, Part
+from swarmtrack.clock import Clock
+from swarmtrack.messages import Frame, LinkStatus, StampKind
+
+if TYPE_CHECKING:
+    import aiohttp
+
+
+class MjpegCamera:
+    """An MJPEG stream over HTTP."""
+
+    def __init__(
+        self, address: CameraAddress, *, clock: Clock, size: tuple[int, int] | None, base: Path | None
+    ) -> None:
+        del base  # a URL is never relative to the config
+        options = read_options(address, NetworkOptions)
+        self._clock = clock
+        self._slot = FrameSlot(str(address), clock, size, options.resize)
+        self._stream = HttpStream(server_url(address, NetworkOptions), options, clock, self._slot)
+        self._freshness = Freshness(period=1 / 30, depth=30)  # a second in the sockets' buffers
+
+    def frames(self) -> AsyncIterator[Frame]:
+        self._stream.start(self._read)
+        return self._slot.frames()
+
+    async def arrived(self) -> None:
+        await self._slot.arrived()
+
+    def status(self) -> LinkStatus:
+        return self._stream.status()
+
+    async def close(self) -> None:
+        await self._stream.stop()
+
+    async def _read(self, response: aiohttp.ClientResponse) -> None:
+        """Feed the slot until the stream breaks."""
+        reader = MultipartReader(_boundary(response))
+        oversized = 0
+        async for data in response.content.iter_any():
+            for part in reader.feed(data, self._clock.now()):
+                self._receive(part)
+            self._slot.source.counts.corrupt += reader.oversized - oversized
+            oversized = reader.oversized
+            if reader.ended:
+                break
+
+    def _receive(self, part: Part) -> None:
+        if not part.body:
+            return
+        self._slot.source.say(True, "streaming")
+        self._stream.received += 1
+        sequence = self._stream.received
+        text = part.headers.get("x-timestamp")
+        stamp, t, t_sigma = self._stream.exposure(None if text is None else _number(text), part.arrived)
+        if stamp is StampKind.EXPOSURE and self._freshness.is_stale(t, sequence, part.arrived):
+            self._slot.source.counts.stale += 1
+            return
+        self._slot.put(
+            RawFrame(
+                t,
+                t_sigma,
+                sequence,
+                stamp,
+                decode=lambda: decode_jpeg(part.body),
+                header_size=lambda: check_pixels(part.body),
+            )
+        )
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _boundary(response: aiohttp.ClientResponse) -> str:
+    """The boundary of a stream, or StreamEnded with what it is instead."""
+    if response.content_type != "multipart/x-mixed-replace":
+        raise StreamEnded(
+            f"is {response.content_type}, expected a stream of JPEGs, multipart/x-mixed-replace"
+        )
+    found = response.headers.get("Content-Type", "").partition("boundary=")[2].partition(";")[0]
+    if not found.strip(' "-'):
+        raise StreamEnded("announces no boundary between its images")
+    return found

@@ -1,0 +1,99 @@
+"""Between a source and its one consumer: room for the newest thing it sent.
+
+What a camera saw a moment ago is worth less than what it sees now, so what nobody took yet gives way to the next.
+All of it happens on the event loop; a thread that produces hands over with `loop.call_soon_threadsafe(slot.put, …)`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any, Generic, TypeVar
+
+from swarmtrack.camera_sources.source_status import SourceStatus
+from swarmtrack.clock import Clock
+
+BACKOFF_FIRST, BACKOFF_LONGEST = 0.5, 5.0  # s between two attempts to open a camera that is away
+CLOSE_TIMEOUT = 0.8  # s: a read in progress ends by its own timeout, which may be longer than anybody waits
+
+T = TypeVar("T")
+
+
+class NewestSlot(Generic[T]):
+    """Room for one T. One producer puts, one consumer takes. What becomes of the frames stands in `source`.
+
+    discard: called, once, with what gave way and was never taken.
+    """
+
+    def __init__(self, name: str, clock: Clock, discard: Callable[[T], None] = lambda _: None) -> None:
+        self.source = SourceStatus(name, clock)
+        self._discard = discard
+        self._newest: T | None = None
+        self._changed = asyncio.Event()
+        self._ended = False
+        self._error: BaseException | None = None
+
+    # the producer's side ------------------------------------------------------------------------------------------
+
+    def put(self, item: T) -> None:
+        if self._ended:
+            self._discard(item)
+            return
+        if self._newest is not None:
+            self.source.counts.dropped += 1
+            self._discard(self._newest)
+        self._newest = item
+        self.source.came()
+        self._changed.set()
+
+    def end(self, error: BaseException | None = None) -> None:
+        """Nothing more will come. The consumer still gets what waits, then `error` or the end."""
+        self._ended = True
+        self._error = self._error or error
+        self._changed.set()
+
+    @property
+    def ended(self) -> bool:
+        return self._ended
+
+    def clear(self) -> None:
+        """Give back what waits, unseen: its camera is gone."""
+        if self._newest is not None:
+            self._discard(self._newest)
+            self._newest = None
+
+    # the consumer's side ------------------------------------------------------------------------------------------
+
+    async def arrived(self) -> None:
+        """Until something waits, or nothing more will come."""
+        while self._newest is None and not self._ended:
+            self._changed.clear()
+            await self._changed.wait()
+
+    async def take(self) -> T | None:
+        """The newest, as soon as there is one; None after the end."""
+        await self.arrived()
+        if self._newest is None:
+            if self._error is not None:
+                raise self._error
+            return None
+        item, self._newest = self._newest, None
+        return item
+
+
+def start(run: Callable[[], Coroutine[Any, Any, None]], slot: NewestSlot[Any]) -> asyncio.Task[None] | None:
+    """Run a producer as a task; its end, or its failure, is the end of the slot's frames. Not after the end."""
+    if slot.ended:
+        return None
+    task = asyncio.create_task(run(), name="camera")
+    task.add_done_callback(lambda task: slot.end(None if task.cancelled() else task.exception()))
+    return task
+
+
+async def stop(task: asyncio.Task[None] | None, slot: NewestSlot[Any]) -> None:
+    """End a producer and the iteration of its consumer; returns within CLOSE_TIMEOUT, come what may."""
+    slot.clear()
+    slot.end()
+    if task is not None and not task.done():
+        task.cancel()
+        await asyncio.wait([task], timeout=CLOSE_TIMEOUT)

@@ -1,0 +1,42 @@
+"""Which camera an address means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from swarmtrack.camera_sources.address import DETECTS_BY_ITSELF, nearest, parse_address
+from swarmtrack.camera_sources.images import open_images
+from swarmtrack.camera_sources.mjpeg import MjpegCamera
+from swarmtrack.camera_sources.rtsp import RtspCamera
+from swarmtrack.camera_sources.v4l2 import V4l2Camera
+from swarmtrack.camera_sources.video import open_video_file
+from swarmtrack.clock import Clock
+from swarmtrack.errors import SourceError
+from swarmtrack.sources import Camera
+
+CAMERAS: dict[str, Callable[..., Camera]] = {
+    "v4l2": V4l2Camera,
+    "file": open_video_file,
+    "images": open_images,
+    "http": MjpegCamera,
+    "https": MjpegCamera,
+    "rtsp": RtspCamera,
+}
+
+
+def open_camera(
+    source: str, *, clock: Clock, size: tuple[int, int] | None = None, base: Path | None = None
+) -> Camera:
+    """The camera of an address; nothing is started before its `frames()`.
+
+    size: (width, height) px of its calibration, frames of another are refused unless the address says `resize=1`;
+    base: the folder that relative paths start from. Raises SourceError for what can never work.
+    """
+    address = parse_address(source)
+    if address.scheme not in CAMERAS:
+        known = [*CAMERAS, DETECTS_BY_ITSELF]
+        raise SourceError(
+            f'camera source {address}: unknown scheme "{address.scheme}"{nearest(address.scheme, known)}'
+        )
+    return CAMERAS[address.scheme](address, clock=clock, size=size, base=base)

@@ -1,0 +1,1 @@
+"""Autopilots that speak MAVLink as ArduPilot and PX4 do."""

@@ -1,0 +1,788 @@
+"""Scenarios as TOML files: read, checked, and turned into a `Scenario`. configs/scenarios holds those that are shipped.
+
+A file describes a formation, which makes as many drones as requested, or drones one by one (`[[drone]]`), or both.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    Strict,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from swarmtrack.config.drone import Intrinsics, Lens, Mount
+from swarmtrack.config.team import TeamOrigin
+from swarmtrack.config.toml.layers import Key, Layers, Problem, read_layers
+from swarmtrack.config.toml.sections import (
+    Count,
+    Number,
+    ParameterSection,
+    Place,
+    Positive,
+    Section,
+    Switch,
+    Text,
+    Vector,
+    found,
+    one_of,
+    parameter_problems,
+    validated,
+)
+from swarmtrack.errors import ConfigError
+from swarmtrack.formation.plan import FormationPlan, plan_faults
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.lab.scenarios.scenario import (
+    BODY_FROM_CAMERA,
+    CAMERA,
+    DRIFT_M,
+    HOVER_S,
+    LOCKSTEP_SKEW,
+    ORIGIN,
+    AutopilotKind,
+    FaultKind,
+    Plan,
+    Radio,
+    Scenario,
+    ScenarioCamera,
+    ScenarioEvent,
+    ScenarioFault,
+    Station,
+    Sway,
+    Swing,
+    Weave,
+    announced_starts,
+    drawn_skews,
+    fly,
+    form_up,
+    haunt,
+    lanes,
+    ring,
+    run_errands,
+)
+from swarmtrack.lab.score.swarm_verdict import Limits
+from swarmtrack.lab.world.airframe import Airframe
+from swarmtrack.lab.world.errands import Errand
+from swarmtrack.lab.world.sensors import DetectorParameters
+from swarmtrack.lab.world.star import Star, Stick, arc, fly_star
+from swarmtrack.lab.world.trajectory import (
+    Facing,
+    Lissajous,
+    MinimumSnap,
+    SteadyYaw,
+    SwingingYaw,
+    YawProfile,
+)
+from swarmtrack.lab.world.trajectory import (
+    Path as FlightPath,
+)
+
+FOLDER = Path(__file__).with_name("configs") / "scenarios"
+MAX_DRONES = 1000
+MAX_CAMERAS = 8  # of a drone
+CLIMBS_S = 8.0  # s from a take-off to the height of a slot
+FASTEST_LEADER_M_S = 5.0
+FENCE_M = 200.0  # around where a follower was engaged: wider than any scenario, it is not what is shown
+LEAST_STAR_HEIGHT_M = 2.0  # as an agent's config has it: nobody's slot is lower
+VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
+VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
+
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+ShareRate = Annotated[Number, Field(ge=2.0, le=10.0)]
+NotNegative = Annotated[Number, Field(ge=0.0)]
+DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
+DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_DRONES)]
+
+
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"{list(ends)}, expected [shortest, longest]")
+    return ends
+
+
+Range = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
+Heights = Annotated[tuple[Positive, ...], Field(min_length=1)]
+# The value of a fault: the largest one, and what it is; kinds that are not listed have none.
+FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
+    FaultKind.LOSS: (1.0, "the share of frames that are lost, 0 to 1"),
+    FaultKind.LATENCY: (60.0, "a delay of 0 to 60 s"),
+    FaultKind.CLUTTER: (1000.0, "0 to 1000 false detections per frame"),
+}
+
+
+class ScenarioCameraSection(Section):
+    """[camera], or one of [[camera]]: what every drone carries."""
+
+    fps: Annotated[Positive, Field(le=1000.0)] = 15.0
+    intrinsics: Intrinsics | None = Field(
+        default=None,
+        description="the intrinsics as numbers, px; the shipped camera of 73 degrees unless told",
+    )
+    distortion: Lens | None = Field(default=None, description="the distortion that goes with intrinsics")
+    body_from_camera: Mount | None = Field(
+        default=None, description="where the camera sits; 0.1 m ahead, looking along the nose, unless told"
+    )
+    phase: Annotated[Number, Field(ge=0.0, lt=1.0)] | None = Field(
+        default=None,
+        description="by which share of a frame it exposes late; cameras share a frame evenly unless told",
+    )
+    mounting_sigma_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = Field(
+        default=0.0, description="how wrong the config is about its rotation, and says so; degrees per axis"
+    )
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> Self:
+        if self.distortion is not None and self.intrinsics is None:
+            raise ValueError("distortion without intrinsics, expected both")
+        return self
+
+    def camera(self, place: int, of: int) -> ScenarioCamera:
+        """place: among the cameras of a drone, of which there are so many."""
+        lens = CAMERA
+        if self.intrinsics is not None:
+            bent = None if self.distortion is None else self.distortion.distortion()
+            lens = PinholeCamera(**self.intrinsics.model_dump(), distortion=bent)
+        mount = BODY_FROM_CAMERA if self.body_from_camera is None else self.body_from_camera.pose()
+        phase = place / of if self.phase is None else self.phase
+        return ScenarioCamera(lens, mount, self.fps, phase, math.radians(self.mounting_sigma_deg))
+
+
+def _listed(found: object) -> object:
+    """One table [camera] as a list of one, with its own keys in what is wrong with it."""
+    if not isinstance(found, list | tuple):
+        return (ScenarioCameraSection.model_validate(found),)
+    if not 1 <= len(found) <= MAX_CAMERAS:
+        raise ValueError(f"{len(found)} cameras, expected 1 to {MAX_CAMERAS}")
+    return found
+
+
+Cameras = Annotated[tuple[ScenarioCameraSection, ...], BeforeValidator(_listed)]
+
+
+class AgentsSection(Section):
+    """[agents]: values for the configs of the agents."""
+
+    imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = 200.0
+    tracks_hz: Annotated[Positive, Field(le=1000.0)] = 100.0
+    position_sigma_m: Positive = Field(
+        default=0.05, description="standard deviation of the measured starts, m per axis"
+    )
+    announce: Switch = Field(default=True, description="false: they tell each other nothing")
+    share_hz: ShareRate | None = Field(
+        default=None, description="how often they tell how they move; never unless told"
+    )
+    late: Annotated[int, Strict(), Field(ge=0)] = Field(
+        default=0, description="how many agents start late: those with the highest IDs"
+    )
+    late_by_s: Positive = Field(default=8.0, description="how late they start, s")
+    swapped: tuple[DroneId, ...] = Field(
+        default=(),
+        description="drones that stand on each other's places: each config tells the next one's start",
+    )
+
+
+class ClocksSection(Section):
+    """[clocks]: lists of values. The drones take them in turn, in the order of their IDs."""
+
+    utc_offset_s: tuple[Number, ...] = Field(
+        default=(), description="error of the companion computer's wall clock, s"
+    )
+    autopilot_skew_ppm: tuple[Annotated[Number, Field(ge=-1000.0, le=1000.0)], ...] = Field(
+        default=(),
+        description="how much too fast the autopilot's clock runs; 100 to 200 either way unless told",
+    )
+    camera_offset_s: tuple[Annotated[Number, Field(ge=-0.15, le=0.15)], ...] = Field(
+        default=(), description="by how much the stamps of the camera's frames are late, s"
+    )
+    autopilot_boot_s: tuple[NotNegative, ...] = Field(
+        default=(), description="reading of the autopilot's clock at world time 0, s"
+    )
+
+
+class RadioSection(Section):
+    """[radio]: of every link, all the time."""
+
+    loss: Share = 0.0
+    latency_s: NotNegative = 0.0
+    jitter_s: NotNegative = 0.0
+    kbit_s: Annotated[Number, Field(ge=1.0, le=1e6)] | None = Field(
+        default=None, description="what each drone's radio sends at most, kbit/s"
+    )
+
+
+class RingSection(Section):
+    """Stations on a circle; see `simulation.scenarios.ring`."""
+
+    radius_m: Positive = Field(description="smallest radius, m")
+    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(
+        default=1.8, description="smallest distance along the circle, m"
+    )
+    heights_m: Heights = Field(default=(5.0,), description="heights above the ground, taken in turn, m")
+
+
+class LanesSection(Section):
+    """Two sides of lanes; see `simulation.scenarios.lanes`."""
+
+    gap_m: Positive = Field(description="distance between the two sides, m")
+    lane_step_m: Annotated[Number, Field(ge=1.2)] = Field(
+        default=1.6, description="distance from lane to lane, m"
+    )
+    lanes_a_side: Count = Field(default=2, description="lanes per side, one behind the other")
+    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(default=2.5, description="distance within a lane, m")
+    heights_m: Heights = Field(
+        default=(5.0,), description="heights of a side's lanes above the ground, taken in turn, m"
+    )
+
+
+class SwaySection(Section):
+    amplitude_m: Place = Field(description="[north, east, down], m")
+    period_s: Range = Field(description="[shortest, longest], s")
+
+
+class WeaveSection(Section):
+    reach_m: Positive
+    period_s: Range = Field(description="[shortest, longest], s")
+
+
+class SwingSection(Section):
+    peak_rad_s: Positive
+    period_s: Range = Field(description="[shortest, longest], s")
+
+
+class ErrandSection(Section):
+    """On the ground, into the air, on errands; see `simulation.errands.Errand`."""
+
+    spacing_m: Annotated[Number, Field(ge=4.0)] = Field(default=8.0, description="distance to the next, m")
+    ground_s: NotNegative = Field(default=7.0, description="how long they stand on the ground, s")
+    hover_s: NotNegative = Field(default=6.0, description="between the climb and the first go-to, s")
+    heights_m: Heights = Field(default=(5.8, 6.5), description="heights above the ground, taken in turn, m")
+    reach_m: Positive = Field(default=2.5, description="of the go-tos, m")
+
+    def errand(self) -> Errand:
+        return Errand(**self.model_dump())
+
+
+class StickSection(Section):
+    at_s: NotNegative = Field(description="world time, s; later than the previous one")
+    velocity_m_s: Place = Field(description="[north, east, down], m/s; linear from one to the next")
+
+
+class StarSection(Section):
+    """Followers on an arc behind a leader, whose agents fly them by sight; see `simulation.star`. The first drone
+    leads."""
+
+    gap_m: Annotated[Number, Field(ge=3.0, le=30.0)] = Field(
+        default=5.0, description="from the leader to its followers, level, m"
+    )
+    layer_m: Annotated[Number, Field(ge=0.0, le=5.0)] = Field(
+        default=1.0, description="between the heights of neighbours and the leader's, m"
+    )
+    height_m: Annotated[Number, Field(ge=4.0, le=120.0)] = Field(
+        default=6.0, description="of the leader above the ground, m"
+    )
+    takes_off_s: NotNegative | None = Field(
+        default=None,
+        description="when all take off, world time, s; unless told they hover from the beginning",
+    )
+    engages_s: Positive = Field(
+        default=3.0, description="when the followers' pilots let their agents fly, world time, s"
+    )
+    judged_from_s: Positive = Field(description="from when on slots are judged, world time, s")
+    leader_leaves_s: Positive | None = Field(
+        default=None, description="from when on nobody sees the leader any more, world time, s"
+    )
+    sticks: Annotated[tuple[StickSection, ...], Field(min_length=2)] = Field(
+        description="how the leader's pilot flies; at rest first and last"
+    )
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> Self:
+        if self.takes_off_s is not None and self.engages_s < self.takes_off_s + CLIMBS_S:
+            raise ValueError(
+                f"engages_s {self.engages_s:g}, expected takes_off_s + {CLIMBS_S:g} or later: they climb first"
+            )
+        times = [stick.at_s for stick in self.sticks]
+        if times[0] < self.engages_s or any(b <= a for a, b in itertools.pairwise(times)):
+            raise ValueError(
+                f"sticks at_s {times}, expected each later than the one before, the first after engages_s"
+            )
+        speeds = [math.hypot(*stick.velocity_m_s) for stick in self.sticks]
+        if speeds[0] or speeds[-1]:
+            raise ValueError("sticks: the first and the last velocity, expected [0, 0, 0]")
+        if max(speeds) > FASTEST_LEADER_M_S:
+            raise ValueError(f"sticks: {max(speeds):g} m/s, expected {FASTEST_LEADER_M_S:g} m/s or less")
+        return self
+
+    def star(self, ids: Sequence[int]) -> Star:
+        """The lowest ID leads."""
+        return Star(
+            leader=ids[0],
+            slots=arc(ids, self.gap_m, layer_m=self.layer_m),
+            height_m=self.height_m,
+            takes_off_s=-math.inf if self.takes_off_s is None else self.takes_off_s,
+            engages_s=self.engages_s,
+            judged_from_s=self.judged_from_s,
+            sticks=tuple(Stick(stick.at_s, stick.velocity_m_s) for stick in self.sticks),
+            leader_leaves_s=math.inf if self.leader_leaves_s is None else self.leader_leaves_s,
+            settings={"limits": {"fence_radius_m": FENCE_M}},
+        )
+
+
+class GhostsSection(Section):
+    """[ghosts]: fixed points on which the detector fires again and again; see `simulation.scenarios.haunt`."""
+
+    count: Annotated[int, Strict(), Field(ge=0, le=1000)] = 4
+    p_detection: tuple[Share, Share] = Field(default=(0.3, 0.9), description="per frame, [least, most]")
+    score: tuple[Share, Share] = Field(default=(0.47, 0.64), description="[least, most]")
+    distance_m: Range = Field(default=(12.0, 40.0), description="[nearest, farthest], m")
+    height_m: Range = Field(default=(0.5, 6.0), description="above the ground, [lowest, highest], m")
+    size_m: Range = Field(default=(0.5, 1.5), description="of the boxes, [least, most], m")
+
+
+class FormationSection(Section):
+    """[formation]: a shape for any number of drones, and how they move after the hover."""
+
+    drones: DroneCount = Field(description="how many drones, unless the command asks for another number")
+    autopilots: tuple[AutopilotKind, ...] = Field(
+        default=(), description="whose manners their autopilots have, taken in turn; ArduPilot's unless told"
+    )
+    ring: RingSection | None = None
+    lanes: LanesSection | None = None
+    errand: ErrandSection | None = None
+    star: StarSection | None = None
+    sway: SwaySection | None = None
+    weave: WeaveSection | None = None
+    swing: SwingSection | None = None
+
+    @model_validator(mode="after")
+    def _one_shape_and_one_flight(self) -> FormationSection:
+        shapes = sum(shape is not None for shape in (self.ring, self.lanes, self.errand, self.star))
+        if shapes != 1:
+            raise ValueError(f"{shapes} of ring, lanes, errand and star, expected one of them")
+        moves = [name for name in ("sway", "weave", "swing") if getattr(self, name) is not None]
+        for name in ("errand", "star"):
+            if getattr(self, name) is not None and moves:
+                raise ValueError(
+                    f"{name} with {moves[0]}, expected one or the other: {name}s are flights already"
+                )
+        if self.star is not None and set(self.autopilots) - {AutopilotKind.ARDUPILOT}:
+            raise ValueError('star with autopilots, expected "ardupilot", whose response is known')
+        if self.sway is not None and self.weave is not None:
+            raise ValueError("both sway and weave, expected one of them")
+        if self.weave is not None and self.lanes is None:
+            raise ValueError(
+                "weave with ring, expected sway, or lanes, whose drones can swing sideways together"
+            )
+        return self
+
+    def stations(self, n: int) -> list[Station]:
+        if self.ring is not None:
+            return ring(n, **self.ring.model_dump())
+        assert self.lanes is not None
+        return lanes(n, **self.lanes.model_dump())
+
+    def flight(self) -> Sway | Weave | None:
+        if self.sway is not None:
+            return Sway(**self.sway.model_dump())
+        return Weave(**self.weave.model_dump()) if self.weave is not None else None
+
+
+class OscillationSection(Section):
+    """centre + amplitude sin(2π frequency t + phase), each [north, east, down]."""
+
+    centre_m: Place
+    amplitude_m: Place
+    frequency_hz: Vector
+    phase_rad: Vector = (0.0, 0.0, 0.0)
+
+
+class WaypointSection(Section):
+    at_s: Number = Field(description="world time, s; later than the previous one")
+    position_m: Place = Field(description="[north, east, down], m")
+
+
+class OwnSwingSection(Section):
+    peak_rad_s: Positive
+    period_s: Positive
+
+
+class PlannedFlight(Section):
+    """Where one drone hovers, how it then flies, and which way it looks."""
+
+    id: DroneId = Field(description="1 … 65535, unique")
+    position_m: Place = Field(description="where it hovers first, [north, east, down], m; up is negative")
+    looks_at_m: Place | None = Field(default=None, description="a point that it faces wherever it flies")
+    heading_deg: Number | None = Field(
+        default=None, description="heading, clockwise from north, instead of looks_at_m"
+    )
+    swing: OwnSwingSection | None = Field(default=None, description="yaw to and fro about its heading")
+    flight: OscillationSection | None = Field(default=None, description="endless oscillation after the hover")
+    waypoints: tuple[WaypointSection, ...] = Field(
+        default=(), description="instead of flight: from rest at the first to rest at the last"
+    )
+
+    @model_validator(mode="after")
+    def _one_way_to_fly_and_to_look(self) -> Self:
+        if self.looks_at_m is not None and (self.heading_deg is not None or self.swing is not None):
+            raise ValueError("looks_at_m with heading_deg or swing, expected one or the other")
+        if self.flight is not None and self.waypoints:
+            raise ValueError("both flight and waypoints, expected one of them")
+        return self
+
+    @field_validator("waypoints")
+    @classmethod
+    def _later_and_later(cls, waypoints: tuple[WaypointSection, ...]) -> tuple[WaypointSection, ...]:
+        if len(waypoints) == 1:
+            raise ValueError("one waypoint, expected two or more")
+        if any(after.at_s <= before.at_s for before, after in itertools.pairwise(waypoints)):
+            raise ValueError(
+                f"at_s {[point.at_s for point in waypoints]}, expected each later than the one before"
+            )
+        return waypoints
+
+    def plan(self, hover_s: float) -> Plan:
+        return Plan(self.position_m, self._view(hover_s), self._flight(), hover_s)
+
+    def _view(self, hover_s: float) -> YawProfile:
+        heading = math.radians(self.heading_deg or 0.0)
+        if self.looks_at_m is not None:
+            return Facing(self.looks_at_m)
+        if self.swing is not None:
+            return SwingingYaw(heading, self.swing.peak_rad_s, self.swing.period_s, hover_s)
+        return SteadyYaw(heading)
+
+    def _flight(self) -> FlightPath | None:
+        if self.flight is not None:
+            f = self.flight
+            return Lissajous(f.centre_m, f.amplitude_m, f.frequency_hz, f.phase_rad)
+        if self.waypoints:
+            return MinimumSnap(
+                [point.at_s for point in self.waypoints], [point.position_m for point in self.waypoints]
+            )
+        return None
+
+
+class DroneSection(PlannedFlight):
+    """[[drone]]: one drone by itself, with or without a formation."""
+
+    stranger: Switch = Field(
+        default=False, description="true: it has no agent and does not belong to the team"
+    )
+    guided: Switch = Field(
+        default=False, description="true: it stands there on the ground until somebody flies it by MAVLink"
+    )
+    autopilot: AutopilotKind = Field(
+        default=AutopilotKind.ARDUPILOT, description="whose manners its autopilot has"
+    )
+
+    @model_validator(mode="after")
+    def _guided_or_by_plan(self) -> Self:
+        planned = [name for name in ("flight", "waypoints", "swing") if getattr(self, name)]
+        if self.guided and planned:
+            raise ValueError(f"guided with {planned[0]}, expected one of them: who is guided has no plan")
+        if self.guided and self.stranger:
+            raise ValueError("guided stranger, expected one of them: a stranger has no autopilot to command")
+        return self
+
+    def plan(self, hover_s: float) -> Plan:
+        plan = super().plan(hover_s)
+        return dataclasses.replace(plan, guided=self.autopilot.response) if self.guided else plan
+
+
+class FaultSection(Section):
+    """[[fault]]"""
+
+    kind: FaultKind
+    at_s: NotNegative = Field(description="when it starts, world time, s")
+    seconds: NotNegative = Field(
+        default=0.0,
+        description="how long it lasts, s; for a kill: until the agent is restarted",
+        validate_default=True,
+    )
+    drones: tuple[DroneId, ...] = Field(
+        default=(),
+        description="the drones affected, all by default; for a partition: one side of it",
+        validate_default=True,
+    )
+    value: Number | None = Field(
+        default=None, description="strength of loss, latency or clutter", validate_default=True
+    )
+
+    @field_validator("seconds")
+    @classmethod
+    def _lasting(cls, seconds: float, info: ValidationInfo) -> float:
+        momentary = (FaultKind.KILL, FaultKind.AUTOPILOT_REBOOT)
+        if seconds == 0.0 and "kind" in info.data and info.data["kind"] not in momentary:
+            raise ValueError(f"{seconds:g}, expected how long the {info.data['kind']} lasts, more than 0 s")
+        return seconds
+
+    @field_validator("drones")
+    @classmethod
+    def _with_a_side(cls, drones: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
+        if not drones and info.data.get("kind") is FaultKind.PARTITION:
+            raise ValueError("none, expected the drones on one side of the partition")
+        return drones
+
+    @field_validator("value")
+    @classmethod
+    def _of_its_kind(cls, value: float | None, info: ValidationInfo) -> float | None:
+        kind = info.data.get("kind")
+        if kind in FAULT_VALUES:
+            most, meaning = FAULT_VALUES[kind]
+            if value is None or not 0.0 <= value <= most:
+                raise ValueError(f"{'missing' if value is None else format(value, 'g')}, expected {meaning}")
+        elif kind is not None and value is not None:
+            raise ValueError(f"{value:g}, expected none: {kind} has no strength")
+        return value
+
+    def fault(self) -> ScenarioFault:
+        return ScenarioFault(self.kind, self.at_s, self.seconds, self.drones, self.value or 0.0)
+
+
+class ScenarioFile(Section):
+    """A whole file."""
+
+    about: Text = Field(description="one sentence: what it shows")
+    seconds: Positive = Field(description="length of the flight unless the command says otherwise, s")
+    hover_s: NotNegative = Field(default=HOVER_S, description="how long all drones hover first, s")
+    drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
+        default=DRIFT_M, description="error with which a drone holds its position, RMS per axis, m"
+    )
+    origin: TeamOrigin | None = Field(
+        default=None, description="{ lat_deg, lon_deg, alt_m } of the world's origin on the Earth"
+    )
+    codes_s: tuple[NotNegative, ...] = Field(
+        default=(), description="when all drones sway by their codes, world time, s"
+    )
+    camera: Cameras = (ScenarioCameraSection(),)
+    agents: AgentsSection = AgentsSection()
+    clocks: ClocksSection = ClocksSection()
+    detector: ParameterSection = ParameterSection()
+    radio: RadioSection = RadioSection()
+    ghosts: GhostsSection = GhostsSection(count=0)
+    formation: FormationSection | None = None
+    drone: tuple[DroneSection, ...] = ()
+    fault: tuple[FaultSection, ...] = ()
+    expected: ParameterSection = ParameterSection()
+
+
+def scenario_names() -> list[str]:
+    """The shipped scenarios."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def load_scenario(name_or_path: str | Path, *, seed: int = 1, drones: int | None = None) -> Scenario:
+    """The scenario of a TOML file, or the shipped scenario of that bare name.
+
+    seed ≥ 0 decides all that is random. drones: how many of the team fly; None: as many as the file says.
+    Raises ConfigError with every problem that was found.
+    """
+    path = _path(name_or_path)
+    return scenario_of(read_scenario(name_or_path), path.stem, seed=seed, drones=drones)
+
+
+def read_scenario(name_or_path: str | Path) -> Layers:
+    """The layers of a scenario's files, not yet checked. Raises ConfigError."""
+    return read_layers(_path(name_or_path), lambda table, folder: None)
+
+
+def scenario_of(layers: Layers, name: str, *, seed: int, drones: int | None) -> Scenario:
+    """As `load_scenario`, from layers that were read before."""
+    problems = parameter_problems(layers, "detector", DetectorParameters)
+    problems += parameter_problems(layers, "expected", Limits)
+    file = validated(ScenarioFile, layers, problems, lambda file: _drone_problems(layers, file, drones))
+    return _scenario(name, file, seed, drones)
+
+
+def load_limits(name_or_path: str | Path) -> Limits:
+    """What a scenario expects of a flight, from [expected] of a file that `load_scenario` has accepted."""
+    return limits_of(read_scenario(name_or_path))
+
+
+def limits_of(layers: Layers) -> Limits:
+    """As `load_limits`, from layers that were read before."""
+    return Limits(**layers.table.get("expected", {}))
+
+
+def _path(name_or_path: str | Path) -> Path:
+    name = str(name_or_path)
+    if isinstance(name_or_path, Path) or "/" in name or name.endswith(".toml"):
+        return Path(name_or_path)
+    known = scenario_names()
+    if name not in known:
+        raise ConfigError([f"scenario {found(name)}, {one_of(name, known)}"])
+    return FOLDER / f"{name}.toml"
+
+
+def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> list[Problem]:
+    """What is wrong with the number of drones, and with the IDs that are used."""
+    problems: list[Problem] = []
+
+    def wrong(key: Key, text: str) -> None:
+        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key)
+        problems.append(layers.problem(key, f"{place.removeprefix('.')}: {text}"))
+
+    ids = [drone.id for drone in file.drone]
+    for k, drone_id in enumerate(ids):
+        if drone_id in ids[:k]:
+            wrong(("drone", k, "id"), f"{drone_id}, expected an ID that no other drone has")
+    one_by_one = sum(not drone.stranger for drone in file.drone)
+    wanted = _team_size(file, drones)
+    if file.formation is None:
+        if not one_by_one:
+            wrong(("formation",), "missing, expected a table [formation], or drones one by one in [[drone]]")
+        elif wanted != one_by_one:
+            wrong(
+                ("drone",),
+                f"{wanted} drones wanted, expected {one_by_one}: it has no [formation] that makes others",
+            )
+    elif not max(1, one_by_one) <= wanted <= MAX_DRONES:
+        wrong(
+            ("formation", "drones"), f"{wanted} drones wanted, expected {max(1, one_by_one)} to {MAX_DRONES}"
+        )
+    by_others = [drone.id for drone in file.drone if drone.guided]
+    shape = file.formation
+    if file.codes_s and (by_others or (shape is not None and (shape.errand or shape.star) is not None)):
+        wrong(
+            ("codes_s",), "with guided drones, errands or a star, expected drones that hover or fly by plan"
+        )
+    if problems:
+        return problems
+    flying = {*ids, *_formation_ids(file, wanted)}
+    for k, drone_id in enumerate(file.agents.swapped):
+        if drone_id not in flying or drone_id in file.agents.swapped[:k]:
+            wrong(("agents", "swapped"), f"drone {drone_id}, expected some of {sorted(flying)}, each once")
+    if shape is not None and shape.star is not None:
+        if one_by_one:
+            wrong(
+                ("drone",),
+                "of the team beside a star, expected strangers only: a star has a slot for all others",
+            )
+        for text in _star_faults(shape.star, _formation_ids(file, wanted)):
+            wrong(("formation", "star"), text)
+    for k, fault in enumerate(file.fault):
+        absent = sorted(set(fault.drones) - flying)
+        if absent:
+            wrong(
+                ("fault", k, "drones"),
+                f"drone {absent[0]}, which does not fly, expected some of {sorted(flying)}",
+            )
+    return problems
+
+
+def _star_faults(section: StarSection, ids: Sequence[int]) -> list[str]:
+    """What its agents would refuse."""
+    if len(ids) < 2:
+        return ["one drone, expected a leader and a follower or more"]
+    star = section.star(ids)
+    plan = FormationPlan(
+        leader=star.leader,
+        slots=star.slots,
+        references=dict.fromkeys(star.followers, (star.leader,)),
+        height=star.height_m,
+        least_height=LEAST_STAR_HEIGHT_M,
+    )
+    faults = plan_faults(plan, Airframe().span)
+    return [f"{len(ids)} drones, {'.'.join(fault.key)}: {fault.text}" for fault in faults[:1]]
+
+
+def _team_size(file: ScenarioFile, drones: int | None) -> int:
+    if drones is not None:
+        return drones
+    return (
+        file.formation.drones
+        if file.formation is not None
+        else sum(not drone.stranger for drone in file.drone)
+    )
+
+
+def _formation_ids(file: ScenarioFile, team: int) -> list[int]:
+    """The lowest free IDs, for all team members that are not described one by one."""
+    taken = {drone.id for drone in file.drone}
+    free = (drone_id for drone_id in itertools.count(1) if drone_id not in taken)
+    return list(itertools.islice(free, team - sum(not drone.stranger for drone in file.drone)))
+
+
+def _autopilots(file: ScenarioFile, members: Sequence[int], ids: Sequence[int]) -> dict[int, AutopilotKind]:
+    """By drone. ids: of those that the formation makes."""
+    autopilots = dict.fromkeys(members, AutopilotKind.ARDUPILOT)
+    autopilots |= {drone.id: drone.autopilot for drone in file.drone}
+    if file.formation is not None and file.formation.autopilots:
+        autopilots |= zip(ids, itertools.cycle(file.formation.autopilots), strict=False)
+    return autopilots
+
+
+def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> Scenario:
+    ids = _formation_ids(file, _team_size(file, drones)) if file.formation is not None else []
+    members = sorted([*ids, *(drone.id for drone in file.drone if not drone.stranger)])
+    agents = file.agents
+    starts = dict.fromkeys(members[len(members) - agents.late :], agents.late_by_s) if agents.late else {}
+    autopilots = _autopilots(file, members, ids)
+    plans = {drone.id: drone.plan(file.hover_s + starts.get(drone.id, 0.0)) for drone in file.drone}
+    shape = file.formation
+    if shape is not None and shape.errand is None and shape.star is None:
+        plans |= form_up(
+            seed,
+            dict(zip(ids, shape.stations(len(ids)), strict=True)),
+            flight=shape.flight(),
+            swing=Swing(**shape.swing.model_dump()) if shape.swing else None,
+            departs_s={drone_id: file.hover_s + starts.get(drone_id, 0.0) for drone_id in ids},
+            view=VIEW,
+        )
+    team = tuple(members)
+    world = fly(seed, dict(sorted(plans.items())), file.drift_m, codes_s=file.codes_s, team=team)
+    events: tuple[ScenarioEvent, ...] = ()
+    if shape is not None and shape.errand is not None:
+        responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
+        world, events = run_errands(world, ids, shape.errand.errand(), file.drift_m, responses)
+    star = shape.star.star(ids) if shape is not None and shape.star is not None else None
+    if star is not None:
+        world = fly_star(world, star, file.drift_m)
+    strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
+
+    def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
+        return dict(zip(members, itertools.cycle([factor * value for value in values]), strict=False))
+
+    return Scenario(
+        world=world,
+        origin=file.origin.place() if file.origin else ORIGIN,
+        name=name,
+        about=file.about,
+        seconds=file.seconds,
+        cameras=tuple(camera.camera(place, len(file.camera)) for place, camera in enumerate(file.camera)),
+        imu_rate_hz=agents.imu_rate_hz,
+        tracks_hz=agents.tracks_hz,
+        detector=DetectorParameters(**file.detector.parameters),
+        announced={
+            drone_id: start
+            for drone_id, start in announced_starts(world, agents.position_sigma_m, agents.swapped).items()
+            if drone_id not in strangers
+        },
+        announces=agents.announce,
+        share_hz=agents.share_hz,
+        codes_s=file.codes_s,
+        strangers=strangers,
+        starts_s=starts,
+        utc_offset_s=in_turn(file.clocks.utc_offset_s),
+        autopilot_skew=(in_turn(file.clocks.autopilot_skew_ppm, 1e-6) or drawn_skews(world, members))
+        | {n: LOCKSTEP_SKEW for n in members if autopilots[n] is AutopilotKind.PX4_LOCKSTEP},
+        autopilot_boot_s=in_turn(file.clocks.autopilot_boot_s),
+        autopilots=autopilots,
+        camera_offset_s=in_turn(file.clocks.camera_offset_s),
+        ghosts=haunt(world, **file.ghosts.model_dump()),
+        events=events,
+        radio=Radio(**file.radio.model_dump()),
+        faults=tuple(fault.fault() for fault in file.fault),
+        formation=star,
+    )

@@ -1,0 +1,536 @@
+"""Who flies where, which camera everyone carries, and what goes wrong when: one simulated flight of a swarm.
+
+A scenario is a value. `lab.scenarios.files` reads one from TOML with the builders below. All drones hover until world
+time `HOVER_S`, and at every negative time: however slowly processes start, the announced poses fit what is seen. Then
+they move, without end. In errands and stars they stand on the ground first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.geodesy import Geodetic
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.lab.world.errands import Errand, fly_errands
+from swarmtrack.lab.world.followed import FollowedDrone
+from swarmtrack.lab.world.guided import GuidedDrone
+from swarmtrack.lab.world.response import ARDUPILOT, PX4, Response
+from swarmtrack.lab.world.sensors import DetectorParameters
+from swarmtrack.lab.world.star import Star, TeamSlots
+from swarmtrack.lab.world.trajectory import (
+    Coded,
+    Facing,
+    Handover,
+    Hover,
+    Lissajous,
+    Path,
+    SteadyYaw,
+    SwingingYaw,
+    Together,
+    Trajectory,
+    YawProfile,
+    wander,
+)
+from swarmtrack.lab.world.world import Drawn, World
+from swarmtrack.messages import Array
+
+HOVER_S = 4.5  # s: an agent needs one to start, and one to see and name everyone
+DEPARTURE_S = 5.0  # s: from hover into the flight proper
+SKEWS = (1e-4, 2e-4)  # s/s
+LOCKSTEP_SKEW = -0.011  # s/s, as measured: a simulator that cannot quite follow
+BESIDE = 0.15  # rad: from a drone to a ghost behind it, one sigma
+DRIFT_M = 0.03  # m RMS an axis: how well a drone holds its position
+ORIGIN = Geodetic.from_degrees(47.397742, 8.545594, 488.0)  # where PX4's simulators fly
+CAMERA = PinholeCamera(fx=430.0, fy=430.0, cx=319.5, cy=239.5, width=640, height=480)
+BODY_FROM_CAMERA = Pose(BODY_FROM_FORWARD_CAMERA, np.array([0.1, 0.0, 0.0]))
+
+
+class AutopilotKind(StrEnum):
+    """Whose manners a drone's autopilot has."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
+    PX4_LOCKSTEP = "px4-lockstep"  # as in PX4's own simulators by default: time moves in steps, and 1 % slow
+
+    @property
+    def response(self) -> Response:
+        """How it flies what it is told."""
+        return ARDUPILOT if self is AutopilotKind.ARDUPILOT else PX4
+
+
+class FaultKind(StrEnum):
+    CAMERA_STALL = "camera-stall"
+    IMU_GAP = "imu-gap"
+    AUTOPILOT_REBOOT = "autopilot-reboot"
+    KILL = "kill"  # kill -9 of the agent, started again after `seconds`; 0: it stays dead
+    PARTITION = "partition"  # `drones` hear each other, and so does everybody else; nobody hears across
+    LOSS = "loss"
+    LATENCY = "latency"
+    CLUTTER = "clutter"
+
+
+RADIO_FAULTS = frozenset({FaultKind.PARTITION, FaultKind.LOSS, FaultKind.LATENCY})
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioFault:
+    """What goes wrong from world time `at_s` on for `seconds`, with `drones` (none named: with all).
+
+    value: of a loss the share 0…1 of frames lost, of a latency s, of clutter the false detections expected per frame.
+    """
+
+    kind: FaultKind
+    at_s: float
+    seconds: float
+    drones: tuple[int, ...] = ()
+    value: float = 0.0
+
+    def concerns(self, drone_id: int, t: float) -> bool:
+        """Whether it holds for this drone at world time t."""
+        return (not self.drones or drone_id in self.drones) and self.at_s <= t < self.at_s + self.seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Radio:
+    """Every link of the team's radio, all the time. loss 0…1; latency and its jitter (±) in s; kbit_s: what each radio
+    sends at most, None: as much as you like."""
+
+    loss: float = 0.0
+    latency_s: float = 0.0
+    jitter_s: float = 0.0
+    kbit_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ghost:
+    """A fixed point of the world, (3,) m, on which the detector fires with a probability per frame: part of a house, a
+    pole, a tree. size_m: of the box, at the ghost's distance; score: from … to.
+    """
+
+    position_m: Array
+    size_m: float
+    p_detection: float
+    score: tuple[float, float]
+
+
+class ScenarioEvent(NamedTuple):
+    """What a drone is told, at world time t [s]."""
+
+    t: float
+    drone_id: int
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnnouncedStart:
+    """Where a drone's config says that it starts: measured, hence off by about `position_sigma_m` per axis.
+
+    position_m (3,) m in the team frame; yaw in rad from north.
+    """
+
+    position_m: Array
+    yaw: float
+    position_sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScenarioCamera:
+    """One of the cameras that every drone carries.
+
+    phase: the share of a frame, 0 to 1, by which its exposures are later than those of a camera at phase 0.
+    mounting_sigma: by how much a drone's config is wrong about its rotation, rad per axis, and says that it may be.
+    """
+
+    lens: PinholeCamera = CAMERA
+    body_from_camera: Pose = BODY_FROM_CAMERA
+    fps: float = 15.0
+    phase: float = 0.0
+    mounting_sigma: float = 0.0
+
+    def exposure(self, index: int) -> float:
+        """World time of frame number `index`, s."""
+        return (index + self.phase) / self.fps
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Scenario:
+    """A world, the cameras that every drone in it carries, and what its agents and their machines are like.
+
+    origin: where the world's origin lies on the Earth, its height above mean sea level. seconds is its natural
+    length. starts_s: when a drone's agent is started, in world time; 0: before the flight begins. utc_offset_s: how
+    wrong its companion's wall clock is. autopilot_skew: how much faster than true time its autopilot's clock runs
+    (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. camera_offset_s: by how much its
+    camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an ArduPilot that was
+    switched on at world time 0. All cameras of a drone stamp alike. announces: whether the drones tell each other
+    anything; where they do not, all know `announced` from a file, and codes_s is when all sway by their codes [s].
+    share_hz: how often they tell how they move; None: never. formation: who follows whom by sight; None: nobody.
+    ghosts are for detectors that are not shown pictures; the pictures have houses, poles and trees.
+    """
+
+    world: World
+    origin: Geodetic = ORIGIN
+    name: str = "unnamed"
+    about: str = ""
+    seconds: float = 30.0
+    cameras: tuple[ScenarioCamera, ...] = (ScenarioCamera(),)
+    imu_rate_hz: float = 200.0
+    tracks_hz: float = 100.0
+    detector: DetectorParameters = field(default_factory=DetectorParameters)
+    announced: Mapping[int, AnnouncedStart] = field(default_factory=dict)
+    announces: bool = True
+    share_hz: float | None = None
+    codes_s: tuple[float, ...] = ()
+    strangers: frozenset[int] = frozenset()
+    starts_s: Mapping[int, float] = field(default_factory=dict)
+    utc_offset_s: Mapping[int, float] = field(default_factory=dict)
+    autopilot_skew: Mapping[int, float] = field(default_factory=dict)
+    autopilot_boot_s: Mapping[int, float] = field(default_factory=dict)
+    autopilots: Mapping[int, AutopilotKind] = field(default_factory=dict)
+    camera_offset_s: Mapping[int, float] = field(default_factory=dict)
+    ghosts: tuple[Ghost, ...] = ()
+    events: tuple[ScenarioEvent, ...] = ()
+    radio: Radio = Radio()
+    faults: tuple[ScenarioFault, ...] = ()
+    formation: TeamSlots | None = None
+
+    @property
+    def seed(self) -> int:
+        return self.world.seed
+
+    @property
+    def star(self) -> Star | None:
+        """The formation, where its leader is one of ours; None: nobody leads, or whom others fly."""
+        return self.formation if isinstance(self.formation, Star) else None
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The lens of the first camera."""
+        return self.cameras[0].lens
+
+    @property
+    def body_from_camera(self) -> Pose:
+        """Where the first camera sits."""
+        return self.cameras[0].body_from_camera
+
+    @property
+    def fps(self) -> float:
+        """Of the first camera."""
+        return self.cameras[0].fps
+
+    def told_mounting(self, drone_id: int, camera: int) -> Pose:
+        """body_from_camera as the drone's config has it, of a camera by its number: as well as it was measured."""
+        mounted = self.cameras[camera]
+        if mounted.mounting_sigma == 0.0:
+            return mounted.body_from_camera
+        error = mounted.mounting_sigma * self.world.chance("mounting", drone_id, camera).standard_normal(3)
+        true = mounted.body_from_camera
+        return Pose(true.rotation @ rotation.exp(error), true.position)
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """The drones that have an agent."""
+        return tuple(drone_id for drone_id in self.world.drones if drone_id not in self.strangers)
+
+    @property
+    def initial_poses(self) -> Mapping[int, Pose]:
+        """world_from_body at world time 0, by drone."""
+        return {drone_id: self.world.pose(drone_id, 0.0) for drone_id in self.world.drones}
+
+    def autopilot(self, drone_id: int) -> AutopilotKind:
+        """Whose manners the drone's autopilot has."""
+        return self.autopilots.get(drone_id, AutopilotKind.ARDUPILOT)
+
+    def extra_clutter(self, drone_id: int, t: float) -> float:
+        """False detections to expect in a frame exposed at world time t, beyond the detector's own."""
+        return sum(f.value for f in self.faults if f.kind is FaultKind.CLUTTER and f.concerns(drone_id, t))
+
+    @property
+    def needs_radio(self) -> bool:
+        """Whether its links lose, delay or part: it then needs a network of its own."""
+        return self.radio != Radio() or any(fault.kind in RADIO_FAULTS for fault in self.faults)
+
+
+def as_told(scenario: Scenario) -> tuple[Scenario, dict[int, FollowedDrone]]:
+    """The scenario for who does not fly it: where a guided drone is cannot be computed there, it must be told."""
+    followed = {
+        drone_id: FollowedDrone(keep_s=math.inf)
+        for drone_id, drone in scenario.world.drones.items()
+        if isinstance(drone, GuidedDrone)
+    }
+    world = replace(scenario.world, drones={**scenario.world.drones, **followed})
+    return replace(scenario, world=world), followed
+
+
+# --- who flies where -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Hover at `start` (3,) m; at `departs_s`, unless `flight` is None, go over into it.
+
+    guided: instead, stand there on the ground until somebody flies it by MAVLink, and respond as this autopilot does.
+    """
+
+    start: ArrayLike
+    view: YawProfile
+    flight: Path | None = None
+    departs_s: float = HOVER_S
+    guided: Response | None = None
+
+
+def fly(
+    seed: int,
+    plans: Mapping[int, Plan],
+    drift_m: float = DRIFT_M,
+    *,
+    codes_s: tuple[float, ...] = (),
+    team: tuple[int, ...] = (),
+) -> World:
+    """The world in which each drone follows its plan, give or take the drift of a drone that holds its position, and
+    those of the team sway by their codes from each of codes_s [s] on."""
+    chance = World(seed, {}).chance
+    drones: dict[int, Drawn] = {}
+    for drone_id, plan in plans.items():
+        path: Path = Hover(plan.start)
+        drift = wander(chance("wander", drone_id), drift_m)
+        if plan.guided is not None:
+            north, east, down = np.asarray(plan.start, dtype=float).tolist()
+            yaw, _ = plan.view.yaw(0.0, path.derivatives(0.0))
+            drones[drone_id] = GuidedDrone((north, east, down), yaw, plan.guided, drift)
+            continue
+        if plan.flight is not None:
+            path = Handover(path, plan.flight, plan.departs_s, DEPARTURE_S)
+        code = Coded(drone_id, team, codes_s if drone_id in team else ())
+        drones[drone_id] = Trajectory(Together((path, drift, code)), plan.view)
+    return World(seed, drones)
+
+
+def run_errands(
+    world: World, ids: Sequence[int], errand: Errand, sway_m: float, responses: Mapping[int, Response]
+) -> tuple[World, tuple[ScenarioEvent, ...]]:
+    """The world with these drones on errands, and what they are told when."""
+    flights, orders = fly_errands(world, ids, errand, responses, sway_m)
+    events = (
+        ScenarioEvent(order.t, drone_id, order.words) for drone_id, told in orders.items() for order in told
+    )
+    drones = dict(sorted({**world.drones, **flights}.items()))
+    return replace(world, drones=drones), tuple(sorted(events))
+
+
+def drawn_skews(world: World, ids: Sequence[int]) -> dict[int, float]:
+    """Of the autopilots' clocks, s/s: 100 to 200 ppm, either way, as measured."""
+    skews = {}
+    for drone_id in ids:
+        chance = world.chance("autopilot skew", drone_id)
+        skews[drone_id] = float(chance.choice((-1.0, 1.0)) * chance.uniform(*SKEWS))
+    return skews
+
+
+def haunt(
+    world: World,
+    count: int,
+    *,
+    p_detection: tuple[float, float],
+    score: tuple[float, float],
+    distance_m: tuple[float, float],
+    height_m: tuple[float, float],
+    size_m: tuple[float, float],
+) -> tuple[Ghost, ...]:
+    """Ghosts in the directions in which drones look for each other: each behind one as another one sees it.
+
+    Give or take `BESIDE`. distance_m from the observer, height_m above the ground and size_m are drawn from ranges, and
+    so is each ghost's own probability; all of them have scores from the range.
+    """
+    ghosts = []
+    drones = list(world.drones)
+    for k in range(count if len(drones) > 1 else 0):
+        chance = world.chance("ghost", k)
+        observer, other = (
+            world.flown(d).position(0.0) for d in chance.choice(drones, 2, replace=False).tolist()
+        )
+        north, east, _ = other - observer
+        bearing = math.atan2(east, north) + chance.normal(0.0, BESIDE)
+        distance = chance.uniform(*distance_m)
+        place = observer + distance * np.array([math.cos(bearing), math.sin(bearing), 0.0])
+        place[2] = -chance.uniform(*height_m)
+        ghosts.append(Ghost(place, chance.uniform(*size_m), chance.uniform(*p_detection), score))
+    return tuple(ghosts)
+
+
+def announced_starts(
+    world: World, position_sigma_m: float, swapped: tuple[int, ...] = ()
+) -> dict[int, AnnouncedStart]:
+    """What the drones' configs say of their starts, measured with errors of that standard deviation per axis.
+
+    swapped: drones that stand on each other's places: each says where the next of them stands.
+    """
+    starts = {}
+    for drone_id in world.drones:
+        trajectory = world.flown(drone_id)
+        error = position_sigma_m * world.chance("start", drone_id).standard_normal(3)
+        starts[drone_id] = AnnouncedStart(
+            trajectory.position(0.0) + error, trajectory.yaw(0.0), position_sigma_m
+        )
+    told = dict(zip(swapped, (*swapped[1:], *swapped[:1]), strict=True))
+    return starts | {drone_id: starts[other] for drone_id, other in told.items()}
+
+
+# --- formations ------------------------------------------------------------------------------------
+
+
+class Station(NamedTuple):
+    """A drone's place in a formation: position (3,) m; which side of it; phase [rad] in what its side does together."""
+
+    position: Array
+    side: int = 0
+    phase: float = 0.0
+
+
+def ring(n: int, *, radius_m: float, spacing_m: float, heights_m: Sequence[float]) -> list[Station]:
+    """n stations about the origin, `spacing_m` along the circle or more, at the heights in turn.
+
+    Four make a rhombus of two equilateral triangles. In a square, a camera of 73° would show each drone only
+    its opposite and one neighbour, so 8 of the 12 pairs; here it is 10.
+    """
+    radius = max(radius_m, n * spacing_m / (2.0 * math.pi))
+    along, across = (1.3 * radius, 0.75 * radius) if n == 4 else (radius, radius)
+    angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
+    return [
+        Station(np.array([along * math.cos(a), across * math.sin(a), -heights_m[k % len(heights_m)]]))
+        for k, a in enumerate(angle)
+    ]
+
+
+def lanes(
+    n: int,
+    *,
+    gap_m: float,
+    lane_step_m: float,
+    lanes_a_side: int,
+    spacing_m: float,
+    heights_m: Sequence[float],
+) -> list[Station]:
+    """Two sides, south and north of the origin and `gap_m` apart, of lanes one behind the other.
+
+    The drones of a lane stand side by side, `spacing_m` apart; the next lane stands in its gaps, at the next height.
+    The first n // 2 drones are the southern side, from front to rear and again; the rest are the northern one.
+    """
+    sizes = (n // 2, n - n // 2)
+    stations = []
+    for side, size, direction in zip((0, 1), sizes, (-1.0, 1.0), strict=True):
+        for k in range(size):
+            lane, rank = k % lanes_a_side, k // lanes_a_side
+            in_lane = math.ceil((size - lane) / lanes_a_side)
+            used = min(size, lanes_a_side)
+            east = spacing_m * (rank - (in_lane - 1) / 2.0 + (lane - (used - 1) / 2.0) / lanes_a_side)
+            north = direction * (gap_m / 2.0 + lane * lane_step_m)
+            position = np.array([north, east, -heights_m[lane % len(heights_m)]])
+            stations.append(Station(position, side, 2.0 * math.pi * lane / lanes_a_side))
+    return stations
+
+
+def best_view(eye: ArrayLike, others: Sequence[ArrayLike], width: float) -> Array:
+    """The point (3,) m to look at from `eye` so that a view `width` rad wide shows as many of the others as it can.
+
+    It lies as far away as the farthest of those in view. Among equally many, those farther away are preferred: they
+    move less in the image.
+    """
+    offsets = np.array([np.asarray(other, float) - np.asarray(eye, float) for other in others]).reshape(-1, 3)
+    if not len(offsets):
+        return np.asarray(np.asarray(eye, float) + np.array([1.0, 0.0, 0.0]))
+    bearing = np.arctan2(offsets[:, 1], offsets[:, 0])
+    distance = np.hypot(offsets[:, 0], offsets[:, 1])
+    groups = []
+    for leftmost in bearing:
+        turn = (bearing - leftmost) % (2.0 * math.pi)
+        seen = turn <= width
+        rank = (int(seen.sum()), round(float(distance[seen].mean()), 6))
+        groups.append((rank, leftmost + turn[seen].max() / 2.0, distance[seen].max()))
+    _, heading, reach = max(groups, key=lambda group: group[0])
+    target: Array = np.asarray(eye, float) + reach * np.array([math.cos(heading), math.sin(heading), 0.0])
+    return target
+
+
+# --- flights ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Sway:
+    """Each drone by itself about its station: amplitudes [north, east, down] m, periods drawn from a range of s."""
+
+    amplitude_m: tuple[float, float, float]
+    period_s: tuple[float, float]
+
+    def path(self, world: World, drone_id: int, station: Station) -> Path:
+        chance = world.chance("sway", drone_id)
+        frequencies = 1.0 / chance.uniform(*self.period_s, 3)
+        return Lissajous(
+            station.position, self.amplitude_m, frequencies, chance.uniform(0.0, 2.0 * math.pi, 3)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Weave:
+    """The drones of a lane swing east and west together, up to `reach_m`, and the lanes of a side against each other.
+
+    Each side has its own period, drawn from a range of s. As its lanes share it, they meet where both are fast.
+    """
+
+    reach_m: float
+    period_s: tuple[float, float]
+
+    def path(self, world: World, drone_id: int, station: Station) -> Path:
+        chance = world.chance("weave", station.side)
+        frequency = 1.0 / chance.uniform(*self.period_s)
+        phase = chance.uniform(0.0, 2.0 * math.pi) + station.phase
+        return Lissajous(station.position, (0.0, self.reach_m, 0.0), (0.0, frequency, 0.0), (0.0, phase, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """Looking left and right, up to `peak_rad_s`; each drone in its own time, its period drawn from a range of s."""
+
+    peak_rad_s: float
+    period_s: tuple[float, float]
+
+    def view(self, world: World, drone_id: int, heading: float, departs_s: float) -> YawProfile:
+        chance = world.chance("swing", drone_id)
+        period = chance.uniform(*self.period_s)
+        return SwingingYaw(heading, self.peak_rad_s, period, departs_s + chance.uniform(0.0, period))
+
+
+def form_up(
+    seed: int,
+    stations: Mapping[int, Station],
+    *,
+    flight: Sway | Weave | None,
+    swing: Swing | None,
+    departs_s: Mapping[int, float],
+    view: float,
+) -> dict[int, Plan]:
+    """The plans of a formation whose drones each look where they see most of the others. view: rad, see `best_view`."""
+    world = World(seed, {})
+    plans = {}
+    for drone_id, station in stations.items():
+        others = [other.position for key, other in stations.items() if key != drone_id]
+        target = best_view(station.position, others, view)
+        north, east, _ = target - station.position
+        heading = math.atan2(east, north)
+        if swing is not None:
+            profile = swing.view(world, drone_id, heading, departs_s[drone_id])
+        else:
+            # Who leaves its station by metres keeps the others in view by looking at a point among them.
+            profile = Facing(target) if isinstance(flight, Weave) else SteadyYaw(heading)
+        path = flight.path(world, drone_id, station) if flight is not None else None
+        plans[drone_id] = Plan(station.position, profile, path, departs_s[drone_id])
+    return plans

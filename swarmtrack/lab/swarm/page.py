@@ -1,0 +1,57 @@
+"""The web page of a flight: a monitor in a process of its own, which takes no time from judging.
+
+When the flight is over, its verdict is told to the page, which then stays as it is for as long as the monitor lives.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+import msgspec
+
+from swarmtrack.lab.swarm.processes import Child, Children, ProcessDied
+from swarmtrack.outputs.flight_end import FlightEnd
+from swarmtrack.transport.settings import NetworkSettings
+
+
+class FlightPage:
+    """said: the line that names its address."""
+
+    def __init__(self, child: Child, said: str) -> None:
+        self.child = child
+        self.said = said
+
+    def tell(self, end: FlightEnd) -> None:
+        """The flight is over. The page keeps what it shows now, and this."""
+        assert self.child.process.stdin is not None
+        if self.child.process.returncode is None:
+            self.child.process.stdin.write(msgspec.json.encode(end) + b"\n")
+
+    async def gone(self) -> None:
+        """Until its process ends."""
+        await self.child.process.wait()
+
+
+async def open_page(
+    children: Children,
+    program: Sequence[str],
+    network: NetworkSettings,
+    *,
+    port: int,
+    patience_s: float,
+    show: bool,
+) -> FlightPage:
+    """program: that runs `swarmtrack`; show: in this machine's browser. Raises ProcessDied and TimeoutError."""
+    arguments = ["monitor", "--flight", "--team", network.team, "--port", str(port)]
+    for endpoint in network.connect:
+        arguments += ["--connect", endpoint, "--insecure"]
+    if show:
+        arguments.append("--open")
+    child = await children.start("monitor", [*program, *arguments], talks=True)
+    assert child.process.stdout is not None
+    async with asyncio.timeout(patience_s):
+        line = await child.process.stdout.readline()
+    if not line:
+        raise ProcessDied((await children.died).describe_end())
+    return FlightPage(child, line.decode().strip())

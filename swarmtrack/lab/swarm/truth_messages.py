@@ -1,0 +1,154 @@
+"""What an autopilot's simulator says is true, made into poses in the world frame, stamped on our clock.
+
+ArduPilot's SITL has SIM_STATE: the quaternion, and where on the Earth in 1e-7 degrees and metres above the sea. It has
+no stamp. ATTITUDE_QUATERNION, asked for at the same interval, is sent in the same turn of the main loop; its stamp
+counts for both, where the two arrive together. Where they do not, the time of arrival does. PX4's simulators have
+HIL_STATE_QUATERNION, which is stamped. Stamps come to our clock by a `ClockMap`; those of a clock that does not keep
+time are given up, and arrivals count.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import common
+
+from swarmtrack.autopilot.clock_map import ClockMap
+from swarmtrack.geometry import rotation
+from swarmtrack.geometry.geodesy import Geodetic, to_ned
+from swarmtrack.geometry.pose import Pose
+
+SIM_STATE = common.MAVLINK_MSG_ID_SIM_STATE
+ATTITUDE_QUATERNION = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+# By kind of autopilot (MAV_AUTOPILOT): what to ask of its simulator.
+TRUTH_MESSAGES: dict[int, tuple[int, ...]] = {
+    common.MAV_AUTOPILOT_ARDUPILOTMEGA: (SIM_STATE, ATTITUDE_QUATERNION),
+    common.MAV_AUTOPILOT_PX4: (HIL_STATE_QUATERNION,),
+}
+TOGETHER = 0.005  # s between arrivals that belong to one turn of the main loop, of at least 400 Hz
+STAMPLESS = 1.0  # s without a stamp: none is waited for
+# A clock that stood still, or runs slow, makes every message late by this much for this long: learn it anew.
+LATE, LATE_FOR = 0.02, 0.25  # s
+# Twice within this time: the clock does not keep time (PX4 in lockstep runs per cent slow), and arrivals are better.
+UNSTEADY_S = 5.0
+REBOOTED = 1.0  # s by which a stamp must fall back
+
+
+class TrueSample(NamedTuple):
+    """t: on our clock [s]; pose: world_from_body; place: the same on the Earth."""
+
+    t: float
+    pose: Pose
+    place: Geodetic
+
+
+class TruthReader:
+    """Takes the messages of one autopilot in the order of their arrival. origin: of the world frame.
+
+    restarts: how often its clock had to be learned anew, after a reboot or a pause.
+    """
+
+    def __init__(self, origin: Geodetic) -> None:
+        self.restarts = 0
+        self._origin = origin
+        self._clock_map = ClockMap()
+        self._stamp = -math.inf
+        self._stamp_arrival = -math.inf
+        self._stamp_used = True
+        self._on_time = -math.inf
+        self._restarted = -math.inf
+        self._by_arrival = False
+        self._pending: tuple[float, Any] | None = None
+
+    def take(self, message: Any, arrival: float) -> list[TrueSample]:
+        """What the message says, or lets be said of an earlier one; arrival: on our clock [s]."""
+        match message.get_msgId():
+            case common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
+                return self._on_stamp(message.time_boot_ms * 1e-3, arrival)
+            case common.MAVLINK_MSG_ID_SIM_STATE:
+                return self._on_state(message, arrival)
+            case common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
+                if self._learn(message.time_usec * 1e-6, arrival):
+                    return self._hil_truth(message, arrival)
+        return []
+
+    def _on_stamp(self, stamp: float, arrival: float) -> list[TrueSample]:
+        self._stamp_used = not self._learn(stamp, arrival)
+        self._stamp_arrival = arrival
+        if self._pending is None:
+            return []
+        arrived, state = self._pending
+        if self._stamp_used or arrival - arrived > TOGETHER:
+            return self._sim_truth(state, arrived)
+        return self._sim_truth(state, self._our_time(arrived))
+
+    def _on_state(self, state: Any, arrival: float) -> list[TrueSample]:
+        said = self._sim_truth(self._pending[1], self._pending[0]) if self._pending is not None else []
+        if not self._stamp_used and arrival - self._stamp_arrival <= TOGETHER:
+            said += self._sim_truth(state, self._our_time(arrival))
+        elif arrival - self._stamp_arrival > STAMPLESS:
+            said += self._sim_truth(state, arrival)
+        else:
+            self._pending = (arrival, state)
+        return said
+
+    def _learn(self, stamp: float, arrival: float) -> bool:
+        """Take note of a stamp; False where it is not newer than the last one."""
+        if self._stamp - REBOOTED < stamp <= self._stamp:
+            return False
+        if stamp < self._stamp:
+            self._restart()
+            self._by_arrival = False
+        self._stamp = stamp
+        self._clock_map.observe(stamp, arrival)
+        if arrival - self._clock_map.to_ours(stamp) < LATE:
+            self._on_time = arrival
+        elif arrival - self._on_time > LATE_FOR:
+            self._restart()
+            self._clock_map.observe(stamp, arrival)
+            self._by_arrival |= arrival - self._restarted < UNSTEADY_S
+            self._on_time = self._restarted = arrival
+        return True
+
+    def _restart(self) -> None:
+        self._clock_map.reset()
+        self.restarts += 1
+
+    def _our_time(self, arrival: float) -> float:
+        """Of the newest stamp, whose message, or the one that it counts for, came at `arrival`."""
+        self._stamp_used = True
+        return arrival if self._by_arrival else self._clock_map.to_ours(self._stamp)
+
+    def _sim_truth(self, state: Any, t: float) -> list[TrueSample]:
+        self._pending = None
+        # The whole numbers are an extension; as floats, degrees are known to a metre only.
+        latitude, longitude = (
+            (1e-7 * state.lat_int, 1e-7 * state.lon_int)
+            if state.lat_int or state.lon_int
+            else (state.lat, state.lon)
+        )
+        return self._truth(t, (state.q1, state.q2, state.q3, state.q4), latitude, longitude, state.alt)
+
+    def _hil_truth(self, state: Any, arrival: float) -> list[TrueSample]:
+        return self._truth(
+            self._our_time(arrival),
+            tuple(state.attitude_quaternion),
+            1e-7 * state.lat,
+            1e-7 * state.lon,
+            1e-3 * state.alt,
+        )
+
+    def _truth(
+        self, t: float, q: tuple[float, ...], latitude_deg: float, longitude_deg: float, height_m: float
+    ) -> list[TrueSample]:
+        """None where a number is no number: bits may fall."""
+        if not (
+            all(map(math.isfinite, (*q, latitude_deg, longitude_deg, height_m)))
+            and 0.9 < math.hypot(*q) < 1.1
+            and abs(latitude_deg) <= 90.0
+        ):
+            return []
+        place = Geodetic.from_degrees(latitude_deg, longitude_deg, height_m)
+        return [TrueSample(t, Pose(rotation.from_quaternion(q), to_ned(place, self._origin)), place)]

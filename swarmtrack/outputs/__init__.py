@@ -1,0 +1,1 @@
+"""What people see of a flight: console, pictures, Foxglove, notices to the pilot."""

@@ -1,0 +1,302 @@
+"""Teammates in metres for Foxglove's 3D panel and plots: what a drone makes of a scan, and in which frames.
+
+The frames: `map` is east, north, up, as 3D panels want it; `team` is the team's own (north, east, down) in it. Of
+drone 1, `drone-1` is its body, `drone-1/camera` its camera, and `drone-1/ned` has its origin there and the team's axes:
+in it are its teammates. Its second camera is `drone-1/camera-2`, and so on. In the frame of each camera lie the lines
+around what it sees, the rays to what it tracks, and its pictures with their calibration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from foxglove.messages import (
+    CameraCalibration,
+    Color,
+    Duration,
+    FrameTransform,
+    FrameTransforms,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    Odometry,
+    Point3,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    SpherePrimitive,
+    TextPrimitive,
+    Timestamp,
+    Vector3,
+)
+
+from swarmtrack.cameras.field_of_view import PER_SIDE, outline
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose as Placed
+from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.messages import (
+    FOREIGN,
+    MOST_CAMERAS,
+    Array,
+    IdentifiedTrack,
+    Identity,
+    RelativeState,
+    ScanReport,
+    TrackStatus,
+)
+from swarmtrack.outputs.palette import colour_of
+from swarmtrack.recording.outputs import image_topic
+from swarmtrack.recording.writer import Topic
+from swarmtrack.relative.read_out import read_out
+
+SCENE = Topic.well_known("/scene", SceneUpdate)
+FRAMES = Topic.well_known("/tf", FrameTransforms)
+CAMERAS = Topic.well_known("/cameras", SceneUpdate)
+RAYS = Topic.well_known("/rays", SceneUpdate)
+CALIBRATIONS = [
+    Topic.well_known(image_topic(k).replace("image", "calibration"), CameraCalibration)
+    for k in range(MOST_CAMERAS)
+]
+
+SIGMAS = 3.0
+# m: of the ball where the teammate is most probably, and least of an ellipsoid's axes.
+BALL, LEAST = 0.3, 0.01
+# s: what is not said again by then is seen no more.
+LIFETIME = Duration(sec=1, nsec=0)
+# s between two times that the cameras themselves are said, for who begins to look in the middle.
+CAMERAS_S = 1.0
+# m: how far the lines around a field of view go, and a ray to who knows how far.
+VIEW_M, RAY_M = 1.0, 30.0
+GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
+LINES = 0.8  # their opacity
+ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+Written = tuple[Topic, bytes]
+
+
+class FoxgloveScene:
+    """Of one drone. lenses, mountings: of its cameras; body FRD from camera x right, y down, z forward [m]."""
+
+    def __init__(self, drone_id: int, lenses: Sequence[PinholeCamera], mountings: Sequence[Placed]) -> None:
+        self._body, self._ned = f"drone-{drone_id}", f"drone-{drone_id}/ned"
+        self._names = [camera_frame(drone_id, k) for k in range(len(lenses))]
+        self._lenses = lenses
+        self._mountings = mountings
+        self._told_at = -math.inf
+
+    def of_report(
+        self, report: ScanReport, world_from_camera: Placed | None, stamp: Timestamp
+    ) -> Iterator[Written]:
+        """world_from_camera: of the first camera at the exposure, in the team frame; None where the drone does not
+        know."""
+        if report.tracks.t - self._told_at >= CAMERAS_S:
+            self._told_at = report.tracks.t
+            yield from self._cameras(stamp)
+        rays = self._rays(report, stamp)
+        if rays:
+            yield RAYS, SceneUpdate(entities=rays).encode()
+        if world_from_camera is not None:
+            yield FRAMES, self._frames(world_from_camera, stamp).encode()
+        states = [entry.relative for entry in report.tracks.tracks if entry.relative is not None]
+        if states:
+            entities = [self._entity(state, stamp) for state in states]
+            yield SCENE, SceneUpdate(entities=entities).encode()
+        for state in states:
+            topic = Topic.well_known(f"/teammates/{state.drone_id}", Odometry)
+            yield topic, self._odometry(state, stamp).encode()
+
+    def _frames(self, world_from_camera: Placed, stamp: Timestamp) -> FrameTransforms:
+        body = world_from_camera @ self._mountings[0].inverse()
+        cameras = zip(self._names, self._mountings, strict=True)
+        return FrameTransforms(
+            transforms=[
+                _transform("map", "team", Placed(ENU_FROM_NED, np.zeros(3)), stamp),
+                _transform("team", self._body, body, stamp),
+                *(_transform(self._body, name, mounting, stamp) for name, mounting in cameras),
+                _transform("team", self._ned, Placed(np.eye(3), world_from_camera.position), stamp),
+            ]
+        )
+
+    def _cameras(self, stamp: Timestamp) -> Iterator[Written]:
+        """The lines around what each sees, and their calibrations."""
+        views = [self._view(name, lens, stamp) for name, lens in zip(self._names, self._lenses, strict=True)]
+        yield CAMERAS, SceneUpdate(entities=views).encode()
+        for topic, name, lens in zip(CALIBRATIONS, self._names, self._lenses, strict=False):
+            yield topic, calibration(lens, name, stamp).encode()
+
+    def _view(self, name: str, lens: PinholeCamera, stamp: Timestamp) -> SceneEntity:
+        border = VIEW_M * outline(lens)
+        edges = [point for corner in border[::PER_SIDE] for point in (np.zeros(3), corner)]
+        return SceneEntity(
+            timestamp=stamp,
+            frame_id=name,
+            id=name,
+            lines=[
+                _line(LinePrimitiveLineType.LineLoop, border, colour_of_name(None, LINES)),
+                _line(LinePrimitiveLineType.LineList, edges, colour_of_name(None, LINES)),
+            ],
+        )
+
+    def _rays(self, report: ScanReport, stamp: Timestamp) -> list[SceneEntity]:
+        """To what the camera of the scan tracks, as far as that is away, or just on."""
+        shown = [
+            entry
+            for entry in report.tracks.tracks
+            if entry.track.camera == report.camera and entry.track.status is not TrackStatus.TENTATIVE
+        ]
+        pixels = np.array([entry.track.mean[::2] for entry in shown]).reshape(-1, 2)
+        rays = self._lenses[report.camera].bearing_undistorted(pixels)
+        return [
+            self._ray(entry, ray, report.camera, stamp)
+            for entry, ray in zip(shown, rays, strict=True)
+            if np.isfinite(ray).all()
+        ]
+
+    def _ray(self, entry: IdentifiedTrack, ray: Array, camera: int, stamp: Timestamp) -> SceneEntity:
+        state = entry.relative
+        far = RAY_M if state is None else float(np.linalg.norm(state.position))
+        return SceneEntity(
+            timestamp=stamp,
+            frame_id=self._names[camera],
+            id=str(entry.track.id),
+            lifetime=LIFETIME,
+            lines=[
+                _line(
+                    LinePrimitiveLineType.LineStrip,
+                    (np.zeros(3), far * ray),
+                    colour_of_name(entry.identity, LINES),
+                )
+            ],
+        )
+
+    def _entity(self, state: RelativeState, stamp: Timestamp) -> SceneEntity:
+        r, g, b = (value / 255 for value in colour_of(state.drone_id))
+        read = read_out(state.position, state.velocity, state.cov)
+        variances, axes = np.linalg.eigh(state.cov[:3, :3])
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        diameters = np.maximum(2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0)), LEAST)
+        label = state.position - (0.0, 0.0, 2.0 * BALL)
+        return SceneEntity(
+            timestamp=stamp,
+            frame_id=self._ned,
+            id=str(state.drone_id),
+            lifetime=LIFETIME,
+            spheres=[
+                SpherePrimitive(
+                    pose=_pose(state.position, axes),
+                    size=_vector(diameters),
+                    color=Color(r=r, g=g, b=b, a=0.3),
+                ),
+                SpherePrimitive(
+                    pose=_pose(state.position, np.eye(3)),
+                    size=Vector3(x=BALL, y=BALL, z=BALL),
+                    color=Color(r=r, g=g, b=b, a=1.0),
+                ),
+            ],
+            texts=[
+                TextPrimitive(
+                    pose=_pose(label, np.eye(3)),
+                    billboard=True,
+                    font_size=14.0,
+                    scale_invariant=True,
+                    color=Color(r=r, g=g, b=b, a=1.0),
+                    text=f"{state.drone_id}  {read.distance:.1f} m ± {read.sigma:.1f}",
+                )
+            ],
+        )
+
+    def _odometry(self, state: RelativeState, stamp: Timestamp) -> Odometry:
+        """Its attitude is not known: identity, so that velocities have the team's axes, with zero for its covariance as
+        the schema has it."""
+        return Odometry(
+            timestamp=stamp,
+            frame_id=self._ned,
+            body_frame_id=f"{self._body}/teammate-{state.drone_id}",
+            pose=_pose(state.position, np.eye(3)),
+            linear_velocity=_vector(state.velocity),
+            pose_covariance=_padded(state.cov[:3, :3]),
+            velocity_covariance=_padded(state.cov[3:, 3:]),
+        )
+
+
+def camera_frame(drone_id: int, camera: int) -> str:
+    """In which a camera's pictures lie; people count cameras from 1."""
+    return f"drone-{drone_id}/camera" + (f"-{camera + 1}" if camera else "")
+
+
+def calibration(lens: PinholeCamera, frame_id: str, stamp: Timestamp) -> CameraCalibration:
+    """With which a viewer lays pictures into space."""
+    distortion = lens.distortion
+    model, coefficients = "plumb_bob", [0.0] * 5
+    if distortion is not None:
+        coefficients = list(distortion.coefficients)
+        if distortion.name == "equidistant":
+            model = "kannala_brandt"
+        elif len(coefficients) == 8:
+            model = "rational_polynomial"
+        else:
+            coefficients += [0.0] * (5 - len(coefficients))
+    return CameraCalibration(
+        timestamp=stamp,
+        frame_id=frame_id,
+        width=lens.width,
+        height=lens.height,
+        distortion_model=model,
+        D=coefficients,
+        K=lens.K.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=np.column_stack([lens.K, np.zeros(3)]).ravel().tolist(),
+    )
+
+
+def _line(kind: LinePrimitiveLineType, points: Sequence[Array] | Array, color: Color) -> LinePrimitive:
+    return LinePrimitive(
+        type=kind,
+        pose=_pose(np.zeros(3), np.eye(3)),
+        thickness=1.0,
+        scale_invariant=True,
+        points=[Point3(x=x, y=y, z=z) for x, y, z in np.asarray(points).tolist()],
+        color=color,
+    )
+
+
+def colour_of_name(identity: Identity, opacity: float) -> Color:
+    """opacity: 0 … 1."""
+    if identity is None or identity == FOREIGN:
+        r, g, b = GREY if identity is None else WHITE
+    else:
+        r, g, b = (value / 255 for value in colour_of(identity))
+    return Color(r=r, g=g, b=b, a=opacity)
+
+
+def _transform(parent: str, child: str, parent_from_child: Placed, stamp: Timestamp) -> FrameTransform:
+    return FrameTransform(
+        timestamp=stamp,
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=_vector(parent_from_child.position),
+        rotation=_quaternion(parent_from_child.rotation),
+    )
+
+
+def _pose(position: Array, rotation: Array) -> Pose:
+    return Pose(position=_vector(position), orientation=_quaternion(rotation))
+
+
+def _vector(v: Array) -> Vector3:
+    x, y, z = v.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(rotation: Array) -> Quaternion:
+    w, x, y, z = to_quaternion(rotation).tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _padded(cov: Array) -> list[float]:
+    """(3, 3) -> 36 numbers of (6, 6), zero beyond."""
+    whole = np.zeros((6, 6))
+    whole[:3, :3] = cov
+    return whole.ravel().tolist()

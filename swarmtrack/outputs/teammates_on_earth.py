@@ -1,0 +1,87 @@
+"""Where teammates in view are on the Earth: as measured where that is known well, else as they say themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.geodesy import Geodetic, from_ned
+from swarmtrack.messages import Array, IdentifiedTrack, MotionReport, RelativeState, SightingReport
+from swarmtrack.outputs.reported_positions import ReportedPositions
+
+# m and m/s, one sigma along the worst axis, own place and motion included: what is known worse is not told as measured.
+FIRM_PLACE, FIRM_VELOCITY = 3.0, 1.0
+# s: of two times that are one scan's; and between a scan and our own velocity.
+SAME_SCAN, SAME_TIME = 1e-3, 0.5
+
+
+class PlaceOnEarth(NamedTuple):
+    """age: s since it held. velocity (3,) m/s north, east, down over the ground; None where it is not known.
+
+    measured: by this drone; else it is the teammate's own word, on our ray.
+    """
+
+    drone_id: int
+    place: Geodetic
+    age: float
+    velocity: Array | None
+    measured: bool
+
+
+class TeammatesOnEarth:
+    """Told what teammates report. origin: of the team frame on the Earth."""
+
+    def __init__(self, origin: Geodetic) -> None:
+        self._origin = origin
+        self._reported = ReportedPositions(origin)
+
+    def on_report(self, report: SightingReport) -> None:
+        """A teammate says where it stands."""
+        self._reported.on_report(report)
+
+    def seen(
+        self,
+        named: Iterable[IdentifiedTrack],
+        own: SightingReport | None,
+        motion: MotionReport | None,
+        now: float,
+    ) -> list[PlaceOnEarth]:
+        """Of the last scan's named tracks, and of what else own says that this drone sees; each teammate once.
+
+        own: from where, at the last scan; motion: how this drone moves; None where it does not know.
+        """
+        found: dict[int, PlaceOnEarth] = {}
+        if own is not None:
+            for entry in sorted(named, key=lambda entry: entry.identity_probability):
+                state = entry.relative
+                if state is not None and self._is_firm(state, own):
+                    found[state.drone_id] = self._measured(state, own, motion, now)
+        for said in self._reported.seen(own, now):
+            if said.drone_id not in found:
+                found[said.drone_id] = PlaceOnEarth(
+                    said.drone_id, said.position, said.age, velocity=None, measured=False
+                )
+        return list(found.values())
+
+    def _is_firm(self, state: RelativeState, own: SightingReport) -> bool:
+        if abs(state.t - own.t) > SAME_SCAN:
+            return False
+        return math.hypot(_worst(state.cov[:3, :3]), own.position_sigma) < FIRM_PLACE
+
+    def _measured(
+        self, state: RelativeState, own: SightingReport, motion: MotionReport | None, now: float
+    ) -> PlaceOnEarth:
+        velocity = None
+        if motion is not None and abs(motion.t - state.t) < SAME_TIME:
+            sigma = _worst(state.cov[3:, 3:] + motion.velocity_cov)
+            velocity = state.velocity + motion.velocity if sigma < FIRM_VELOCITY else None
+        place = from_ned(own.position + state.position, self._origin)
+        return PlaceOnEarth(state.drone_id, place, max(now - state.t, 0.0), velocity, measured=True)
+
+
+def _worst(cov: Array) -> float:
+    """One sigma along the worst axis of (3, 3)."""
+    return math.sqrt(max(0.0, float(np.linalg.eigvalsh(cov)[-1])))

@@ -1,0 +1,186 @@
+"""RTSP, against a small server: MJPEG in RTP (RFC 2435) interleaved with RTSP on one TCP connection (RFC 2326)."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import AsyncIterator
+
+import cv2
+import numpy as np
+import pytest
+
+from support.patience import PATIENCE
+from support.streams import nothing_comes_but, status_with
+from swarmtrack.camera_sources.opening import open_camera
+from swarmtrack.clock import SystemClock
+from swarmtrack.messages import Frame, StampKind
+
+PERIOD = 1 / 30
+
+
+def rtp_packets(image: np.ndarray, sequence: int, timestamp: int) -> list[bytes]:
+    """A picture as RTP packets: RFC 2435, type 1 (4:2:0), quantisation tables in band (Q = 255)."""
+    jpeg: bytes = cv2.imencode(".jpg", image)[1].tobytes()
+    tables, at = b"", 2
+    while jpeg[at + 1] != 0xDA:  # up to the start of scan
+        length = int.from_bytes(jpeg[at + 2 : at + 4])
+        if jpeg[at + 1] == 0xDB:
+            tables += jpeg[at + 5 : at + 2 + length]
+        at += 2 + length
+    scan = jpeg[at + 2 + int.from_bytes(jpeg[at + 2 : at + 4]) : -2]
+    height, width = image.shape[:2]
+    packets = []
+    for start in range(0, len(scan), 1400):
+        last = start + 1400 >= len(scan)
+        header = struct.pack(
+            ">BBHII", 0x80, 26 | last << 7, sequence & 0xFFFF, timestamp & 0xFFFFFFFF, 0x5EED
+        )
+        header += struct.pack(">I", start) + bytes((1, 255, width // 8, height // 8))
+        if start == 0:
+            header += struct.pack(">BBH", 0, 0, len(tables)) + tables
+        packets.append(header + scan[start : start + 1400])
+        sequence += 1
+    return packets
+
+
+class Server:
+    """Plays grey pictures that get lighter; `silent` stops them, `hang_up` ends the connections."""
+
+    def __init__(self) -> None:
+        self.silent = False
+        self.plays = 0
+        self.port = 0
+        self._writers: list[asyncio.StreamWriter] = []
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.append(writer)
+        playing: asyncio.Task[None] | None = None
+        try:
+            while line := (await reader.readline()).decode():
+                method, *_ = line.split()
+                headers = {}
+                while (line := (await reader.readline()).decode().strip()) != "":
+                    name, _, value = line.partition(":")
+                    headers[name.lower()] = value.strip()
+                writer.write(self._answer(method, headers))
+                if method == "PLAY":
+                    playing = asyncio.create_task(self._play(writer))
+        except (ConnectionError, ValueError):
+            pass
+        finally:
+            if playing is not None:
+                playing.cancel()
+            writer.close()
+
+    def _answer(self, method: str, headers: dict[str, str]) -> bytes:
+        lines = ["RTSP/1.0 200 OK", f"CSeq: {headers.get('cseq', '0')}", "Session: 1"]
+        body = ""
+        if method == "OPTIONS":
+            lines.append("Public: OPTIONS, DESCRIBE, SETUP, PLAY, TEARDOWN")
+        elif method == "DESCRIBE":
+            body = "v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=test\r\nt=0 0\r\nm=video 0 RTP/AVP 26\r\na=control:track\r\n"
+            lines += ["Content-Type: application/sdp", f"Content-Length: {len(body)}"]
+        elif method == "SETUP":
+            if "TCP" not in headers.get("transport", ""):
+                lines[0] = "RTSP/1.0 461 Unsupported Transport"
+            lines.append("Transport: RTP/AVP/TCP;unicast;interleaved=0-1")
+        return ("\r\n".join(lines) + "\r\n\r\n" + body).encode()
+
+    async def _play(self, writer: asyncio.StreamWriter) -> None:
+        self.plays += 1
+        sequence = 0
+        for number in range(10_000):
+            image = np.full((48, 64, 3), number % 200, np.uint8)
+            if not self.silent:
+                for packet in rtp_packets(image, sequence, number * 3000):
+                    writer.write(b"$\0" + struct.pack(">H", len(packet)) + packet)
+                    sequence += 1
+                await writer.drain()
+            await asyncio.sleep(PERIOD)
+
+    def hang_up(self) -> None:
+        for writer in self._writers:
+            writer.close()
+        self._writers.clear()
+
+
+@pytest.fixture
+async def server() -> AsyncIterator[Server]:
+    server = Server()
+    listening = await asyncio.start_server(server.serve, "127.0.0.1", 0)
+    server.port = listening.sockets[0].getsockname()[1]
+    yield server
+    listening.close()
+    server.hang_up()
+
+
+def url(port: int, query: str = "") -> str:
+    return f"rtsp://127.0.0.1:{port}/live{query}"
+
+
+async def test_a_stream_gives_its_pictures_with_the_time_of_arrival(server: Server) -> None:
+    clock = SystemClock()
+    camera = open_camera(url(server.port, "?latency_ms=80&sigma_ms=30"), clock=clock, size=(64, 48))
+    frames: list[Frame] = []
+    async with asyncio.timeout(PATIENCE):
+        async for frame in camera.frames():
+            frames.append(frame)
+            assert clock.now() - frame.t > 0.08
+            if len(frames) == 5:
+                break
+    assert frames[0].image.shape == (48, 64, 3)
+    levels = [frame.image.mean() for frame in frames]
+    assert levels == sorted(levels)
+    assert levels[0] < levels[-1]
+    assert {(frame.stamp, frame.t_sigma) for frame in frames} == {(StampKind.ARRIVAL, 0.03)}
+    async with asyncio.timeout(PATIENCE):
+        await camera.close()
+
+
+async def test_a_stream_that_breaks_is_said_and_opened_again(server: Server) -> None:
+    camera = open_camera(url(server.port, "?timeout_s=1"), clock=SystemClock())
+    frames = camera.frames()
+    async with asyncio.timeout(PATIENCE):
+        last = await anext(frames)
+        server.hang_up()
+        await status_with(camera, "lost")
+        while server.plays < 2 or not camera.status().ok:
+            frame = await anext(frames)
+            assert frame.sequence > last.sequence
+            last = frame
+    assert dict(camera.status().counters)["reconnects"] == 1
+    await camera.close()
+
+
+@pytest.mark.parametrize("timeout", [1, 30])
+async def test_a_stream_that_falls_silent_is_said_within_its_timeout_and_can_be_closed_before(
+    server: Server, timeout: int
+) -> None:
+    camera = open_camera(url(server.port, f"?timeout_s={timeout}"), clock=SystemClock())
+    frames = camera.frames()
+    async with asyncio.timeout(PATIENCE):
+        await anext(frames)
+        server.silent = True
+        if timeout == 1:
+            await status_with(camera, "nothing for 1 s")
+            server.silent = False
+            while server.plays < 2:
+                await anext(frames)
+    async with asyncio.timeout(PATIENCE):
+        await camera.close()
+
+
+async def test_nobody_there_and_no_stream_there_are_told_apart_and_close_at_once() -> None:
+    async def hang_up(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        del reader
+        writer.close()
+
+    mute = await asyncio.start_server(hang_up, "127.0.0.1", 0)
+    for port, sentence in (
+        (9, "cannot connect to 127.0.0.1 port 9: Connection refused"),
+        (mute.sockets[0].getsockname()[1], "answers, but gives no video"),
+    ):
+        camera = open_camera(url(port), clock=SystemClock())
+        await nothing_comes_but(sentence, camera, camera.frames())
+    mute.close()

@@ -1,0 +1,391 @@
+"""The real V4L2 camera, in a process of its own, on a stand-in for the kernel's side of the ioctls."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from queue import Empty, Queue
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from support.patience import PATIENCE
+from support.places import ROOT, V4L2_STAND_IN
+from swarmtrack.camera_sources import v4l2_abi as abi
+from swarmtrack.camera_sources.decode import decode_yuyv
+from swarmtrack.camera_sources.frame_slot import BadImage, Freshness
+from swarmtrack.camera_sources.opening import open_camera
+from swarmtrack.camera_sources.v4l2 import exposure_time, holders
+from swarmtrack.clock import ManualClock
+from swarmtrack.errors import SourceError
+from swarmtrack.messages import StampKind
+
+DEVICE = "/dev/video99"
+CC = shutil.which("cc") or shutil.which("gcc")
+PERIOD = 1 / 30
+
+needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler to build the stand-in with")
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("stand_in") / "stand_in.so"
+    command = [
+        str(CC),
+        "-O1",
+        "-shared",
+        "-fPIC",
+        str(V4L2_STAND_IN / "stand_in.c"),
+        "-o",
+        str(path),
+        "-ldl",
+        "-lpthread",
+    ]
+    subprocess.run(command, check=True)
+    return path
+
+
+class Watch:
+    """A process that watches the camera; its lines, and the script of its camera."""
+
+    def __init__(self, library: Path, folder: Path) -> None:
+        self._library = library
+        self._script = folder / "script"
+        self._lines: Queue[dict[str, Any] | None] = Queue()
+        self._process: subprocess.Popen[str] | None = None
+
+    def script(self, **keys: object) -> None:
+        fresh = self._script.with_suffix(".new")
+        fresh.write_text("".join(f"{key} {value}\n" for key, value in keys.items()))
+        fresh.replace(self._script)  # never seen half-written
+
+    def start(self, query: str = "", size: tuple[int, int] = (0, 0), consumer_seconds: float = 0.0) -> None:
+        source = f"v4l2://{DEVICE}" + (f"?{query}" if query else "")
+        arguments = [source, *map(str, size), str(consumer_seconds)]
+        environment = {
+            "V4L2_STAND_IN_DEVICE": DEVICE,
+            "V4L2_STAND_IN_SCRIPT": str(self._script),
+            "LD_PRELOAD": str(self._library),
+            "PYTHONPATH": str(ROOT),
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, str(V4L2_STAND_IN / "watch.py"), *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=os.environ | environment,
+        )
+        self._lines = Queue()
+        threading.Thread(target=self._read, args=(self._process, self._lines), daemon=True).start()
+
+    def _read(self, process: subprocess.Popen[str], lines: Queue[dict[str, Any] | None]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            lines.put(json.loads(line))
+        lines.put(None)
+
+    def send(self, command: str) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        self._process.stdin.write(command + "\n")
+        self._process.stdin.flush()
+
+    def line(self, key: str) -> dict[str, Any]:
+        """The next line that has the key."""
+        while True:
+            try:
+                line = self._lines.get(timeout=PATIENCE)
+            except Empty:
+                pytest.fail(f"nothing with {key} from the camera's process")
+            assert line is not None, "the camera's process ended"
+            if key in line:
+                return line
+
+    def frame(self) -> dict[str, Any]:
+        return self.line("sequence")
+
+    def frames(self, count: int) -> list[dict[str, Any]]:
+        return [self.frame() for _ in range(count)]
+
+    def status(self) -> dict[str, Any]:
+        self.send("status")
+        return self.line("text")
+
+    def status_that(self, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Ask until the status is such."""
+        waited = threading.Event()
+        for _ in range(int(PATIENCE / 0.05)):
+            status = self.status()
+            if holds(status):
+                return status
+            waited.wait(0.05)
+        pytest.fail(f"last status: {status}")
+
+    def close(self) -> dict[str, Any]:
+        self.send("close")
+        return self.line("closed_in")
+
+    def kill(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+@pytest.fixture
+def watch(library: Path, tmp_path: Path) -> Iterator[Watch]:
+    watch = Watch(library, tmp_path)
+    yield watch
+    watch.kill()
+
+
+@needs_cc
+@pytest.mark.parametrize(("fourcc", "shape"), [("GREY", [480, 600]), ("YUYV", [480, 600, 3])])
+def test_every_frame_carries_the_kernels_start_of_exposure_and_its_own_picture(
+    watch: Watch, fourcc: str, shape: list[int]
+) -> None:
+    watch.script(formats=fourcc, lead_us=12000)
+    watch.start("width=600&height=480&fps=30")  # 600 px: lines padded to 64 bytes
+    frames = watch.frames(20)
+    ages = [frame["now"] - frame["t"] for frame in frames]
+    assert min(ages) == pytest.approx(0.012, abs=0.008)
+    assert {frame["stamp"] for frame in frames} == {StampKind.EXPOSURE.value}
+    assert {tuple(frame["shape"]) for frame in frames} == {tuple(shape)}
+    for one, two in pairwise(frames):
+        assert two["t"] - one["t"] == pytest.approx((two["sequence"] - one["sequence"]) * PERIOD, abs=1e-4)
+    for frame in frames:
+        # The stand-in paints 4 x sequence. YUYV to BGR stretches luma 16 … 235 to 0 … 255.
+        luma = 4 * frame["sequence"] % 256
+        expected = luma if fourcc == "GREY" else [min(max((luma - 16) * 255 / 219, 0), 255)] * 3
+        assert frame["corner"] == pytest.approx(expected, abs=2)
+    assert watch.close()["closed_in"] < 1
+
+
+@needs_cc
+def test_motion_jpeg_is_decoded_and_grey_is_preferred_to_it(watch: Watch, tmp_path: Path) -> None:
+    image = np.full((480, 640, 3), (10, 120, 230), np.uint8)
+    (tmp_path / "image.jpg").write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
+    watch.script(formats="MJPG,GREY", jpeg=tmp_path / "image.jpg")
+    watch.start("fourcc=MJPG")
+    assert watch.frame()["corner"] == pytest.approx([10, 120, 230], abs=4)
+    (tmp_path / "image.jpg").write_bytes(b"\xff\xd8\xff nonsense")
+    watch.status_that(lambda status: status["corrupt"] > 2)
+    watch.kill()
+    watch.start()
+    assert watch.frame()["shape"] == [480, 640]
+
+
+@needs_cc
+def test_with_a_known_exposure_the_stamp_is_its_middle(watch: Watch) -> None:
+    watch.script(formats="GREY", lead_us=12000)
+    watch.start("exposure_us=8000")
+    frames = watch.frames(10)
+    assert min(frame["now"] - frame["t"] for frame in frames) == pytest.approx(0.012 - 0.004, abs=0.003)
+    assert frames[0]["sigma"] == pytest.approx(1e-3)
+
+
+@needs_cc
+def test_a_slow_consumer_gets_the_newest_frame_and_the_others_are_counted(watch: Watch) -> None:
+    watch.script(formats="GREY")
+    watch.start(consumer_seconds=0.1)
+    frames = watch.frames(8)
+    # Taken in order, the fifth would be 0.27 s old already, and each one older than the last.
+    assert min(frame["now"] - frame["t"] for frame in frames[4:]) < 0.1
+    status = watch.status()
+    skipped = frames[-1]["sequence"] - frames[0]["sequence"] + 1 - len(frames)
+    assert skipped >= len(frames)
+    # Those that the driver lost for want of a buffer, on a busy machine, are none of ours.
+    assert status["dropped"] + status["lost"] >= skipped - 1
+
+
+@needs_cc
+def test_what_waited_while_the_loop_stood_still_is_thrown_away_and_counted(watch: Watch) -> None:
+    watch.script(formats="GREY")
+    watch.start("buffers=4")
+    last = watch.frames(5)[-1]
+    watch.send("block 0.5")
+    while (frame := watch.frame())["sequence"] < last["sequence"] + 6:
+        last = frame
+    # 15 exposures: the first ones filled the buffers and are 0.37 s old or more, the others found none.
+    assert frame["now"] - frame["t"] < 0.3
+    status = watch.status()
+    assert status["stale"] >= 2
+    assert status["lost"] >= 5
+    assert status["stale"] + status["lost"] >= frame["sequence"] - last["sequence"] - 2
+
+
+@needs_cc
+def test_a_camera_that_falls_silent_is_said_and_goes_on(watch: Watch) -> None:
+    watch.script(formats="GREY")
+    watch.start()
+    watch.frames(3)
+    watch.script(formats="GREY", silent=1)
+    assert "no frame for" in watch.status_that(lambda status: not status["ok"])["text"]
+    watch.script(formats="GREY", silent=0)
+    # It counts as well as soon as it is open again, before its first frame.
+    assert watch.status_that(lambda status: status["ok"] and status["frames"] > 3)
+
+
+@needs_cc
+def test_an_unplugged_camera_comes_back_and_its_frames_count_on(watch: Watch) -> None:
+    watch.script(formats="GREY")
+    watch.start()
+    before = watch.frames(5)[-1]
+    watch.script(plugged=0)
+    status = watch.status_that(lambda status: "not there" in status["text"])
+    assert DEVICE in status["text"]
+    watch.script(formats="GREY")
+    while (frame := watch.frame())["sequence"] <= before["sequence"]:
+        pass
+    status = watch.status_that(lambda status: status["ok"])
+    assert status["reconnects"] == 1
+    assert frame["t"] > before["t"]
+    assert watch.close()["closed_in"] < 1
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("script", "query", "sentence"),
+    [
+        ({"formats": "H264"}, "", "offers H264, expected one of GREY, YUYV, MJPG"),
+        ({"formats": "YUYV"}, "fourcc=MJPG", "offers YUYV, expected one of MJPG"),
+        ({"formats": "GREY", "busy": 1}, "", "busy, held by"),
+        ({"open_errno": 13}, "", "usermod -aG video"),
+        ({"plugged": 0}, "", "is not there"),
+        ({"formats": "H264", "driver": "unicam"}, "", "libcamera"),
+    ],
+)
+def test_why_a_camera_does_not_open_is_a_sentence(
+    watch: Watch, script: dict[str, object], query: str, sentence: str
+) -> None:
+    watch.script(**script)
+    watch.start(query)
+    status = watch.status_that(lambda status: "not opened yet" not in status["text"])
+    assert sentence in status["text"]
+    assert not status["ok"]
+    watch.script(formats="YUYV,GREY,MJPG", jpeg="/dev/null")  # mended: no restart is needed
+    watch.status_that(lambda status: status["fps"] > 0 or status["corrupt"] > 0)
+
+
+@needs_cc
+def test_frames_of_another_size_are_refused_and_said_unless_they_may_be_scaled(watch: Watch) -> None:
+    watch.script(formats="GREY", width=320, height=240)
+    watch.start(size=(640, 480))
+    status = watch.status_that(lambda status: status["wrong_size"] > 2)
+    assert "320x240" in status["text"]
+    assert "640x480" in status["text"]
+    assert (status["ok"], status["frames"]) == (False, 0)
+    watch.kill()
+    watch.start("resize=1", size=(640, 480))
+    assert watch.frame()["shape"] == [480, 640]
+
+
+@needs_cc
+def test_buffers_the_driver_marks_as_damaged_are_counted_not_shown(watch: Watch) -> None:
+    watch.script(formats="GREY", damaged=1)
+    watch.start()
+    status = watch.status_that(lambda status: status["corrupt"] > 3)
+    assert status["frames"] == 0
+
+
+@needs_cc
+def test_a_driver_that_wakes_us_without_a_frame_is_opened_again(watch: Watch) -> None:
+    watch.script(formats="GREY", stuck=1)
+    watch.start()
+    watch.status_that(lambda status: "reports an error and no frame" in status["text"])
+    watch.script(formats="GREY")
+    watch.frame()
+
+
+@needs_cc
+def test_a_camera_without_the_wanted_controls_works_and_says_so(watch: Watch) -> None:
+    watch.script(formats="GREY", controls=0)
+    watch.start("exposure_us=2000&gain=3")
+    watch.frame()
+    assert "camera refused exposure_us and gain" in watch.status()["text"]
+
+
+@needs_cc
+def test_structures_and_requests_are_those_of_the_kernels_header(tmp_path: Path) -> None:
+    names = [name for name in vars(abi) if name.startswith("VIDIOC_")]
+    lines = "".join(f'printf("%u\\n", (unsigned){name});' for name in names)
+    fields = "".join(
+        f'printf("%zu\\n", offsetof(struct v4l2_buffer, {field}));' for field, *_ in abi.Buffer._fields_
+    )
+    source = tmp_path / "abi.c"
+    source.write_text(
+        "#include <stdio.h>\n#include <stddef.h>\n#include <linux/videodev2.h>\n"
+        f"int main(void) {{ {lines}{fields} return 0; }}"
+    )
+    subprocess.run([str(CC), str(source), "-o", str(tmp_path / "abi")], check=True)
+    found = subprocess.run([tmp_path / "abi"], check=True, capture_output=True, text=True).stdout.split()
+    ours = [getattr(abi, name) for name in names]
+    ours += [getattr(abi.Buffer, field).offset for field, *_ in abi.Buffer._fields_]
+    assert [int(value) for value in found] == ours  # a request number holds the size of its structure
+
+
+def buffer(t: float, flags: int) -> abi.Buffer:
+    return abi.Buffer(flags=flags, timestamp=abi.Timeval(int(t), int(1e6 * (t - int(t)))))
+
+
+def test_a_stamp_of_the_end_of_the_frame_or_of_another_clock_is_known_for_what_it_is() -> None:
+    now = 1000.05
+    end = exposure_time(buffer(1000.0, abi.BUF_FLAG_TIMESTAMP_MONOTONIC), now, PERIOD, 10_000)
+    assert end[0] is StampKind.READOUT
+    assert end[1] == pytest.approx(1000.0 - 0.005)
+    for t, flags in ((1000.0, 0), (1.7e9, abi.BUF_FLAG_TIMESTAMP_MONOTONIC | abi.BUF_FLAG_TSTAMP_SRC_SOE)):
+        stamp, at, sigma = exposure_time(buffer(t, flags), now, PERIOD, None)
+        assert (stamp, at) == (StampKind.ARRIVAL, now)
+        assert sigma > end[2] > 1e-3
+
+
+def test_an_honest_latency_is_not_staleness_and_a_lasting_change_of_it_is_learnt() -> None:
+    freshness = Freshness(PERIOD, depth=20)
+
+    def stale(sequences: range, age: float) -> list[bool]:
+        return [freshness.is_stale(n * PERIOD, n, n * PERIOD + age) for n in sequences]
+
+    assert not any(stale(range(100), age=0.2))
+    assert all(stale(range(100, 110), age=0.4))
+    assert not any(stale(range(140, 150), age=0.2))
+    assert not any(stale(range(150, 250), age=0.4)[Freshness.MEMORY :])
+
+
+def test_no_more_frames_in_a_row_are_stale_than_can_have_waited() -> None:
+    freshness = Freshness(PERIOD, depth=4)
+    assert not freshness.is_stale(0.0, 0, 0.01)
+    late = [freshness.is_stale(n * PERIOD, n, n * PERIOD + 0.2) for n in range(1, 11)]
+    assert late == [True] * 4 + [False] + [True] * 4 + [False]
+
+
+def test_who_holds_a_device_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "device"
+    path.touch()
+    code = "import sys; f = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
+    command = [sys.executable, "-c", code, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        assert any(f"(pid {other.pid})" in who for who in holders(str(path)))
+        assert other.stdin is not None
+        other.stdin.close()
+
+
+def test_a_size_that_contradicts_the_calibration_can_never_work() -> None:
+    with pytest.raises(SourceError, match="1280x720 is asked, the calibration is for 640x480"):
+        open_camera("v4l2:///dev/video0?width=1280&height=720", clock=ManualClock(), size=(640, 480))
+
+
+@pytest.mark.parametrize(("width", "stride"), [(64, 127), (65, 130)])
+def test_a_format_that_no_yuyv_camera_has_spoils_a_frame_and_not_the_flight(width: int, stride: int) -> None:
+    with pytest.raises(BadImage, match="expected"):
+        decode_yuyv(memoryview(bytes(48 * stride)), width, 48, stride, grey=False)
