@@ -261,11 +261,19 @@ def test_every_link_leads_somewhere(page):
             assert anchor in slugs, f"{target}: no such heading"
 
 
-def test_the_index_lists_every_page():
+@pytest.mark.parametrize("folder", ["docs", "docs/decisions"])
+def test_the_index_of_a_folder_lists_its_pages(folder):
+    index = ROOT / folder / "README.md"
+    listed = re.findall(r"\]\(([^)#:]+\.md)\)", index.read_text(encoding="utf-8"))
+    pages = {page.name for page in PAGES if page.parent == index.parent} - {"README.md"}
+    assert pages - set(listed) == set()
+    assert len(listed) == len(set(listed))
+
+
+def test_the_docs_have_four_doors_and_the_decisions_are_behind_one_link():
     index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    listed = set(re.findall(r"\]\(([^)#]+)", index))
-    pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.is_relative_to(ROOT / "docs")}
-    assert pages - listed - {"README.md"} == set()
+    assert re.findall(r"^## (.*)$", index, re.MULTILINE) == ["First day", "Fly", "Understand", "Reference"]
+    assert re.findall(r"decisions/[^)]*", index) == ["decisions/README.md"]
 
 
 def test_the_page_of_benchmarks_names_every_one():
