@@ -1,0 +1,161 @@
+"""Pages read as a native engineer writes: without some turns that make a reader go back.
+
+Code, quoted output and addresses are left out. docs/glossary.md lists what is written instead.
+"""
+
+import re
+
+import pytest
+
+from support.places import ROOT
+
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+WAITS = {
+    "CHANGELOG.md",
+    "docs/benchmarks.md",
+    "docs/boards.md",
+    "docs/calibration.md",
+    "docs/cameras.md",
+    "docs/config.md",
+    "docs/decisions/0005-the-age-of-an-announcement.md",
+    "docs/decisions/0007-keys.md",
+    "docs/decisions/0008-who-is-who.md",
+    "docs/decisions/0011-trackers.md",
+    "docs/decisions/0012-the-door.md",
+    "docs/decisions/0013-places-for-the-autopilot.md",
+    "docs/decisions/0016-the-autopilots-time.md",
+    "docs/decisions/0017-names-in-clutter.md",
+    "docs/decisions/0018-the-heading.md",
+    "docs/decisions/0019-flown-and-told.md",
+    "docs/decisions/0020-a-real-autopilots-manners.md",
+    "docs/decisions/0021-measured-noise.md",
+    "docs/decisions/0022-a-world-from-outside.md",
+    "docs/decisions/0023-errors-that-last.md",
+    "docs/decisions/0024-proof-by-motion.md",
+    "docs/decisions/0025-silent-teams.md",
+    "docs/decisions/0026-metres.md",
+    "docs/decisions/0027-a-third-verdict.md",
+    "docs/decisions/0028-look-alikes.md",
+    "docs/decisions/0029-fewer-larger-steps.md",
+    "docs/decisions/0030-seconds-of-looks.md",
+    "docs/decisions/0031-cameras-are-charts.md",
+    "docs/decisions/0032-ghosts-by-parallax.md",
+    "docs/decisions/0033-linked-and-not-heard.md",
+    "docs/decisions/0034-a-wide-lens.md",
+    "docs/decisions/0035-places-that-leap.md",
+    "docs/decisions/0036-hidden-is-not-gone.md",
+    "docs/decisions/0037-no-head-for-the-span.md",
+    "docs/decisions/0038-places-that-motion-proved.md",
+    "docs/decisions/0039-two-stages.md",
+    "docs/decisions/0040-spans-by-the-second-stage.md",
+    "docs/decisions/0041-the-guard.md",
+    "docs/decisions/0042-one-headline.md",
+    "docs/decisions/README.md",
+    "docs/deployment.md",
+    "docs/detector.md",
+    "docs/hazards.md",
+    "docs/identity.md",
+    "docs/model.md",
+    "docs/monitor.md",
+    "docs/recording.md",
+    "docs/rehearse.md",
+    "docs/security.md",
+    "docs/silent.md",
+    "docs/simulated_autopilots.md",
+    "docs/telling.md",
+    "docs/time_offset.md",
+    "docs/tracking.md",
+    "docs/troubleshooting.md",
+    "docs/video.md",
+    "docs/wire.md",
+}
+"""Pages that still have such turns. Most of them change anyway when one posterior replaces the rules for names."""
+
+MACHINE = (
+    r"(?:drones?|followers?|leaders?|teammates?|observers?|strangers?|agents?|guards?|autopilots?|cameras?|trackers?"
+    r"|tracks?|detectors?|models?|process|processes|programs?|commands?|simulators?|radios?|messages?|it|they)"
+)
+REFUSED = {
+    "a headless relative": r"(?:(?<=[.:;|] )|^)(?:- |\* )?\**Who(?:m|se)? (?![^.?]*\?)",
+    "a headless relative after a preposition": (
+        r"\b(?:[Oo]f|[Bb]y|[Ff]or|to|from|with|than|at|after|on|and|but|because|while|around) who(?:m)?\b"
+    ),
+    "a person's pronoun": r"\b(?:[Ww]ho(?:m|se)?ever|[Nn]obody|[Ss]omebody|[Ee]verybody)\b",
+    "'anew' for 'again'": r"\banew\b",
+    "'beside' for 'next to' or 'and'": r"\b[Bb]eside\b",
+    "a machine that talks": r"\b(?:[Tt]ell|[Tt]ells|[Tt]old|[Tt]elling)\b",
+    "a machine with a mind": (
+        rf"\b{MACHINE}(?: (?:that|which|itself))?(?: (?:is|are|was|were|has|have|may|must|never|also))?"
+        r" (?:says?|said|knows?|knew|known to|doubts?|doubted|believes?|believed|thinks?|hears?|heard|speaks?|spoke)\b"
+    ),
+    "'surest' for 'highest confidence'": r"\bsurest\b",
+}
+
+
+def prose(text):
+    """The page's sentences, one string per paragraph, list item or row: without code, quoted output and addresses."""
+    text = re.sub(r"^```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    # The table of words that are not used names them.
+    text = re.sub(r"^## Words that we do not use$.*?(?=^## )", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"`[^`]*`", "`", text)
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    text = re.sub(r"\[[\w/]+\.md\]", "[]", text)
+    parts = re.split(r"\n\s*\n|\n(?=\s*(?:[*-]|\d+\.|\||#)\s?)", text)
+    return [" ".join(part.split()) for part in parts if part.strip()]
+
+
+def refused(text):
+    return [
+        f"{what}: …{part[max(0, m.start() - 30) : m.end() + 30]}…"
+        for part in prose(text)
+        for what, pattern in REFUSED.items()
+        for m in re.finditer(pattern, part)
+    ]
+
+
+def name(page):
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if name(page) not in WAITS], ids=name)
+def test_a_page_is_free_of_them(page):
+    assert refused(page.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("page", sorted(WAITS))
+def test_a_page_that_waits_has_some_and_leaves_the_list_when_it_has_none(page):
+    assert refused((ROOT / page).read_text(encoding="utf-8")) != []
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "Who holds stands still and still keeps clear, and goes on by itself.",
+        "It keeps clear of nobody whom its cameras do not see.",
+        "This page is for whoever stands beside it with a finger on the switch.",
+        "Nothing is sent any more, until you engage it anew.",
+        "A camera keeps clear of whom it sees, and of who comes straight on.",
+        "A drone that says how it moves is known by that.",
+        "The agent knows such a rhythm from loss.",
+        "All a drone must tell the others is its ID.",
+        "It brakes softly, because who brakes hard tilts its camera away.",
+        "| what is wrong | right later | surest wrong name |",
+    ],
+)
+def test_what_pages_once_said_is_refused(sentence):
+    assert refused(sentence) != []
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "A holding drone hovers and still avoids others. It resumes by itself.",
+        "Who may look?",
+        "The pilot who holds the transmitter knows the mode.",
+        "The agent logs `nobody is heard beside drone 3`.",
+        "See [the page about it](telling.md).",
+    ],
+)
+def test_plain_sentences_quotations_and_addresses_are_not(sentence):
+    assert refused(sentence) == []
