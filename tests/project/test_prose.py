@@ -48,7 +48,6 @@ WAITS = {
     "docs/decisions/README.md",
     "docs/identity.md",
     "docs/troubleshooting.md",
-    "docs/wire.md",
 }
 """Pages that still have such turns. Most of them change anyway when one posterior replaces the rules for names."""
 
