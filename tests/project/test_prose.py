@@ -68,13 +68,14 @@ REFUSED = {
         rf"\b{MACHINE}(?: (?:that|which|itself))?(?: (?:is|are|was|were|has|have|may|must|never|also))?"
         r" (?:says?|said|knows?|knew|doubts?|doubted|believes?|believed|thinks?|hears?|heard|speaks?|spoke)\b"
     ),
+    "'the own' for 'its own'": r"\b[Tt]he own\b",
     "'surest' for 'highest confidence'": r"\bsurest\b",
 }
 
 
 def prose(text):
     """The page's sentences, one string per paragraph, list item or row: without code, quoted output and addresses."""
-    text = re.sub(r"^```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
     # The table of words that are not used names them.
     text = re.sub(r"^## Words that we do not use$.*?(?=^## )", "", text, flags=re.DOTALL | re.MULTILINE)
@@ -121,6 +122,7 @@ def test_a_page_that_waits_has_some_and_leaves_the_list_when_it_has_none(page):
         "All a drone must tell the others is its ID.",
         "It brakes softly, because who brakes hard tilts its camera away.",
         "| what is wrong | right later | surest wrong name |",
+        "The own position jumps.",
     ],
 )
 def test_what_pages_once_said_is_refused(sentence):

@@ -1,4 +1,4 @@
-"""Where a ground station sends a drone: MAVLink's set points as those of `simulation.response`, in the world's NED."""
+"""Where a ground station sends a drone: MAVLink's set points as those of `lab.world.response`, in the world's NED."""
 
 from __future__ import annotations
 

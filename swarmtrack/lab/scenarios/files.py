@@ -279,7 +279,7 @@ class StickSection(Section):
 
 
 class StarSection(Section):
-    """Followers on an arc behind a leader, whose agents fly them by sight; see `simulation.star`. The first drone
+    """Followers on an arc behind a leader, whose agents fly them by sight; see `lab.world.star`. The first drone
     leads."""
 
     gap_m: Annotated[Number, Field(ge=3.0, le=30.0)] = Field(

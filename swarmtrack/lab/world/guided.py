@@ -1,7 +1,7 @@
 """A drone that flies where it is told, while it flies: its past is remembered, its future is nobody's yet.
 
 Others follow a path that is known beforehand. This one stands on the ground until it is told to fly; then the measured
-response of an autopilot (`simulation.response`) is integrated as far as somebody asks, so that pictures, sensors and
+response of an autopilot (`lab.world.response`) is integrated as far as somebody asks, so that pictures, sensors and
 truth show where it really is. It sways as all do that hold their place in the air.
 """
 
