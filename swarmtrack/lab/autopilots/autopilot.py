@@ -8,8 +8,8 @@ the port that asked; what one side says is forwarded to the other, to whoever ha
 
 Who flies is its `Pilot`: a path that is known beforehand, or whoever commands it.
 
-ArduPilot is here, PX4 in `lab.autopilots.px4`. As measured on ArduCopter: nothing but heartbeats until asked; intervals in
-whole milliseconds; DENIED above 333 Hz and for messages it does not offer; samples of several streams that are due
+ArduPilot is here, PX4 in `lab.autopilots.px4`. As measured on ArduCopter: nothing but heartbeats until asked; intervals
+in whole milliseconds; DENIED above 333 Hz and for messages it does not offer; samples of several streams that are due
 together share a datagram.
 """
 

@@ -9,6 +9,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -88,7 +89,7 @@ from swarmtrack.lab.world.trajectory import (
     Path as FlightPath,
 )
 
-FOLDER = Path(__file__).with_name("configs") / "scenarios"
+FOLDER = Path(str(resources.files("swarmtrack") / "configs" / "scenarios"))
 MAX_DRONES = 1000
 MAX_CAMERAS = 8  # of a drone
 CLIMBS_S = 8.0  # s from a take-off to the height of a slot
