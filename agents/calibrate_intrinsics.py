@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds
+from swarmtrack.arguments import add_action, add_file, add_flag, add_seconds, require_extra
 
 if TYPE_CHECKING:
     from swarmtrack.calibration.board import Board
@@ -129,6 +129,8 @@ async def _intrinsics(args: argparse.Namespace, board: Board) -> int:
     from swarmtrack.calibration.intrinsics import as_yaml, doubts, fit
     from swarmtrack.errors import CalibrationError, SourceError
 
+    if args.plot is not None:
+        require_extra("bench", "matplotlib", of="--plot")
     views = await _collect(args, board)
     if views is None:
         return FAILED

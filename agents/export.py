@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_file, add_flag, add_folder
+from swarmtrack.arguments import add_file, add_flag, add_folder, require_extra
 from swarmtrack.errors import ModelError, SourceError
 
 if TYPE_CHECKING:
@@ -50,15 +50,13 @@ def run(args: argparse.Namespace) -> int:
         raise ModelError(f"{model}: no such model file")
     if not args.out.parent.is_dir():
         raise SourceError(f"--out {args.out}: its folder does not exist")
+    require_extra("train", *(["torch"] if model.suffix == ".pt" else []), "onnx", of="writing a model")
     with TemporaryDirectory() as folder:
-        try:
-            if model.suffix == ".pt":
-                model = _from_checkpoint(model, Path(folder) / "full.onnx")
-            _write(args, model)
-            if args.calibrate:
-                _calibrate(args.out, _labelled(args))
-        except ImportError as error:
-            raise ModelError(f"export: {error.name} is missing, install swarmtrack[train]") from error
+        if model.suffix == ".pt":
+            model = _from_checkpoint(model, Path(folder) / "full.onnx")
+        _write(args, model)
+        if args.calibrate:
+            _calibrate(args.out, _labelled(args))
         before, after = (path.stat().st_size / 1e6 for path in (model, args.out))
     print(f"{args.out}: {args.precision}, {after:.2f} MB, {before:.2f} MB in full precision")
     print(f"compare: swarmtrack bench detector {args.out} DATA")

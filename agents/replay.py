@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_flag, add_list, count, one_of
+from swarmtrack.arguments import add_file, add_flag, add_list, count, one_of, require_extra
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -122,6 +122,8 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.camera is not None and args.video is None:
         raise RecordingError("--camera needs --video")
+    if args.plot is not None:
+        require_extra("bench", "matplotlib", of="--plot")
     recordings = recordings_below(*args.paths)
     drones = [recording for recording in recordings if recording.kind == "drone"]
     flight = next((recording for recording in recordings if recording.is_simulated_flight), None)
@@ -412,9 +414,7 @@ def _compare(flown: list[_Flown], other: dict[tuple[int, str], list[SeenScan]] |
 
 
 def _plot(flown: list[_Flown], path: Path, against: str) -> None:
-    try:
-        from swarmtrack.replay.plot import plot
-    except ImportError:
-        raise RecordingError("--plot needs matplotlib: pip install 'swarmtrack[bench]'") from None
+    from swarmtrack.replay.plot import plot
+
     diffs = {one.recording.drone_id: one.diff for one in flown if one.diff is not None}
     plot(diffs, path, f"{flown[0].tracker} beside {against}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from swarmtrack.arguments import add_file, add_flag, add_seed, count, positive
+from swarmtrack.arguments import add_file, add_flag, add_seed, count, positive, require_extra
 from swarmtrack.errors import ModelError, SourceError
 from swarmtrack.training import COARSEST
 from swarmtrack.training.split_arguments import add_data, split_of
@@ -88,11 +88,8 @@ def _crop(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    try:
-        from swarmtrack.training import trainer
-    except ImportError as error:
-        raise ModelError(f"train: {error.name} is missing, install swarmtrack[train]") from error
-    from swarmtrack.training import training_report
+    require_extra("train", "torch", "onnx", of="training")
+    from swarmtrack.training import trainer, training_report
     from swarmtrack.training.dataset import Recipe
     from swarmtrack.training.split import what_to_learn
 

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, TypeVar
 
-from swarmtrack.arguments import add_file, add_seed, count, positive
-from swarmtrack.errors import ModelError, SourceError
+from swarmtrack.arguments import add_file, add_seed, count, positive, require_extra
+from swarmtrack.errors import SourceError
 from swarmtrack.training.split_arguments import add_data, split_of
 
 if TYPE_CHECKING:
@@ -60,13 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    try:
-        from swarmtrack.training import second_stage
-    except ImportError as error:
-        raise ModelError(f"{error.name} is missing, install swarmtrack[train]") from error
+    require_extra("train", "torch", "onnx", of="training")
     import numpy as np
 
     from swarmtrack.detection.detector import Detector
+    from swarmtrack.training import second_stage
     from swarmtrack.training.candidates import CandidateSource
     from swarmtrack.training.dataset import data_hash
     from swarmtrack.training.split import what_to_learn

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.arguments import add_flag, add_folder
+from swarmtrack.arguments import add_flag, add_folder, require_extra
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common, add_processes, add_second_stage, add_seeds
 from swarmtrack.benchmarks.trackers.clips import frames
@@ -252,6 +252,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
+    if args.write:
+        require_extra("train", "onnx", of="--write")
     result = publish(
         args.out,
         args.seeds or (QUICK_SEEDS if args.quick else SEEDS),

@@ -141,6 +141,7 @@ def run(args: argparse.Namespace) -> None:
 
 def publish(out: Path, *, seeds: int) -> None:
     """calibration.json, .md and a plot in `out`."""
+    report.pyplot()  # before the work, not after it, should it be missing
     boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
     each = max(seeds // 6, 2)
     with (

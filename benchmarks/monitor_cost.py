@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.command_line import add_common
 from swarmtrack.benchmarks.lone_agent import CAMERA, scripted_agent
@@ -163,6 +164,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
+    require_extra("dev", "playwright", of="the page in a browser")
     publish(args.out, quick=args.quick)
 
 

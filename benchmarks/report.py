@@ -15,13 +15,14 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from swarmtrack.arguments import require_extra
 from swarmtrack.errors import SwarmtrackError
 
 VERSIONS_OF = ("swarmtrack", "numpy", "scipy", "onnxruntime", "opencv-python-headless")
 
 
 class BenchmarkError(SwarmtrackError):
-    """A benchmark that cannot be run: a missing file, a missing extra, an agent that failed."""
+    """A benchmark that cannot be run: a missing file, an agent that failed."""
 
 
 @contextmanager
@@ -81,10 +82,9 @@ def machine() -> dict[str, Any]:
 
 def pyplot() -> Any:
     """matplotlib, drawing into files."""
-    try:
-        import matplotlib  # noqa: PLC0415  # only who draws needs it: an extra
-    except ImportError as error:
-        raise BenchmarkError("plots: matplotlib is missing, install swarmtrack[bench]") from error
+    require_extra("bench", "matplotlib", of="a plot")
+    import matplotlib  # noqa: PLC0415  # only who draws needs it: an extra
+
     matplotlib.use("Agg")
     from matplotlib import pyplot  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""Command lines: tables of commands, and kinds of arguments that several programs take."""
+"""Command lines: tables of commands, kinds of arguments that several programs take, and extras that commands need."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from swarmtrack.errors import MissingExtraError
 from swarmtrack.plain_text import plain
 
 
@@ -143,6 +145,16 @@ def unknown(what: str, word: str, known: Iterable[str]) -> str:
     names = list(known)
     close = difflib.get_close_matches(word, names, n=1)
     return f"did you mean {close[0]}?" if close else f"expected a {what}: {', '.join(names)}"
+
+
+def require_extra(extra: str, *packages: str, of: str) -> None:
+    """Refuse to begin work that needs packages which are not installed.
+
+    extra: the extra in pyproject.toml that brings them; of: the command or option that needs them.
+    """
+    missing = [package for package in packages if find_spec(package) is None]
+    if missing:
+        raise MissingExtraError(f"{of} needs {' and '.join(missing)}: pip install 'swarmtrack[{extra}]'")
 
 
 def page(name: str) -> str:

@@ -51,6 +51,10 @@ class RecordingError(SwarmtrackError):
     """A recording that cannot be read, is none of ours, or cannot be written."""
 
 
+class MissingExtraError(SwarmtrackError):
+    """A package that only some commands need, and that is not installed."""
+
+
 @contextmanager
 def ungrouped(kind: type[SwarmtrackError] = SwarmtrackError) -> Iterator[None]:
     """Raise the first error of a kind by itself, where tasks raise nothing else, however deep: groups of tasks lie in

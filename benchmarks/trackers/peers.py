@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks.trackers.play import MakePlayer
 from swarmtrack.benchmarks.trackers.scenes import Scene
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
@@ -25,11 +25,8 @@ UNKNOWN_SIZE = np.full(2, np.nan)
 
 
 def load() -> Mapping[str, MakePlayer]:
-    """By name; raises BenchmarkError where Stone Soup is not installed."""
-    try:
-        import stonesoup  # noqa: F401, PLC0415  # an extra
-    except ImportError as error:
-        raise BenchmarkError("--peers: Stone Soup is missing, install swarmtrack[peers]") from error
+    """By name; raises MissingExtraError where Stone Soup is not installed."""
+    require_extra("peers", "stonesoup", of="--peers")
     return {"ss_gnn": GlobalNearest, _jpda_name(): JointProbabilistic, "ss_gmphd": HypothesisDensity}
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from swarmtrack.agents import main as swarmtrack
-from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.trackers import peers as tracker_peers
 from swarmtrack.benchmarks.trackers import play as play_module
 from swarmtrack.benchmarks.trackers import timing
@@ -15,6 +14,7 @@ from swarmtrack.benchmarks.trackers.benchmark import Block, Entrant, play_all
 from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, make_tracker, play
 from swarmtrack.benchmarks.trackers.results import paired_ratio
 from swarmtrack.benchmarks.trackers.scenes import MOST_P_DETECTION, SCENES, film
+from swarmtrack.errors import MissingExtraError
 from swarmtrack.lab.score.paper_scenario import CONDITIONS
 from swarmtrack.lab.score.track_score import FAR_PX, StatedTracks, score_found, score_named
 from swarmtrack.tracking import TRACKERS, Scan
@@ -370,5 +370,5 @@ def test_what_cannot_be_run_is_refused_in_one_line(tmp_path, capsys, arguments, 
 
 def test_missing_peers_are_said_with_their_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "stonesoup", None)
-    with pytest.raises(BenchmarkError, match=r"swarmtrack\[peers\]"):
+    with pytest.raises(MissingExtraError, match=r"swarmtrack\[peers\]"):
         tracker_peers.load()
