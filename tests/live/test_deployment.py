@@ -64,27 +64,13 @@ def command_lines(service: dict[str, Any]) -> list[list[str]]:
 # --- the image ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lock", ["requirements.lock", "build.lock"])
-def test_the_image_installs_what_was_tested_version_by_version_and_hashed(lock):
-    """Mend it with the command in the lock's second line."""
-
-    def versions(path: Path) -> dict[str, str]:
-        pinned = re.findall(r"^([A-Za-z0-9._-]+)==(\S+)", path.read_text(encoding="utf-8"), re.MULTILINE)
-        return dict(pinned)
-
-    tested, installed = versions(ROOT / "requirements.lock"), versions(DOCKER / lock)
-    assert installed
-    assert installed == {name: tested.get(name) for name in installed}
-    text = (DOCKER / lock).read_text(encoding="utf-8")
-    assert text.count("--hash=sha256:") >= len(installed)
-
-
-def test_the_image_has_all_that_pyproject_asks_for_and_no_tools_of_developers():
+def test_the_image_holds_what_the_lock_lists_less_what_builds_the_wheel():
+    assert "--require-hashes --only-binary :all: -r requirements.lock" in DOCKERFILE
+    taken_away = set(re.search(r"pip uninstall --yes (.+)", DOCKERFILE)[1].split()) - {"pip", "setuptools"}
+    pinned = re.findall(r"^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
+    assert "hatchling" in taken_away <= set(pinned)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    text = (DOCKER / "requirements.lock").read_text(encoding="utf-8")
-    wanted = {re.split(r"[<>=,\s]", line)[0] for line in project["dependencies"]}
-    assert wanted == {name for name in wanted if re.search(rf"^{re.escape(name)}==", text, re.MULTILINE)}
-    assert not re.search("^(pytest|mypy|ruff|playwright|torch|matplotlib)==", text, re.MULTILINE)
+    assert not taken_away & {re.split(r"[<>=,\s]", line)[0] for line in project["dependencies"]}
 
 
 def test_the_dockerfile_is_clean_by_hadolint():
@@ -112,7 +98,7 @@ def test_what_the_dockerfile_copies_is_let_through_by_dockerignore():
     copied = re.findall(r"^COPY (?!--from)(.+) \S+$", DOCKERFILE, re.MULTILINE)
     for name in " ".join(copied).split():
         assert (ROOT / name).exists()
-        assert name in allowed or f"{Path(name).parent}/*{Path(name).suffix}" in allowed, name
+        assert name in allowed, name
 
 
 # --- the compose swarm ----------------------------------------------------------------------------

@@ -175,6 +175,12 @@ def test_packages_stand_in_no_circle():
     tuple(TopologicalSorter(graph).static_order())
 
 
+def test_only_its_own_commands_and_benchmarks_import_what_trains():
+    importing = {name for name in MODULES if any(package(other) == "training" for other in imports(name))}
+    commands = {"agents.train", "agents.train_second_stage", "agents.export"}
+    assert {name for name in importing if package(name) not in {"training", "benchmarks"}} == commands
+
+
 def test_agents_holds_programs_only_one_file_each():
     assert len([name for name in MODULES if name.startswith("agents.")]) <= 28
 
