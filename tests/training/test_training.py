@@ -229,7 +229,7 @@ def test_the_papers_network_is_trained_and_exported_too(tmp_path):
     ("arguments", "sentence"),
     [
         (["--crop", "100"], "found 100, expected a multiple of 32"),
-        (["--network", "vgg"], "'plain', 'nano', 'resnet34'"),
+        (["--network", "vgg"], "expected a value: plain, nano, resnet34"),
         (["--start", "nowhere.pt"], "nowhere.pt: no such file"),
         (["--resume"], "no such checkpoint"),
         (["--batch", "0"], "found 0, expected a whole number above 0"),
